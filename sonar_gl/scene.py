@@ -1,0 +1,142 @@
+"""What is in the water: bodies and where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.types import Error, frozen_array
+
+
+def check_pose(matrix, what: str = "pose") -> np.ndarray:
+    """A rigid (4, 4) float64 `world_from_x`, or an `Error`."""
+    out = frozen_array(matrix, np.float64, (4, 4), what)
+    rotation = out[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+        raise Error(
+            f"{what} must be a rotation and a translation (its 3x3 part scales, shears or mirrors; "
+            "scale the mesh instead)"
+        )
+    if not np.array_equal(out[3], [0, 0, 0, 1]):
+        raise Error(f"{what} must have the last row 0 0 0 1 (got {out[3].tolist()})")
+    return out
+
+
+def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
+    """`world_from_sonar` from SDF's six numbers: metres, and fixed-axis x-y-z angles in radians.
+
+    Convention: R = Rz(yaw) Ry(pitch) Rx(roll), x forward, y left (port), z up.
+
+    Returns
+    -------
+    (4, 4) float64
+
+    Raises
+    ------
+    Error
+        if a number is not finite, or an angle is beyond 2π, as degrees would be.
+
+    >>> (pose(1, 2, 3, yaw=np.pi / 2) @ [1, 0, 0, 1]).round(6).tolist()
+    [1.0, 3.0, 3.0, 1.0]
+    """
+    numbers = frozen_array([x, y, z, roll, pitch, yaw], np.float64, (6,), "pose x y z roll pitch yaw")
+    if np.abs(numbers[3:]).max() > 2 * np.pi + 1e-6:
+        raise Error(
+            f"pose angles must be radians, within ±2π (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; "
+            "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
+        )
+    (sr, sp, sy), (cr, cp, cy) = np.sin(numbers[3:]), np.cos(numbers[3:])
+    out = np.eye(4)
+    out[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    out[:3, 3] = numbers[:3]
+    return out
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid thing in the water.
+
+    Parameters
+    ----------
+    name : unique in its scene
+    mesh : trimesh.Trimesh, metres; need not be closed, both sides echo
+    pose : (4, 4) world_from_body
+    reflectivity : μ, 0..1, or an (F,) array, one value a face
+    normals : None (flat faces) or (V, 3) shading normals, which give cos θ alone
+
+    Raises
+    ------
+    Error
+        if there are no faces, a vertex is not finite, or μ lies outside 0..1.
+    """
+
+    name: str
+    mesh: object
+    pose: np.ndarray = None
+    reflectivity: float | np.ndarray = 0.5
+    normals: np.ndarray | None = None
+
+    def __post_init__(self):
+        def put(key, value):
+            object.__setattr__(self, key, value)
+
+        where = f"body {self.name!r}"
+        vertices, faces = getattr(self.mesh, "vertices", None), getattr(self.mesh, "faces", None)
+        if vertices is None or faces is None:
+            raise Error(f"{where}: mesh must be a trimesh.Trimesh (got {type(self.mesh).__name__})")
+        if len(faces) == 0:
+            raise Error(f"{where}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)")
+        frozen_array(vertices, np.float64, (None, 3), f"{where}: mesh vertices")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise Error(f"{where}: faces must name vertices 0..{len(vertices) - 1} (got {faces.max()})")
+        put("pose", check_pose(np.eye(4) if self.pose is None else self.pose, f"{where}: pose"))
+        mu = frozen_array(
+            self.reflectivity,
+            np.float64,
+            () if np.ndim(self.reflectivity) == 0 else (len(faces),),
+            f"{where}: reflectivity",
+        )
+        if mu.min() < 0 or mu.max() > 1:
+            raise Error(
+                f"{where}: reflectivity must lie in 0..1 (got {mu.min():g} to {mu.max():g}; "
+                "laser_retro is divided by 255)"
+            )
+        put("reflectivity", float(mu) if mu.ndim == 0 else mu)
+        if self.normals is not None:
+            put("normals", frozen_array(self.normals, np.float32, (len(vertices), 3), f"{where}: normals"))
+
+
+class Scene:
+    """Bodies, and where the scene's file puts its sonar.
+
+    Parameters
+    ----------
+    bodies : of unique names, at most 65535
+    sonar_pose : (4, 4) world_from_sonar, or None
+    name : what files made from it are called
+    """
+
+    def __init__(self, bodies: Iterable[Body], sonar_pose=None, name: str = "scene"):
+        self.bodies = tuple(bodies)
+        self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
+        self.name = name
+        names = [body.name for body in self.bodies]
+        twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
+        if twice:
+            raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
+        if len(names) > 65535:
+            raise Error(f"a scene holds at most 65535 bodies (got {len(names)}; join some meshes)")
+
+    @property
+    def n_triangles(self) -> int:
+        """Triangles of all bodies."""
+        return sum(len(body.mesh.faces) for body in self.bodies)
+
+    def __repr__(self):
+        return f"Scene({self.name!r}, {len(self.bodies)} bodies, {self.n_triangles} triangles)"

@@ -1,0 +1,123 @@
+"""What a sonar's data sheet says, and the presets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.types import Error, frozen_array, nearest_names
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+
+PRESETS = Path(__file__).with_name("sonars.toml")
+
+
+@dataclass(frozen=True)
+class Sonar:
+    """A multibeam imaging sonar.
+
+    Parameters
+    ----------
+    name : what it is called
+    frequency_hz : centre frequency, 1e3..1e8
+    n_beams, n_bins : counts of beams across the fan and of range bins in [range_min_m, range_max_m)
+    azimuth_fov_deg : width of the fan, up to 360; beam b points at −fov/2 + (b + ½) fov / n_beams
+    elevation_fov_deg : height of a beam, up to 170
+    beam_width_deg : −3 dB width of a beam in azimuth; may exceed the spacing, beams then overlap
+    range_min_m, range_max_m : slant range, metres
+    beam_azimuths_deg : None, or a table of n_beams rising azimuths, positive to port, within the fan
+    source : where the numbers come from
+
+    Raises
+    ------
+    Error
+        if a number makes no sense.
+    """
+
+    name: str
+    frequency_hz: float
+    n_beams: int
+    n_bins: int
+    azimuth_fov_deg: float
+    elevation_fov_deg: float
+    beam_width_deg: float
+    range_min_m: float
+    range_max_m: float
+    beam_azimuths_deg: tuple[float, ...] | None = None
+    source: str = ""
+
+    def __post_init__(self):
+        where = f"sonar {self.name!r}"
+        for key in ("n_beams", "n_bins"):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= 65536:
+                raise Error(f"{where}: {key} must be a whole number in 1..65536 (got {value!r})")
+        for key, low, high, hint in (
+            ("frequency_hz", 1e3, 1e8, "give hertz, 900e3 for 900 kHz"),
+            ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
+            ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
+            ("beam_width_deg", 1e-3, 180.0, "give degrees"),
+            ("range_min_m", 0.0, 1e5, "give metres"),
+            ("range_max_m", 1e-3, 1e5, "give metres"),
+        ):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise Error(f"{where}: {key} must be a number (got {value!r})")
+            if not low <= value <= high:  # NaN too
+                raise Error(f"{where}: {key} must lie in {low:g}..{high:g} (got {value:g}; {hint})")
+        if self.range_min_m >= self.range_max_m:
+            raise Error(
+                f"{where}: range_min_m must be less than range_max_m "
+                f"(got {self.range_min_m:g} and {self.range_max_m:g})"
+            )
+        if self.beam_azimuths_deg is not None:
+            table = frozen_array(
+                self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{where}: beam_azimuths_deg"
+            )
+            if (np.diff(table) <= 0).any():
+                raise Error(f"{where}: beam_azimuths_deg must rise (starboard first, positive to port)")
+            if np.abs(table).max() > self.azimuth_fov_deg / 2:
+                raise Error(
+                    f"{where}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
+                    f"±{self.azimuth_fov_deg / 2:g} (got {table[0]:g} to {table[-1]:g})"
+                )
+            object.__setattr__(self, "beam_azimuths_deg", tuple(table.tolist()))
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """(B,) beam centres, radians, rising, positive to port."""
+        if self.beam_azimuths_deg is not None:
+            return np.radians(self.beam_azimuths_deg)
+        return np.radians(self.azimuth_fov_deg * ((np.arange(self.n_beams) + 0.5) / self.n_beams - 0.5))
+
+    @property
+    def bin_edges_m(self) -> np.ndarray:
+        """(K + 1,) edges of the bins, metres."""
+        return np.linspace(self.range_min_m, self.range_max_m, self.n_bins + 1)
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """(K,) bin centres, metres."""
+        edges = self.bin_edges_m
+        return (edges[1:] + edges[:-1]) / 2
+
+    @property
+    def bin_size_m(self) -> float:
+        """Length of a bin, metres."""
+        return (self.range_max_m - self.range_min_m) / self.n_bins
+
+    def with_range(self, range_max_m: float) -> Sonar:
+        """The same sonar set to another maximum range, with bins of the same size."""
+        if not (math.isfinite(range_max_m) and range_max_m > self.range_min_m):
+            raise Error(
+                f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "
+                f"(got {range_max_m:g})"
+            )
+        n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
+        return replace(self, range_max_m=range_max_m, n_bins=n_bins)
