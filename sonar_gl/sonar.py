@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+import warnings
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +78,13 @@ class Sonar:
                 f"{where}: range_min_m must be less than range_max_m "
                 f"(got {self.range_min_m:g} and {self.range_max_m:g})"
             )
+        # 2π wide at most, beams finer than any sonar's: not impossible, so no error
+        if self.n_beams > 8 and self.azimuth_fov_deg <= 6.2832 and self.azimuth_fov_deg / self.n_beams < 0.02:
+            warnings.warn(
+                f"{where}: azimuth_fov_deg = {self.azimuth_fov_deg:g} puts {self.n_beams} beams within less "
+                f"than 7 degrees; if it is in radians, give {math.degrees(self.azimuth_fov_deg):.4g}",
+                stacklevel=3,
+            )
         if self.beam_azimuths_deg is not None:
             table = frozen_array(
                 self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{where}: beam_azimuths_deg"
@@ -121,3 +130,98 @@ class Sonar:
             )
         n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
+
+
+def load_sonar(what: str | Path) -> Sonar:
+    """The sonar of this name, or of this file.
+
+    Parameters
+    ----------
+    what : a preset's name in any case, or the path of a .toml file that holds one sonar, as top-level keys
+        or as a table; "path.toml#table" picks one of several tables
+
+    Raises
+    ------
+    Error
+        if there is no such preset, file or table, or the file does not describe a sonar.
+
+    >>> load_sonar("P900-45").n_beams
+    256
+    """
+    if not isinstance(what, (str, Path)):
+        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {what!r})")
+    known = presets()
+    text = str(what)
+    if isinstance(what, str) and text.casefold() in known:
+        return known[text.casefold()]
+    stem, mark, table = text.rpartition(".toml#")
+    path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
+    if not path.is_file():
+        if isinstance(what, str) and path.name == text and path.suffix != ".toml":
+            raise Error(f"unknown sonar (got {text!r}; {nearest_names(text.casefold(), known)})")
+        raise Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()})")
+    tables = _read_tables(path)
+    if path != Path(text):  # a table was asked for
+        if table not in tables:
+            raise Error(f"{path}: unknown table (got {table!r}; {nearest_names(table, tables)})")
+    elif len(tables) > 1:
+        raise Error(
+            f"{path}: must hold one sonar, or be told which of its tables is meant "
+            f"(got {', '.join(tables)}; say {path}#{next(iter(tables))})"
+        )
+    else:
+        (table,) = tables
+    return _sonar_from_table(f"{path} [{table}]", table, tables[table])
+
+
+def presets() -> dict[str, Sonar]:
+    """The sonars that come with the package, by name."""
+    return dict(_presets())
+
+
+@lru_cache(maxsize=1)
+def _presets() -> dict[str, Sonar]:
+    return {
+        name: _sonar_from_table(f"{PRESETS} [{name}]", name, t) for name, t in _read_tables(PRESETS).items()
+    }
+
+
+def _read_tables(path: Path) -> dict[str, dict]:
+    """Tables of a file by name; top-level keys count as one table named after the file."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as why:
+        raise Error(f"{path}: the sonar's file must be readable ({why.strerror})") from None
+    except ValueError as why:  # not TOML (says the line), or not UTF-8
+        raise Error(f"{path}: the sonar's file must be TOML ({why})") from None
+    tables = {key: value for key, value in data.items() if isinstance(value, dict)}
+    if not data:
+        raise Error(f"{path}: must hold one sonar (got an empty file; copy a table of {PRESETS})")
+    if not tables:
+        return {path.stem: data}
+    if len(tables) < len(data):
+        key = next(key for key in data if key not in tables)
+        raise Error(
+            f"{path}: must hold either a sonar's keys or tables, not both "
+            f"(got key {key!r} and table {next(iter(tables))!r})"
+        )
+    return tables
+
+
+def _sonar_from_table(where: str, name: str, table: dict) -> Sonar:
+    """A sonar from one table of a file; errors say where."""
+    keys = {f.name: f.default is MISSING for f in fields(Sonar)}
+    for key in table:
+        if key not in keys:
+            raise Error(f"{where}: unknown key (got {key!r}; {nearest_names(key, keys)})")
+    for key in ("name", "source"):
+        if not isinstance(table.get(key, ""), str):
+            raise Error(f"{where}: {key} must be text (got {table[key]!r}; put it in quotes)")
+    table = {"name": name} | table
+    missing = [key for key, needed in keys.items() if needed and key not in table]
+    if missing:
+        raise Error(f"{where}: every key that a sonar needs must be given (missing: {', '.join(missing)})")
+    try:
+        return Sonar(**table)
+    except Error as why:
+        raise Error(f"{where}: {why}") from None

@@ -1,0 +1,316 @@
+"""From a ping to a picture: the fan image, its colours and its axes.
+
+Convention: seen from above, forward up, port on the left, the same scale in every direction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from sonar_gl.types import Error, Ping, nearest_names
+
+MAX_HEIGHT = 16000  # cv2.remap counts pixels in 16 bits, and a picture may be twice as wide as high
+LONE_BEAM_RAD = math.radians(1.0)  # width drawn for a single beam of which the ping says no more
+_OUTSIDE = -16.0  # where the map of a pixel outside the fan points: far enough that no echo leaks in
+
+
+@dataclass(frozen=True)
+class FanGeometry:
+    """Where a fan image puts things. Pixel coordinates are whole numbers at the pixels' centres.
+
+    Attributes
+    ----------
+    height, width : pixels
+    pixels_per_m : scale, the same along rows and columns
+    sonar_row, sonar_column : the sonar's pixel; sonar_row may be height − ½, the bottom edge
+    azimuth_edges_rad : (2,) edges of the fan, starboard first: half a spacing outside the outer beams
+    range_edges_m : (2,) inner edge of the first bin and outer edge of the last
+    """
+
+    height: int
+    width: int
+    pixels_per_m: float
+    sonar_row: float
+    sonar_column: float
+    azimuth_edges_rad: tuple[float, float]
+    range_edges_m: tuple[float, float]
+
+    @property
+    def full_circle(self) -> bool:
+        """Whether the last beam is the first one's neighbour."""
+        low, high = self.azimuth_edges_rad
+        return high - low > 2 * math.pi - 1e-6
+
+    def pixel(self, azimuth_rad, range_m):
+        """(column, row) of a point at sonar height; azimuth positive to port, which is on the left."""
+        pixels = np.asarray(range_m) * self.pixels_per_m
+        column = self.sonar_column - pixels * np.sin(azimuth_rad)
+        return column, self.sonar_row - pixels * np.cos(azimuth_rad)
+
+
+def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
+    """Scale, size and origin of the fan image of `ping`.
+
+    Parameters
+    ----------
+    ping : its azimuth_rad (B,) and range_m (K,), and, where there is a single beam or bin, meta's
+        sonar.azimuth_fov_deg and bin_size_m
+    height : pixels, 1..16000
+
+    Notes
+    -----
+    With h = the larger half-width of the fan and R its outer edge, h <= 90° gives H / R pixels per
+    metre and ⌈2 H sin h⌉ columns; beyond 90° the fan goes on below the sonar and the scale becomes
+    H / (R (1 − cos h)), down to H / 2R for the disc of a 360° fan.
+    """
+    if isinstance(height, bool) or not isinstance(height, (int, np.integer)) or not 1 <= height <= MAX_HEIGHT:
+        raise Error(
+            f"height of a fan image must be a whole number of pixels in 1..{MAX_HEIGHT} (got {height!r})"
+        )
+    height = int(height)
+    azimuth, bins = np.asarray(ping.azimuth_rad, float), np.asarray(ping.range_m, float)
+    if ping.intensity.shape != (azimuth.size, bins.size) or not ping.intensity.size:
+        raise Error(
+            "a ping's intensity must be (beams, bins), at least one of each "
+            f"(got {ping.intensity.shape} with {azimuth.size} azimuths and {bins.size} ranges)"
+        )
+    if azimuth.size > 1:
+        edges = [1.5 * azimuth[0] - 0.5 * azimuth[1], 1.5 * azimuth[-1] - 0.5 * azimuth[-2]]
+    else:
+        sonar = ping.meta.get("sonar")
+        fov_deg = sonar.get("azimuth_fov_deg") if isinstance(sonar, Mapping) else None
+        half_rad = math.radians(fov_deg) / 2 if fov_deg else LONE_BEAM_RAD / 2
+        edges = [azimuth[0] - half_rad, azimuth[0] + half_rad]
+    over = max(0.0, edges[1] - edges[0] - 2 * math.pi) / 2  # a table may leave the circle's ends uneven
+    edges = (float(edges[0] + over), float(edges[1] - over))
+    if bins.size > 1:
+        half_bin_m = (bins[-1] - bins[0]) / (bins.size - 1) / 2
+    else:
+        half_bin_m = min(ping.meta.get("bin_size_m", math.inf) / 2, bins[0])
+    outer_m = float(bins[-1] + half_bin_m)
+    half = min(max(-edges[0], edges[1]), math.pi)
+    scale = height / outer_m / (1 - min(0.0, math.cos(half)))
+    width = max(1, math.ceil(2 * scale * outer_m * math.sin(min(half, math.pi / 2)) - 1e-6))
+    return FanGeometry(
+        height=height,
+        width=width,
+        pixels_per_m=scale,
+        sonar_row=scale * outer_m - 0.5,
+        sonar_column=(width - 1) / 2,
+        azimuth_edges_rad=edges,
+        range_edges_m=(max(0.0, float(bins[0] - half_bin_m)), outer_m),
+    )
+
+
+def fan_image(ping: Ping, height: int = 800, scale: str = "db", db_range=(-60.0, 0.0)) -> np.ndarray:
+    """The picture of a ping, seen from above: forward up, port on the left, sonar at the bottom.
+
+    Parameters
+    ----------
+    ping : intensity (B, K), linear; azimuth_rad (B,), rising, evenly spaced or not; range_m (K,)
+    height : pixels; the width follows from the fan
+    scale : "db": 10 log10(intensity) from db_range[0] (0) to db_range[1] (1); "linear": intensity as
+        it is, cut to 0..1. Both scales are fixed, so pictures of one sequence can be compared
+    db_range : (darkest, brightest) in dB, 0 dB = intensity 1
+
+    Returns
+    -------
+    array of shape (H, W), float32, 0..1; 0 outside the fan
+
+    Raises
+    ------
+    Error
+        if height, scale or db_range make no sense.
+
+    Notes
+    -----
+    A pixel is the bilinear interpolation of the polar array, in dB for the scale "db". Where bins or
+    beams are finer than pixels, the mean of the linear intensity over about a pixel is taken first
+    (bins and beams by area, then beams over 1 / (r Δψ) of them at range r), so that an echo one bin
+    or one beam wide is spread, never lost between pixels. The fan ends half a bin and half a beam
+    spacing outside the outer ones; there the outer one is used. A 360° fan is joined at its ends.
+    """
+    if scale not in ("db", "linear"):
+        raise Error(f"unknown scale {scale!r} of a fan image: {nearest_names(str(scale), ('db', 'linear'))}")
+    try:
+        low_db, high_db = (float(value) for value in db_range)
+    except (TypeError, ValueError):
+        raise Error(f"db_range must be two numbers, darkest and brightest dB (got {db_range!r})") from None
+    if not (math.isfinite(low_db) and math.isfinite(high_db) and low_db < high_db):
+        raise Error(
+            f"db_range must rise from the darkest to the brightest dB (got {low_db:g} and {high_db:g})"
+        )
+    geometry = fan_geometry(ping, height)
+    table = np.ascontiguousarray(ping.azimuth_rad, np.float64).tobytes()
+    (n_beams, n_bins), bands, maps = _plan(geometry, ping.intensity.shape, table)
+    polar = np.ascontiguousarray(ping.intensity, np.float32)
+    if polar.shape != (n_beams, n_bins):
+        polar = cv2.resize(polar, (n_bins, n_beams), interpolation=cv2.INTER_AREA)
+    polar = _blur_beams(polar, bands, geometry.full_circle)
+    if scale == "db":
+        polar = cv2.log(cv2.max(polar, 10 ** (low_db / 10)))
+        polar *= 10 / math.log(10) / (high_db - low_db)
+        polar -= low_db / (high_db - low_db)
+    polar = np.clip(polar, 0.0, 1.0, out=polar)
+    if geometry.full_circle:  # one beam of the other end at each end; the map counts it
+        polar = cv2.copyMakeBorder(polar, 1, 1, 0, 0, cv2.BORDER_WRAP)
+    return cv2.remap(polar, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+@lru_cache(maxsize=8)
+def _plan(geometry: FanGeometry, shape: tuple[int, int], table: bytes):
+    """What depends on the geometry alone: size after the area mean, beams' blur per bin, cv2's maps."""
+    azimuth, scale = np.frombuffer(table, np.float64), geometry.pixels_per_m
+    (low, high), (inner_m, outer_m) = geometry.azimuth_edges_rad, geometry.range_edges_m
+    # cells no longer than a pixel anywhere: the widest spacing of the table, at the outer edge
+    spacing = float(np.diff(azimuth, prepend=2 * low - azimuth[0]).max())
+    n_beams = min(shape[0], math.ceil(shape[0] * min(1.0, spacing * outer_m * scale)), 32000)
+    n_bins = min(shape[1], max(1, math.ceil((outer_m - inner_m) * scale - 1e-6)))
+    # beams to a pixel at each bin, odd so that the mean stays centred
+    cell_m = (outer_m - inner_m) / n_bins
+    centre_m = inner_m + (np.arange(n_bins) + 0.5) * cell_m
+    per_pixel = n_beams / ((high - low) * centre_m * scale)
+    odd = np.minimum(2 * np.ceil((per_pixel - 1) / 2).clip(0) + 1, 2 * ((n_beams - 1) // 2) + 1).astype(int)
+    starts = np.flatnonzero(np.diff(odd, prepend=0))
+    stops = np.append(starts[1:], n_bins)
+    bands = tuple((int(a), int(b), int(odd[a])) for a, b in zip(starts, stops, strict=True) if odd[a] > 1)
+
+    row, column = np.ogrid[: geometry.height, : geometry.width]
+    forward, port = geometry.sonar_row - row, geometry.sonar_column - column
+    range_m = np.hypot(forward, port) / scale
+    psi = np.arctan2(port, forward)
+    middle = (low + high) / 2
+    psi = middle + np.remainder(psi - middle + np.pi, 2 * np.pi) - np.pi  # fans need not be centred on 0
+    inside = (range_m >= inner_m) & (range_m <= outer_m) & (psi >= low) & (psi <= high)
+    if geometry.full_circle:
+        inside = (range_m >= inner_m) & (range_m <= outer_m)
+    # index of the beam, the fan's edges half a beam outside the outer ones
+    index = np.interp(
+        psi,
+        np.concatenate([[low], azimuth, [high]]),
+        np.concatenate([[-0.5], np.arange(shape[0]), [shape[0] - 0.5]]),
+    )
+    beam = (index + 0.5) * (n_beams / shape[0]) - 0.5
+    beam = beam + 1 if geometry.full_circle else beam.clip(0, n_beams - 1)
+    bin_ = ((range_m - inner_m) / cell_m - 0.5).clip(0, n_bins - 1)
+    maps = [np.where(inside, m, _OUTSIDE).astype(np.float32) for m in (bin_, beam)]
+    return (n_beams, n_bins), bands, cv2.convertMaps(*maps, cv2.CV_16SC2)
+
+
+def _blur_beams(polar: np.ndarray, bands, full_circle: bool) -> np.ndarray:
+    """Running mean over the beams that share a pixel: (first bin, last bin + 1, beams) per band."""
+    if not bands:
+        return polar
+    out = polar.copy()
+    for start, stop, width in bands:
+        part = polar[:, start:stop]
+        if full_circle:
+            pad = width // 2
+            part = cv2.copyMakeBorder(part, pad, pad, 0, 0, cv2.BORDER_WRAP)
+            out[:, start:stop] = cv2.blur(part, (1, width))[pad : pad + len(polar)]
+        else:
+            out[:, start:stop] = cv2.blur(part, (1, width), borderType=cv2.BORDER_REFLECT)
+    return out
+
+
+def colormaps() -> tuple[str, ...]:
+    """Names that `colorize` knows: "gray" and OpenCV's colour maps in lower case."""
+    return ("gray", *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
+
+
+def colorize(image: np.ndarray, name: str = "jet") -> np.ndarray:
+    """(H, W, 3) uint8 RGB picture of `image` (H, W), float 0..1, in one of the `colormaps`."""
+    if name not in colormaps():
+        raise Error(f"unknown colour map {name!r}: {nearest_names(str(name), colormaps())}")
+    image = np.asarray(image)
+    if image.ndim != 2 or image.dtype.kind != "f":
+        raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
+    table = np.arange(256, dtype=np.uint8)
+    if name != "gray":
+        table = cv2.applyColorMap(table, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
+    table = np.ascontiguousarray(np.broadcast_to(table.reshape(256, 1, -1), (256, 1, 3)))
+    levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32), alpha=255)
+    return cv2.applyColorMap(levels, table)
+
+
+def draw_axes(picture: np.ndarray, ping: Ping) -> np.ndarray:
+    """A copy of a fan image's picture in a black margin, with range arcs (m) and spokes (°, port positive).
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 RGB, of fan_image(ping, H); outside the fan it is painted black
+    """
+    picture = np.asarray(picture)
+    fan = fan_geometry(ping, len(picture)) if picture.ndim == 3 else None
+    if fan is None or picture.dtype != np.uint8 or picture.shape != (fan.height, fan.width, 3):
+        want = f", here ({fan.height}, {fan.width}, 3)" if fan else ""
+        raise Error(
+            "draw_axes needs the (H, W, 3) uint8 picture of this ping's fan image"
+            f"{want} (got {picture.shape}, {picture.dtype})"
+        )
+    letter = float(np.clip(fan.height / 1500, 0.35, 1.2))  # size of the font; 22 pixels high at 1
+    margin = round(120 * letter)
+    canvas = cv2.copyMakeBorder(picture, *[margin] * 4, cv2.BORDER_CONSTANT)
+    (low, high), (inner_m, outer_m) = fan.azimuth_edges_rad, fan.range_edges_m
+
+    def at(azimuth_rad, range_m, beyond=0.0):  # (..., 2) pixels on the canvas, `beyond` pixels further out
+        pixel = fan.pixel(azimuth_rad, np.asarray(range_m) + beyond / fan.pixels_per_m)
+        return np.stack(np.broadcast_arrays(*pixel), axis=-1) + margin
+
+    def write(text, centre, degree=False):
+        (wide, tall), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, letter, 1)
+        x, y, pad = round(centre[0] - wide / 2), round(centre[1] + tall / 2), math.ceil(5 * letter)
+        canvas[max(0, y - tall - pad) : y + pad, max(0, x - pad) : x + wide + pad] //= 4  # legible on echo
+        style = ((225,) * 3, 1, cv2.LINE_AA)
+        cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, letter, *style)
+        if degree:  # the font has no such sign
+            dot = (round(16 * (x + wide + 5 * letter)), round(16 * (y - tall + 2 * letter)))
+            cv2.circle(canvas, dot, round(16 * max(1.5, 3.5 * letter)), *style, 4)
+
+    arc = np.linspace(low, high, 361)
+    sector = np.concatenate([at(arc, outer_m), at(arc[::-1], inner_m)])
+    inside = cv2.fillPoly(np.zeros(canvas.shape[:2], np.uint8), [np.rint(sector).astype(np.int32)], 255)
+    canvas[inside == 0] = 0
+    pieces = min(8.0, (high - low) * outer_m * fan.pixels_per_m / (100 * letter))  # room for the labels
+    step_deg = _nice(math.degrees(high - low), pieces, (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90))
+    first, last = (math.degrees(edge) / step_deg for edge in (low, high))
+    spokes_deg = np.arange(math.ceil(first - 1e-6), math.floor(last + 1e-6) + 1) * step_deg
+    if fan.full_circle and spokes_deg[-1] - spokes_deg[0] > 360 - 1e-6:  # −180° is +180°
+        spokes_deg = spokes_deg[1:]
+    step_m = _nice(outer_m, 7, [n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5)])
+    arcs_m = np.arange(max(1, math.ceil(inner_m / step_m)), math.floor(outer_m / step_m + 1e-6) + 1) * step_m
+    strokes = [at(arc, range_m) for range_m in (*arcs_m, outer_m)]
+    edges = () if fan.full_circle else (low, high)
+    strokes += [at(azimuth, [inner_m, outer_m]) for azimuth in (*np.radians(spokes_deg), *edges)]
+    strokes = [np.rint(points * 16).astype(np.int32) for points in strokes]  # sixteenths of a pixel
+    for colour, width, opacity in (
+        (0, 2, 0.2),
+        (255, 1, 0.45),
+    ):  # a dark rim shows light lines on bright echo
+        lines = cv2.polylines(
+            np.zeros(canvas.shape[:2], np.uint8), strokes, False, 255, width, cv2.LINE_AA, 4
+        )
+        weight = lines[..., None] * np.float32(opacity / 255)
+        canvas = np.rint(canvas * (1 - weight) + colour * weight).astype(np.uint8)
+    outward = np.array([math.cos(low), -math.sin(low)])  # of the starboard edge: (right, down)
+    places = [at(low, range_m) + outward * (45 * letter, 28 * letter) for range_m in arcs_m]
+    for range_m, place in zip(arcs_m, places, strict=True):
+        write(f"{range_m:g} m", place)
+    labels = {deg: at(math.radians(deg), outer_m, 34 * letter) for deg in spokes_deg.tolist()}
+    reach = np.array([65, 24]) * letter
+    hidden = {abs(deg) for deg in labels for place in places if (abs(labels[deg] - place) < reach).all()}
+    for deg, place in labels.items():
+        if abs(deg) not in hidden:  # both sides or neither
+            write(f"{deg:+g}" if deg else "0", place, degree=True)
+    return canvas
+
+
+def _nice(span: float, pieces: float, steps) -> float:
+    """The smallest of `steps` that cuts `span` into no more than `pieces`."""
+    return min((step for step in steps if span <= pieces * step * (1 + 1e-9)), default=steps[-1])

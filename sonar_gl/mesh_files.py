@@ -1,0 +1,132 @@
+"""Shapes from files: meshes and height maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.meshes import concatenate, make_shape, transform
+from sonar_gl.types import Error
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
+Y_UP_SUFFIXES = (".glb", ".gltf")
+Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+MAX_HEIGHTMAP_PIXELS = 20_000_000
+
+
+def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)):
+    """Terrain from a grey image: a vertex a pixel, flat triangles between.
+
+    Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
+    `size` (x, y), centred on `pos`; height = pos z + value · size z, where value is 0..1 for 8 and 16 bit PNG
+    and taken as it is for float TIFF.
+
+    Raises
+    ------
+    Error
+        if the file is missing, no image, smaller than 2 x 2, larger than 20 million pixels, or not finite.
+    """
+    import cv2
+
+    if not Path(path).is_file():
+        raise Error(f"{path}: there is no such file")
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise Error(f"{path}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)")
+    if image.ndim == 3:
+        image = image[:, :, :3].mean(axis=2) / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1)
+    elif image.dtype.kind == "u":
+        image = image / np.iinfo(image.dtype).max
+    rows, columns = image.shape
+    if min(rows, columns) < 2 or rows * columns > MAX_HEIGHTMAP_PIXELS:
+        raise Error(
+            f"{path}: a height map must have 2 x 2 to {MAX_HEIGHTMAP_PIXELS} pixels (got {columns} x {rows})"
+        )
+    if not np.isfinite(image).all():
+        raise Error(f"{path}: heights must be finite (got NaN or infinity; fill the gaps first)")
+    x, y = np.meshgrid(
+        pos[0] + np.linspace(-size[0] / 2, size[0] / 2, columns),
+        pos[1] + np.linspace(size[1] / 2, -size[1] / 2, rows),
+    )
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    below, right, across = corner + columns, corner + 1, corner + columns + 1
+    faces = np.concatenate([np.stack([corner, below, across], 1), np.stack([corner, across, right], 1)])
+    return make_shape(np.stack([x.ravel(), y.ravel(), pos[2] + image.ravel() * size[2]], axis=1), faces)
+
+
+def read_mesh_parts(path):
+    """Every placed geometry of a mesh file, in the file's own axes and in metres.
+
+    Vertex normals are used only where the file carries them. COLLADA's `<unit meter>` is applied, its
+    `<up_axis>` is not, as in Gazebo. Degenerate, duplicate, inside-out and open triangles stay as they are.
+
+    Returns
+    -------
+    list of (names, shape): names of the node and of the geometry
+
+    Raises
+    ------
+    Error
+        naming the file: missing, not to be read, without faces (a point cloud), or a vertex not finite.
+    """
+    import trimesh
+
+    path = Path(path)
+    if not path.is_file():
+        raise Error(f"{path}: there is no such file")
+    try:
+        if path.suffix.lower() == ".dae":
+            _refuse_dtd(path)
+        scene = trimesh.load(path, force="scene", process=False, skip_materials=True, split_objects=True)
+    except Exception as why:  # trimesh and its parsers raise anything
+        raise Error(f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {why})") from None
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        matrix, key = scene.graph[node]
+        mesh = scene.geometry[key]
+        if len(getattr(mesh, "faces", ())) == 0:  # points and lines
+            continue
+        # trimesh computes normals as soon as it is asked; before that its cache holds those of the file alone
+        normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+        if not np.isfinite(mesh.vertices).all():
+            raise Error(f"{path}: vertices must be finite (got NaN or infinity in geometry {key!r})")
+        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+            raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
+        units = str(mesh.metadata.get("units", "")).split(" * ")
+        scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
+        shape = make_shape(mesh.vertices, mesh.faces, normals)
+        parts.append(((node, key), transform(shape, scale @ matrix)))
+    if not parts:
+        raise Error(f"{path}: a mesh must have at least one face (got none; a point cloud cannot echo)")
+    return parts
+
+
+def read_mesh(path, submesh: str | None = None, center: bool = False):
+    """A mesh file as one shape in the file's own axes; or its part `submesh`, with `center` about the origin.
+
+    Convention: no axes are turned. Gazebo takes the coordinates of a glTF mesh that an SDF file names as they
+    stand, although glTF is y-up, and so do we; a `.glb` opened on its own as a scene is turned to z-up.
+    """
+    parts = read_mesh_parts(path)
+    chosen = [shape for names, shape in parts if submesh is None or submesh in names]
+    if not chosen:
+        known = ", ".join(sorted(names[0] for names, _ in parts))
+        raise Error(f"{path}: there is no submesh {submesh!r} (it has {known})")
+    mesh, normals = concatenate(chosen)
+    if center:
+        mesh, normals = make_shape(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces, normals)
+    return mesh, normals
+
+
+def _refuse_dtd(path):
+    """COLLADA is XML, and its reader knows no guard against entities: refuse a DTD, as in SDF."""
+    from xml.parsers import expat
+
+    def refuse(*_):
+        raise ValueError("a document type declaration is refused")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    with open(path, "rb") as file:
+        parser.ParseFile(file)

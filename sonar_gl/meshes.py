@@ -1,0 +1,146 @@
+"""Triangles of simple shapes, with shading normals or without.
+
+A *shape* is a pair (trimesh.Trimesh, normals): normals are (V, 3) float32 of unit length, zero where a vertex
+has none and is shaded flat, or None where no vertex has one. Vertices lie on the true surface.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+AROUND = 96  # facets around a curved primitive: 3.75 degrees, 0.05 % of the radius between chord and arc
+INFINITE_M = 2000.0  # width that a plane without edges is drawn with
+
+
+def make_shape(vertices, faces, normals=None):
+    """A shape of (V, 3) metres, (F, 3) and (V, 3) normals or None; normals are made unit, bad ones zero."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), process=False)
+    return mesh, None if normals is None else _unit_or_zero(normals)
+
+
+def box(size):
+    """An axis-aligned box of `size` (x, y, z) metres about the origin; flat faces."""
+    corners = (np.array([[(i >> axis) & 1 for axis in range(3)] for i in range(8)]) - 0.5) * size
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return make_shape(corners, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def _lathe(*strips):
+    """Turn profiles about z: strips of rows (radius, z, radial part and z of the normal), from the bottom up.
+
+    Each strip has vertices of its own, so an edge between two strips stays sharp.
+    """
+    angle = np.arange(AROUND) * (2 * np.pi / AROUND)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle[np.abs(circle) < 1e-15] = 0.0  # the extremes lie exactly on the axes
+    around, following = np.arange(AROUND), (np.arange(AROUND) + 1) % AROUND
+    vertices, normals, faces, count = [], [], [], 0
+    for strip in strips:
+        for radius, z, normal_radial, normal_z in strip:
+            vertices.append(np.column_stack([radius * circle, np.full(AROUND, z)]))
+            normals.append(np.column_stack([normal_radial * circle, np.full(AROUND, normal_z)]))
+        for row in range(len(strip) - 1):
+            low, high = count + row * AROUND, count + (row + 1) * AROUND
+            if strip[row][0] > 0:  # at a pole this triangle has no area
+                faces.append(np.column_stack([low + around, low + following, high + following]))
+            if strip[row + 1][0] > 0:
+                faces.append(np.column_stack([low + around, high + following, high + around]))
+        count += len(strip) * AROUND
+    return make_shape(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
+
+
+def _arc(radius: float, start_deg: float, stop_deg: float, z: float = 0.0):
+    """Profile of a sphere about (0, 0, z) between two latitudes, in AROUND/2 steps from pole to pole."""
+    steps = round(AROUND / 2 * (stop_deg - start_deg) / 180)
+    rows = []
+    for latitude in np.radians(np.linspace(start_deg, stop_deg, steps + 1)):
+        cos, sin = np.cos(latitude), np.sin(latitude)
+        cos = 0.0 if cos < 1e-15 else cos
+        rows.append((radius * cos, z + radius * sin, cos, sin))
+    return rows
+
+
+def cylinder(radius: float, length: float):
+    """A cylinder along z about the origin, metres; round side, flat ends with sharp edges."""
+    h = length / 2
+    return _lathe(
+        [(0, -h, 0, -1), (radius, -h, 0, -1)],
+        [(radius, -h, 1, 0), (radius, h, 1, 0)],
+        [(radius, h, 0, 1), (0, h, 0, 1)],
+    )
+
+
+def sphere(radius: float):
+    """A sphere about the origin, metres, 96 facets around and 48 from pole to pole."""
+    return _lathe(_arc(radius, -90, 90))
+
+
+def capsule(radius: float, length: float):
+    """A cylinder of `length` along z about the origin with a half sphere on each end, metres."""
+    h = length / 2
+    return _lathe(_arc(radius, -90, 0, -h) + _arc(radius, 0, 90, h))
+
+
+def ellipsoid(radii):
+    """An ellipsoid about the origin with half-axes `radii` (x, y, z), metres."""
+    mesh, normals = sphere(1.0)
+    return make_shape(mesh.vertices * radii, mesh.faces, normals / np.asarray(radii))
+
+
+def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_M, INFINITE_M)):
+    """A rectangle of `size` (x, y) metres about the origin, two triangles, turned from +z to `normal`.
+
+    An infinite plane, as SDF's are in collisions, is drawn 2 km wide: beyond the reach of imaging sonars.
+    """
+    x, y = np.asarray(size) / 2
+    corners = np.array([[-x, -y, 0.0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+    nx, ny, nz = np.asarray(normal, np.float64) / np.linalg.norm(normal)
+    if nz < -1 + 1e-12:
+        turn = np.diag([1.0, -1.0, -1.0])
+    else:  # the shortest turn from z to the normal
+        k = 1 / (1 + nz)
+        turn = np.array(
+            [[1 - k * nx * nx, -k * nx * ny, nx], [-k * nx * ny, 1 - k * ny * ny, ny], [-nx, -ny, nz]]
+        )
+    return make_shape(corners @ turn.T, [(0, 1, 2), (0, 2, 3)])
+
+
+def transform(shape, matrix):
+    """A shape moved by an affine (4, 4) matrix; mirroring turns the faces round, so outside stays outside."""
+    mesh, normals = shape
+    linear = np.asarray(matrix)[:3, :3]
+    mirrored = np.linalg.det(linear) < 0
+    faces = mesh.faces[:, ::-1] if mirrored else mesh.faces
+    if (
+        normals is not None
+    ):  # cofactors: the inverse transpose but for a factor, and defined for flattening too
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
+        normals = normals @ (-cofactors if mirrored else cofactors).T
+    return make_shape(mesh.vertices @ linear.T + np.asarray(matrix)[:3, 3], faces, normals)
+
+
+def concatenate(shapes):
+    """One shape from several; vertices are not merged, so creases between and in them stay."""
+    meshes, normals = zip(*shapes, strict=True)
+    starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    joined = None
+    if any(n is not None for n in normals):
+        joined = np.concatenate(
+            [np.zeros((len(m.vertices), 3), np.float32) if n is None else n for m, n in zip(meshes, normals, strict=True)]
+        )
+    faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
+    return make_shape(np.concatenate([m.vertices for m in meshes]), faces)[0], joined
+
+
+def _unit_or_zero(normals):
+    """Normals of length 1, but zero (shaded flat) where one is zero or not finite; None if all are."""
+    normals = np.asarray(normals, np.float64)
+    length = np.linalg.norm(normals, axis=1)
+    good = np.isfinite(length) & (length > 1e-12)
+    if not good.any():
+        return None
+    out = np.zeros(normals.shape, np.float32)
+    out[good] = normals[good] / length[good, None]
+    return out

@@ -1,0 +1,76 @@
+"""Why a ping came back empty, in one sentence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sonar_gl.scene import Scene
+from sonar_gl.sonar import Sonar
+
+
+def why_nothing(scene: Scene, sonar: Sonar, pose, views) -> str:
+    """What was nearest, and why nothing came back.
+
+    Parameters
+    ----------
+    views : (sector, (R, C, 4) normal and range, (R, C, 2) echo and body) of each sector, as rendered
+    """
+    if not scene.bodies:
+        return "no echo came back: the scene has no bodies"
+    inside = _nearest_in_view(views)
+    if inside is not None:
+        range_m, echo, number = inside
+        name = scene.bodies[number - 1].name
+        where = f"the nearest surface in the fan is {name!r} at {range_m:.2f} m"
+        if range_m >= sonar.range_max_m:
+            return f"no echo came back: {where}, beyond range_max_m = {sonar.range_max_m:g}"
+        if range_m < sonar.range_min_m:
+            return f"no echo came back: {where}, nearer than range_min_m = {sonar.range_min_m:g}"
+        if echo <= 0:
+            return f"no echo came back: {where}, of reflectivity 0 or seen edge-on"
+        return f"no echo came back: {where}, and its echo is too weak to be told from zero"
+    name, point = _nearest_body(scene, pose)
+    range_m = float(np.linalg.norm(point))
+    azimuth = math.degrees(math.atan2(point[1], point[0]))
+    elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
+    return (
+        f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {range_m:.2f} m away at "
+        f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
+        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{sonar.elevation_fov_deg / 2:g}°; turn or move the sonar"
+    )
+
+
+def _nearest_in_view(views):
+    """(range, echo, body number) of the nearest sample inside the aperture, or None."""
+    best = None
+    for sector, normal_range, echo_body in views:
+        j, i = np.mgrid[0 : sector.rows, 0 : sector.columns]
+        u = sector.u[0] + sector.u[1] * i + sector.u[2] * j
+        v = sector.v[0] + sector.v[1] * i + sector.v[2] * j
+        seen = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (normal_range[..., 3] > 0)
+        if seen.any():
+            ranges = np.where(seen, normal_range[..., 3], np.inf)
+            at = np.unravel_index(ranges.argmin(), ranges.shape)
+            if best is None or ranges[at] < best[0]:
+                best = (float(ranges[at]), float(echo_body[at][0]), int(echo_body[at][1]))
+    return best
+
+
+def _nearest_body(scene: Scene, pose):
+    """Name of the nearest body and its nearest point, metres in the sonar frame."""
+    from trimesh.triangles import closest_point
+
+    best = None
+    for body in scene.bodies:
+        sonar_from_body = np.linalg.inv(pose) @ body.pose
+        origin = np.linalg.inv(sonar_from_body)[:3, 3]
+        triangles = np.asarray(body.mesh.vertices, np.float64)[np.asarray(body.mesh.faces)]
+        points = closest_point(triangles, np.broadcast_to(origin, (len(triangles), 3)))
+        squares = ((points - origin) ** 2).sum(axis=1)
+        index = np.nanargmin(squares) if np.isfinite(squares).any() else 0
+        point = sonar_from_body[:3, :3] @ points[index] + sonar_from_body[:3, 3]
+        if best is None or squares[index] < best[0]:
+            best = (squares[index], body.name, point)
+    return best[1], best[2]

@@ -1,0 +1,269 @@
+"""G-buffer to ping: samples into columns and bins, columns into beams. Compiled by Numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sonar_gl.fan import Fan
+
+
+def bin_tables(bin_edges_m: np.ndarray) -> np.ndarray:
+    """(3, K + 1) float64: s = 1/r at the bins' edges, and over each bin the integrals of s ds and s² ds."""
+    s = 1.0 / np.maximum(bin_edges_m, 1e-6)
+    out = np.zeros((3, len(s)))
+    out[0] = s
+    out[1, :-1] = (s[:-1] ** 2 - s[1:] ** 2) / 2
+    out[2, :-1] = (s[:-1] ** 3 - s[1:] ** 3) / 3
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _integral(c0, c1, low, high):
+    """Of (c0 + c1 s) s ds over [low, high]."""
+    return (high - low) * (
+        c0 * (high + low) / 2 + c1 * (high * high + high * low + low * low) / 3
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+def _spread(sums, c, tables, r_first, per_metre, c0, c1, low, high):
+    """Add the density (c0 + c1 s) s ds of s = 1/r in [low, high] to a row of bins."""
+    K = sums.shape[1]
+    low, high = max(low, tables[0, K]), min(high, tables[0, 0])
+    if high <= low:
+        return
+    near = min(int((1.0 / high - r_first) * per_metre), K - 1)
+    far = min(int((1.0 / low - r_first) * per_metre), K - 1)
+    if near >= far:
+        sums[c, near] += _integral(c0, c1, low, high)
+        return
+    sums[c, near] += _integral(c0, c1, tables[0, near + 1], high)
+    sums[c, far] += _integral(c0, c1, low, tables[0, far])
+    if c1 == 0.0:
+        for k in range(near + 1, far):
+            sums[c, k] += c0 * tables[1, k]
+    else:
+        for k in range(near + 1, far):
+            sums[c, k] += c0 * tables[1, k] + c1 * tables[2, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+def _spread_footprint(sums, c, tables, r_first, per_metre, energy, r0, s, a, b):
+    """Add a sample's energy, spread as the sum of two uniforms on ±a and ±b about s = 1/r, to a row of bins.
+
+    The energy's density follows the cosine of incidence, which on a plane is proportional to s.
+    """
+    K = sums.shape[1]
+    wide, thin = max(a, b), min(a, b)
+    s_near, s_far = s + wide + thin, s - wide - thin
+    if s_near <= tables[0, K] or s_far >= tables[0, 0]:
+        return
+    if s_far > tables[0, K] and s_near < tables[0, 0]:
+        near = int((1.0 / s_near - r_first) * per_metre)
+        if near == int((1.0 / s_far - r_first) * per_metre):  # the common case: one bin holds it all
+            sums[c, min(near, K - 1)] += energy * s * r0
+            return
+    # ramps shorter than a quarter of a bin are not worth drawing
+    if 8 * thin * per_metre < s * s:
+        height = energy * r0 / (2 * wide)
+        low, high = s - wide, s + wide
+        if low < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
+            height *= 2 * wide * s / (high * high / 2)
+            low = 0.0
+        _spread(sums, c, tables, r_first, per_metre, height, 0.0, low, high)
+        return
+    height, slope = energy * r0 / (2 * wide), energy * r0 / (4 * wide * thin)
+    low, high = s - wide + thin, s + wide - thin
+    if s_far < 0.0:
+        seen = _integral(s_near / (4 * wide * thin), -1 / (4 * wide * thin), max(high, 0.0), s_near)
+        if high > 0.0:
+            seen += _integral(1 / (2 * wide), 0.0, max(low, 0.0), high)
+        if low > 0.0:
+            seen += _integral(-s_far / (4 * wide * thin), 1 / (4 * wide * thin), 0.0, low)
+        height, slope = height * s / seen, slope * s / seen
+    _spread(sums, c, tables, r_first, per_metre, slope * s_near, -slope, high, s_near)
+    _spread(sums, c, tables, r_first, per_metre, height, 0.0, low, high)
+    _spread(sums, c, tables, r_first, per_metre, -slope * s_far, slope, s_far, low)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+def accumulate(
+    normal_range,
+    echo_body,
+    u,
+    v,
+    rotation,
+    tan_width,
+    tan_elevation,
+    shift,
+    bin_edges_m,
+    tables,
+    footprint,
+    body,
+    echo_sum,
+    elevation_sum,
+):
+    """Add one sector's samples to its columns.
+
+    Each sample stands for a small rectangle of the view's image plane, which its ray need not meet in the
+    middle. The surface in it is the plane through the hit point with the geometric normal, on which 1/r is
+    linear in (u, v) but for the slow length of the ray: so the share of the rectangle nearer than r is the
+    distribution of two convolved boxes, exact for planes at any grazing angle. It is cut at the aperture.
+
+    Parameters
+    ----------
+    normal_range : (R, C, 4) float32; echo_body : (R, C, 2) float32, as the shader writes them
+    u, v, tan_elevation, shift : of `fan.Sector`; rotation : (3, 3) sector_from_sonar
+    tan_width : tangent of the sector's half width
+    bin_edges_m : (K + 1,); tables : of `bin_tables`
+    footprint : False drops a sample whole into the bin of its hit point
+    body : 0 for all, or the number of the one body to add
+    echo_sum : (cells, K) float32, steradians times μ cos θ, added to
+    elevation_sum : same shape, echo times elevation, or (0, 0) when not wanted
+    """
+    R, C = normal_range.shape[:2]
+    n_cells, K = echo_sum.shape
+    r_first, r_last = bin_edges_m[0], bin_edges_m[K]
+    per_metre = K / (r_last - r_first)
+    du, dv = u[1], v[2]
+    labels = elevation_sum.shape[0] > 0
+    for j in range(R):
+        for i in range(max(0, shift[j] - n_cells + 1), min(C, shift[j] + 1)):
+            r0 = float(normal_range[j, i, 3])
+            echo = float(echo_body[j, i, 0])
+            if r0 <= 0.0 or echo <= 0.0:
+                continue
+            if body != 0 and echo_body[j, i, 1] != body:
+                continue
+            cell = shift[j] - i
+            u0 = u[0] + u[1] * i + u[2] * j
+            v0 = v[0] + v[1] * i + v[2] * j
+            uc = tan_width - (cell + 0.5) * du
+            u2 = 1.0 + uc * uc
+            # the part of the rectangle inside the aperture
+            v_limit = tan_elevation * math.sqrt(u2)
+            v_low, v_high = max(v0 - dv / 2, -v_limit), min(v0 + dv / 2, v_limit)
+            if v_high <= v_low:
+                continue
+            vc = (v_low + v_high) / 2
+            nx, ny, nz = normal_range[j, i, 0], normal_range[j, i, 1], float(normal_range[j, i, 2])
+            # the plane in the sector's frame: n . d = q / L, and 1/r is proportional to it
+            qx = rotation[0, 0] * nx + rotation[0, 1] * ny
+            qy = rotation[1, 0] * nx + rotation[1, 1] * ny
+            q0 = qx - qy * u0 + nz * v0
+            if q0 == 0.0:
+                continue
+            scale = math.sqrt(1.0 + u0 * u0 + v0 * v0) / (r0 * q0)
+            one_over_L2 = 1.0 / (u2 + vc * vc)
+            one_over_L = math.sqrt(one_over_L2)
+            energy = echo * du * (v_high - v_low) * one_over_L * one_over_L2
+            elevation = math.atan2(vc, math.sqrt(u2)) if labels else 0.0
+            if not footprint:
+                if r_first <= r0 < r_last:
+                    k = min(int((r0 - r_first) * per_metre), K - 1)
+                    echo_sum[cell, k] += energy
+                    if labels:
+                        elevation_sum[cell, k] += energy * elevation
+                continue
+            qc = (qx - qy * uc + nz * vc) * scale
+            s = qc * one_over_L
+            if s <= 0.0:
+                continue
+            a = abs((qy * scale + qc * uc * one_over_L2) * one_over_L) * du / 2
+            b = abs((nz * scale - qc * vc * one_over_L2) * one_over_L) * (v_high - v_low) / 2
+            _spread_footprint(echo_sum, cell, tables, r_first, per_metre, energy, r0, s, a, b)
+            if labels:
+                _spread_footprint(
+                    elevation_sum, cell, tables, r_first, per_metre, energy * elevation, r0, s, a, b
+                )
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def weigh_columns(echo_sum, first, weights, out):
+    """Beams as weighted sums of columns.
+
+    Parameters
+    ----------
+    echo_sum : (columns, K); first : (B,); weights : (B, W), as `fan.beam_weights` gives them
+    out : (B, K) float32, overwritten
+    """
+    n_columns, K = echo_sum.shape
+    for b in range(out.shape[0]):
+        for k in range(K):
+            out[b, k] = 0.0
+        for w in range(weights.shape[1]):
+            weight = weights[b, w]
+            if weight == 0.0:
+                continue
+            column = (first[b] + w) % n_columns
+            for k in range(K):
+                out[b, k] += weight * echo_sum[column, k]
+
+
+class Reducer:
+    """Turns the samples of a fan into beams and bins; owns the sums that every ping uses again.
+
+    Parameters
+    ----------
+    fan : Fan
+    first, weights : of `fan.beam_weights`
+    """
+
+    def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray):
+        self.fan, self.first, self.weights = fan, first, weights
+        edges = fan.sonar.bin_edges_m
+        self.edges, self.tables = edges, bin_tables(edges)
+        self.sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
+        self.footprint = fan.sampling.reducer == "footprint"
+
+    def intensity(self, views) -> np.ndarray:
+        """(B, K) float32 echo before the gain, from the samples of all sectors."""
+        self._accumulate(views, 0, self.sums, None)
+        return self._beams(self.sums)
+
+    def labels(self, views) -> tuple[np.ndarray, np.ndarray]:
+        """The body of the strongest echo, (B, K) uint16, and its mean elevation, (B, K) float32, radians."""
+        shape = (len(self.first), self.fan.sonar.n_bins)
+        strongest, body_id = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
+        elevation = np.full(shape, np.nan, np.float32)
+        sums, elevations = np.zeros_like(self.sums), np.zeros_like(self.sums)
+        seen = [np.unique(echo_body[..., 1][echo_body[..., 0] > 0]) for _, _, echo_body in views]
+        for body in np.unique(np.concatenate(seen)).astype(int):
+            self._accumulate(views, body, sums, elevations)
+            echo, moment = self._beams(sums), self._beams(elevations)
+            stronger = echo > strongest
+            strongest[stronger] = echo[stronger]
+            body_id[stronger] = body
+            elevation[stronger] = moment[stronger] / echo[stronger]
+        return body_id, elevation
+
+    def _accumulate(self, views, body, sums, elevations):
+        sums.fill(0.0)
+        if elevations is not None:
+            elevations.fill(0.0)
+        for sector, normal_range, echo_body in views:
+            here = slice(sector.first_column, sector.first_column + sector.n_cells)
+            accumulate(
+                normal_range,
+                echo_body,
+                sector.u,
+                sector.v,
+                sector.rotation(),
+                math.tan(sector.half_width_rad),
+                sector.tan_elevation,
+                sector.shift,
+                self.edges,
+                self.tables,
+                self.footprint,
+                body,
+                sums[here],
+                sums[:0] if elevations is None else elevations[here],
+            )
+
+    def _beams(self, sums) -> np.ndarray:
+        out = np.empty((len(self.first), sums.shape[1]), np.float32)
+        weigh_columns(sums, self.first, self.weights, out)
+        return out

@@ -1,0 +1,151 @@
+"""One run: the GL objects of a scene and a sonar, and the stages that make pings of them."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import asdict
+
+import numpy as np
+
+from sonar_gl import gl
+from sonar_gl._version import __version__
+from sonar_gl.acoustics import Acoustics
+from sonar_gl.fan import Fan, Sampling, beam_weights, choose_sampling, make_fan
+from sonar_gl.load import data_folder
+from sonar_gl.nothing import why_nothing
+from sonar_gl.noise import Noise, add_noise
+from sonar_gl.reduce import Reducer
+from sonar_gl.render import Renderer
+from sonar_gl.scene import Scene, check_pose
+from sonar_gl.sonar import Sonar
+from sonar_gl.types import Error, GBuffer, Ping
+
+
+class Simulator:
+    """Makes pings of a scene with a sonar. Use it in a `with` block, or call `close()`.
+
+    Parameters
+    ----------
+    scene : Scene
+    sonar : Sonar
+    acoustics : Acoustics; None is `Acoustics.physical()`
+    sampling : Sampling, overrides what `tolerance` would choose
+    tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
+
+    Raises
+    ------
+    Error
+        if there is no usable OpenGL, or the samples do not fit its limits.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sonar: Sonar,
+        acoustics: Acoustics | None = None,
+        sampling: Sampling | None = None,
+        tolerance: float = 0.01,
+    ):
+        for name, value, kind in (("scene", scene, Scene), ("sonar", sonar, Sonar)):
+            if not isinstance(value, kind):
+                raise Error(
+                    f"{name} must be a {kind.__name__} (got {type(value).__name__}; "
+                    f"sonar_gl.load_{name} makes one from a name or a file)"
+                )
+        self.scene, self.sonar = scene, sonar
+        self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
+        self.sampling = sampling if sampling is not None else choose_sampling(sonar, tolerance)
+        self._context = None
+        reach = self.acoustics.beam_reach_rad(sonar)
+        self.fan: Fan = make_fan(sonar, self.sampling, reach)
+        self._reducer = Reducer(
+            self.fan, *beam_weights(self.fan, self.acoustics.beam_pattern_function(sonar), reach)
+        )
+        self._gain = self.acoustics.gain(sonar.range_m, sonar).astype(np.float32)
+        self._context = gl.create_context()
+        with self._context:
+            self.gl_info = gl.describe(self._context)
+            self._renderer = Renderer(self._context, scene, self.fan, data_folder("shaders"))
+        self._meta = {
+            "sonar": asdict(sonar),
+            "acoustics": self.acoustics.meta(),
+            "profile": self.acoustics.profile,
+            "sampling": asdict(self.sampling),
+            "bin_size_m": sonar.bin_size_m,
+            "scene": scene.name,
+            "bodies": [body.name for body in scene.bodies],
+            "version": __version__,
+            "gl_renderer": self.gl_info["renderer"],
+        }
+
+    def ping(
+        self, pose, noise: Noise | None = None, seed: int = 0, labels: bool = False, ping_number: int = 0
+    ) -> Ping:
+        """One transmission from `pose` and what it brings back.
+
+        Parameters
+        ----------
+        pose : (4, 4) world_from_sonar, metres; `sonar_gl.pose` makes one from x y z roll pitch yaw
+        noise : Noise, or None for none
+        seed, ping_number : of the noise; the same two give the same bytes
+        labels : also find the body of the strongest echo in each bin, and its elevation
+
+        Warns
+        -----
+        UserWarning
+            if nothing came back, saying what was nearest and why.
+        """
+        pose = check_pose(pose)
+        with self._open():
+            self._renderer.draw(pose)
+            self._renderer.read()
+        views = list(self._renderer.sector_pixels())
+        intensity = self._reducer.intensity(views)
+        intensity *= self._gain
+        body_id = elevation_rad = None
+        if labels:
+            body_id, elevation_rad = self._reducer.labels(views)
+        if not intensity.any():
+            warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
+        ping = Ping(
+            intensity,
+            self.sonar.azimuth_rad,
+            self.sonar.range_m,
+            body_id,
+            elevation_rad,
+            pose,
+            {**self._meta, "seed": seed},
+        )
+        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+
+    def gbuffers(self, pose) -> list[GBuffer]:
+        """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
+        with self._open():
+            self._renderer.draw(check_pose(pose))
+            self._renderer.read()
+        return self._renderer.gbuffers()
+
+    def _open(self):
+        if self._context is None:
+            raise Error("this Simulator is closed; make a new one")
+        return self._context
+
+    def close(self):
+        """Give the OpenGL context and all it holds back; twice does no harm."""
+        context, self._context = self._context, None
+        if context is not None:
+            with context:
+                self._renderer = None
+                context.gc()
+            context.release()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def __del__(self):
+        if getattr(self, "_context", None) is not None:
+            self.close()

@@ -1,0 +1,280 @@
+"""Formulas against published and independently computed numbers; gains against identities."""
+
+import json
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from sonar_gl.acoustics import (
+    BEAM_PATTERNS,
+    HALF_POWER,
+    Acoustics,
+    absorption_ainslie_mccolm,
+    absorption_francois_garrison,
+    box_pattern,
+    line_array_pattern,
+    sound_speed_mackenzie,
+)
+from sonar_gl.sonar import load_sonar
+from sonar_gl.types import Error
+
+WATERS = {  # temperature, salinity, depth, pH: (Francois-Garrison, Ainslie-McColm) dB/m at 450, 900, 1200 kHz
+    (10, 0.001, 0, 7): ((0.062939, 0.251750, 0.447554), (0.068514, 0.274052, 0.487203)),
+    (4, 8, 0, 7.9): ((0.089070, 0.334412, 0.588766), (0.092410, 0.349167, 0.615370)),
+    (10, 35, 0, 8): ((0.109663, 0.299463, 0.495414), (0.115779, 0.322309, 0.535607)),
+    (10, 35, 50, 8): ((0.109198, 0.298629, 0.494205), (0.115186, 0.321104, 0.533776)),
+    (15, 35, 10, 8.1): ((0.118418, 0.278466, 0.442289), (0.124703, 0.297943, 0.475344)),
+    (27, 35, 10, 8.1): ((0.168070, 0.294143, 0.410253), (0.180504, 0.311336, 0.428496)),
+    (4, 35, 1000, 7.9): ((0.104244, 0.340498, 0.585262), (0.105971, 0.348256, 0.599281)),
+    (-1.5, 30, 0, 8.2): ((0.124807, 0.449698, 0.786541), (0.121418, 0.436188, 0.762537)),
+    (22, 40, 200, 8.2): ((0.152985, 0.286573, 0.417668), (0.163002, 0.303326, 0.440009)),
+}
+AT_720 = {  # the same at 720 kHz
+    (10, 0.001, 0, 7): (0.1611, 0.1754),
+    (4, 8, 0, 7.9): (0.2167, 0.2259),
+    (10, 35, 0, 8): (0.208645, 0.223461),
+    (10, 35, 50, 8): (0.2080, 0.2225),
+    (15, 35, 10, 8.1): (0.2023, 0.2155),
+    (27, 35, 10, 8.1): (0.2382, 0.2543),
+    (4, 35, 1000, 7.9): (0.2272, 0.2320),
+    (-1.5, 30, 0, 8.2): (0.2938, 0.2851),
+    (22, 40, 200, 8.2): (0.2248, 0.2388),
+}
+SIX_DIGITS, FOUR_DIGITS = 6e-7, 6e-5  # half the last printed digit, and a hair
+
+
+def refused(make, *args, **kwargs) -> str:
+    with pytest.raises(Error) as caught:
+        make(*args, **kwargs)
+    return str(caught.value)
+
+
+@pytest.fixture
+def sonar():
+    return load_sonar("p900-45")
+
+
+@pytest.mark.parametrize("water", WATERS)
+def test_absorption_tables(water):
+    frequencies = np.array([450e3, 900e3, 1200e3])
+    for formula, at_720, expected in zip(
+        (absorption_francois_garrison, absorption_ainslie_mccolm), AT_720[water], WATERS[water], strict=True
+    ):
+        np.testing.assert_allclose(formula(frequencies, *water), expected, rtol=0, atol=SIX_DIGITS)
+        assert formula(720e3, *water) == pytest.approx(at_720, rel=0, abs=FOUR_DIGITS)
+
+
+def test_absorption_published_spot_checks():
+    # arlpy's documentation: 50 kHz over 1 km at its default water is −10.71 dB
+    assert absorption_francois_garrison(50e3, 27, 35, 10, 8.1) * 1000 == pytest.approx(10.710333, abs=5e-7)
+    # UnderwaterAcoustics.jl's documentation, 100 kHz
+    julia = 0.035611359656810865
+    assert absorption_francois_garrison(100e3, 27, 35, 10, 8.1) == pytest.approx(julia, rel=1e-14)
+
+
+def test_the_branch_of_pure_water_includes_20_degrees():
+    at, above = absorption_francois_garrison(900e3, np.array([20.0, 20.0 + 1e-9]), 35, 0, 8)
+    assert 1e-5 < abs(above / at - 1) < 1e-3  # the two fits are 0.03 % apart there
+
+
+def test_depth_term_of_ainslie_mccolm_is_divided_by_17_km():
+    # without the division 1 km would take 56 % off instead of 5.7 %
+    deep, flat = absorption_ainslie_mccolm(900e3, 4, 0, np.array([1000.0, 0.0]), 8)
+    assert deep / flat == pytest.approx(np.exp(-1 / 17), rel=1e-12)  # fresh water: no other term
+
+
+def test_absorption_broadcasts():
+    assert absorption_francois_garrison(np.ones((3, 1)) * 9e5, np.ones(4), 35, 0, 8).shape == (3, 4)
+
+
+def test_sound_speed():
+    assert sound_speed_mackenzie(25, 35, 1000) == pytest.approx(1550.744027, abs=5e-7)
+    assert sound_speed_mackenzie(40, 40, 10000) == pytest.approx(1718.773600, abs=5e-7)
+
+
+@pytest.mark.parametrize("width_deg", [0.25, 1.0, 2.0, 20.0, 90.0])
+@pytest.mark.parametrize("steer_deg", [0.0, 65.0, -180.0])
+def test_line_array_half_power(width_deg, steer_deg):
+    width, steer = np.radians([width_deg, steer_deg])
+    edges = line_array_pattern(steer + np.array([-0.5, 0.5]) * width, steer, width)
+    np.testing.assert_allclose(edges, 0.5, rtol=0, atol=1e-11)  # HALF_POWER has 12 digits
+    assert line_array_pattern(steer, steer, width) == 1.0
+    fine = line_array_pattern(np.linspace(-0.5, 0.5, 101) * width, 0.0, width)
+    assert (np.diff(fine[50:]) < 0).all()  # falls from the axis to the edge
+
+
+def test_line_array_lobes():
+    """First null, first side lobe, width in λ/L: a uniform aperture's textbook numbers."""
+    assert pytest.approx(0.885893 / 2, abs=2.5e-7) == HALF_POWER
+    width = np.radians(1.0)
+    apertures = HALF_POWER / np.sin(width / 2)  # L/λ
+    # 0.885893 / 0.01745329, and 1.3e-5 of it for the sine of half a degree
+    assert apertures == pytest.approx(50.7586, abs=5e-5)
+    assert line_array_pattern(np.arcsin(1 / apertures), 0.0, width) < 1e-25
+    u = np.linspace(1, 2, 100_001) / apertures
+    lobe = line_array_pattern(np.arcsin(u), 0.0, width)
+    assert 10 * np.log10(lobe.max()) == pytest.approx(-13.2615, abs=5e-5)
+    assert u[lobe.argmax()] * apertures == pytest.approx(1.4303, abs=5e-5)
+    # equivalent width: the integral over u is λ/L, all but the tail beyond ±1, 1/(π² · 50.8) of it
+    u = np.linspace(-1, 1, 2_000_001)[1:-1]
+    total = line_array_pattern(np.arcsin(u), 0.0, width).sum() * 1e-6 * apertures
+    assert total == pytest.approx(1 - 1 / (np.pi**2 * apertures), abs=1e-5)
+
+
+def test_line_array_hears_nothing_from_behind():
+    behind = np.radians([91.0, 135.0, 180.0, 269.0])
+    assert line_array_pattern(behind, 0.0, np.radians(1.0)).tolist() == [0, 0, 0, 0]
+    # angles may run past ±180°
+    a, b = line_array_pattern(np.radians([0.3, 360.3]), 0.0, np.radians(1.0))
+    assert a == pytest.approx(b, rel=1e-12)
+
+
+def test_boxes_side_by_side_share_no_direction():
+    steer, width = (np.arange(8) - 3.5) / 4, 0.25  # binary fractions: the edges are met exactly
+    heard = box_pattern((np.arange(64) / 32 - 1)[:, None], steer, width)
+    assert 0.125 in (np.arange(64) / 32 - 1) - steer[0]  # an edge is among them
+    assert (heard.sum(axis=1) == 1).all()
+
+
+def test_box_across_180_degrees():
+    assert box_pattern(np.radians([-179.8, 179.8, 179.0]), np.pi, np.radians(1.0)).tolist() == [1, 1, 0]
+
+
+def test_reach(sonar):
+    """A box ends at half its width; a line array at a null, with little beyond."""
+    half = np.radians(0.5)
+    assert Acoustics.ideal().beam_reach_rad(sonar) == pytest.approx(half, rel=1e-15)
+    assert Acoustics.ideal().beam_pattern_function(sonar) is None
+    physical = Acoustics.physical()
+    reach, pattern = physical.beam_reach_rad(sonar), physical.beam_pattern_function(sonar)
+    assert pattern(half, 0.0) == pytest.approx(0.5, abs=1e-11)
+    assert pattern(0.3 + reach, 0.3) < 1e-25
+    beyond = np.linspace(reach, np.pi / 2, 100_000)
+    assert 10 * np.log10(pattern(beyond, 0.0).max()) < -28.5
+    # beyond n nulls lies 1/(π² n) of a line array's integral: 1.3 % beyond the 8th
+    step = (np.pi / 2) / 1_000_000
+    heard = pattern(step * (np.arange(1_000_000) + 0.5), 0.0)
+    assert heard[: round(reach / step)].sum() / heard.sum() == pytest.approx(1 - 1 / (8 * np.pi**2), abs=2e-3)
+    wide = replace(sonar, beam_width_deg=60.0)
+    assert physical.beam_reach_rad(wide) == np.pi / 2
+
+
+def test_ideal_gain_is_one(sonar):
+    assert (Acoustics.ideal().gain(sonar.range_m, sonar) == 1).all()
+    assert Acoustics.ideal().gain(sonar.range_m, sonar).dtype == np.float64
+
+
+@pytest.mark.parametrize("frequency_hz", [375e3, 900e3, 3000e3])
+def test_right_tvg_of_20_log_r_makes_one(sonar, frequency_hz):
+    r = np.concatenate([[0.0, 1e-6, 1e-3], np.geomspace(0.1, 1e5, 1000)])
+    gain = Acoustics.physical().gain(r, replace(sonar, frequency_hz=frequency_hz))
+    np.testing.assert_allclose(gain, 1, rtol=0, atol=1e-12)
+
+
+def test_physical_gain_is_the_sonar_equation(sonar):
+    """r^-2 · 10^(−2αr/10) · 10^(TVG/10), term by term."""
+    acoustics = Acoustics.physical(depth_m=0, tvg_k=33.0, tvg_absorption_db_m=0.25)
+    r, alpha = sonar.range_m, 0.299463
+    tvg_db = 33.0 * np.log10(r) + 2 * 0.25 * r
+    expected = r**-2 * 10 ** (-2 * alpha * r / 10) * 10 ** (tvg_db / 10)
+    # α has six digits: 2 · 5e-7 dB/m · 30 m is 7e-6 of the power
+    np.testing.assert_allclose(acoustics.gain(r, sonar), expected, rtol=7e-6)
+
+
+def test_without_tvg(sonar):
+    """TVG off: two-way loss of 20 log r + 2αr of a surface's echo per solid angle."""
+    acoustics = Acoustics.physical(absorption_db_m=0.3, tvg_k=0, tvg_absorption_db_m=0)
+    gain_db = 10 * np.log10(acoustics.gain(np.array([1.0, 10.0, 50.0]), sonar))
+    np.testing.assert_allclose(gain_db, [-0.6, -20 - 6, -33.97940008672037 - 30], rtol=1e-14)
+
+
+def test_frequency_matters(sonar):
+    acoustics = Acoustics.physical(tvg_absorption_db_m=0)
+    low, high = (acoustics.gain([30.0], replace(sonar, frequency_hz=f))[0] for f in (450e3, 900e3))
+    extra_db = 60 * (acoustics.absorption(900e3) - acoustics.absorption(450e3))
+    assert 10 * np.log10(low / high) == pytest.approx(extra_db, rel=1e-12)
+    assert extra_db == pytest.approx(60 * (0.299296 - 0.109570), abs=1e-3)  # at 10 m depth
+
+
+def test_demarco_laws(sonar):
+    r = np.array([0.0, 0.5, 1.0, 10.0, sonar.range_max_m])
+    printed = Acoustics.demarco2015().gain(r, sonar)
+    np.testing.assert_allclose(printed, (r / sonar.range_max_m) ** 2, rtol=1e-15)
+    assert (printed[0], printed[-1]) == (0, 1)
+    assert Acoustics.demarco2015("constant").gain(r, sonar).tolist() == [1, 1, 1, 1, 1]
+    inverse = Acoustics.demarco2015(range_law="inverse").gain(r, sonar)
+    np.testing.assert_allclose(inverse, [1, 1, 1, 0.01, sonar.range_max_m**-2], rtol=1e-15)
+
+
+def test_printed_law_is_a_40_log_r_tvg(sonar):
+    """Eq. (4) as printed is the physical echo after a TVG of 40 log r + 2αr, scaled."""
+    r = sonar.range_m
+    tvg = Acoustics.physical(tvg_k=40).gain(r, sonar)
+    printed = Acoustics.demarco2015().gain(r, sonar)
+    np.testing.assert_allclose(printed * sonar.range_max_m**2, tvg, rtol=1e-13)
+
+
+@pytest.mark.parametrize("k", [0, 20, 60])
+@pytest.mark.parametrize(("alpha", "believed"), [(0, 1e5), (1e5, 0), (1e5, 1e5)])
+def test_gain_is_finite_in_float32(sonar, k, alpha, believed):
+    acoustics = Acoustics.physical(tvg_k=k, absorption_db_m=alpha, tvg_absorption_db_m=believed)
+    gain = acoustics.gain(np.array([0.0, 1e-9, 0.5, 100.0, 1e5]), sonar).astype(np.float32)
+    assert np.isfinite(gain).all() and (gain > 0).all()
+
+
+def test_profiles():
+    assert Acoustics() == Acoustics.physical() == Acoustics("physical")
+    assert Acoustics("ideal") == Acoustics.ideal()
+    assert [a.beam_pattern for a in (Acoustics.ideal(), Acoustics.demarco2015(), Acoustics())] == [
+        "box",
+        "box",
+        "line_array",
+    ]
+    assert replace(Acoustics.ideal(), beam_pattern="line_array").range_law == "constant"
+    assert BEAM_PATTERNS[Acoustics().beam_pattern] is line_array_pattern
+    with pytest.raises(FrozenInstanceError):
+        Acoustics().tvg_k = 30
+
+
+def test_meta_is_plain():
+    acoustics = Acoustics.physical(tvg_k=30.0)
+    assert Acoustics(**json.loads(json.dumps(acoustics.meta()))) == acoustics
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"profile": "phisical"}, "unknown profile (got 'phisical'; did you mean 'physical'?)"),
+        ({"profile": None}, "unknown profile (got None; known are demarco2015, ideal, physical)"),
+        ({"range_law": "print"}, "unknown range_law (got 'print'; did you mean 'printed'?)"),
+        ({"beam_pattern": "gauss"}, "unknown beam_pattern (got 'gauss'; known are box, line_array)"),
+        ({"temperature_c": 283}, "temperature_c must lie in -2..40 (got 283; give °C)"),
+        (
+            {"salinity_psu": -1},
+            "salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
+        ),
+        (
+            {"depth_m": -5},
+            "depth_m must lie in 0..12000 (got -5; give metres below the surface, positive down)",
+        ),
+        ({"ph": 0}, "ph must lie in 7..9 (got 0; sea water has about 8)"),
+        ({"ph": float("nan")}, "ph must lie in 7..9 (got nan; sea water has about 8)"),
+        ({"tvg_k": 61}, "tvg_k must lie in 0..60 (got 61; usual are 20, 30 and 40)"),
+        ({"tvg_k": "20"}, "tvg_k must be a number (got '20')"),
+        ({"tvg_k": None}, "tvg_k must be a number (got None)"),
+        (
+            {"absorption_db_m": -0.3},
+            "absorption_db_m must lie in 0..100000 "
+            "(got -0.3; give dB per metre one way, a thousandth of dB per km)",
+        ),
+    ],
+)
+def test_wrong_setting(settings, message):
+    assert refused(Acoustics, **settings) == f"acoustics: {message}"
+
+
+def test_wrong_range_law_of_the_founding_paper():
+    assert refused(Acoustics.demarco2015, "invers") == (
+        "acoustics: unknown range_law (got 'invers'; did you mean 'inverse'?)"
+    )
