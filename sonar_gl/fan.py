@@ -94,7 +94,8 @@ class Sector:
     v : (3,) v of the ray (row j, column i) is v[0] + v[1] i + v[2] j
     tan_elevation : tangent of half the elevation aperture
     n_cells : cells across, from starboard (the highest u) to port
-    shift : (R,) int64, the ray (j, i) belongs to the cell shift[j] - i, if that is in 0..n_cells - 1
+    shift : (R,) int64, the ray (j, i) belongs to the column shift[j] - i, if that is in 0..n_cells - 1
+    below, above : (R,) how far a row's cells reach in v: half way to the next ray in the same column
     first_column : the fan's column that its first cell is
     """
 
@@ -107,6 +108,8 @@ class Sector:
     tan_elevation: float
     n_cells: int
     shift: np.ndarray
+    below: np.ndarray
+    above: np.ndarray
     first_column: int
 
     def rotation(self) -> np.ndarray:
@@ -190,7 +193,12 @@ def make_sector(azimuth, half_width, n_cells, rows, tan_elevation, first_column)
     v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
     # cells are counted from the highest u down, as azimuth rises
     shift = np.floor((tan_width - u[0] - u[2] * np.arange(R)) / du).astype(np.int64)
-    return Sector(azimuth, half_width, R, C, u, v, tan_elevation, n_cells, shift, first_column)
+    # where a column passes to the next ray of the row above, the shear of v makes its step longer or shorter
+    steps = (dv + step_v * np.diff(shift)) / 2
+    below, above = np.append(dv / 2, steps), np.append(steps, dv / 2)
+    return Sector(
+        azimuth, half_width, R, C, u, v, tan_elevation, n_cells, shift, below, above, first_column
+    )
 
 
 def beam_weights(fan: Fan, pattern, reach_rad: float) -> tuple[np.ndarray, np.ndarray]:

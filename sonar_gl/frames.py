@@ -81,11 +81,12 @@ class Scope:
         """File and path of an element in this scope, for messages."""
         return f"{self.where}{'' if self.where.endswith(': ') else '/'}{part}"
 
-    def add(self, name, frame):
+    def add(self, name: str, frame: Frame, where: str | None = None):
+        """Give a frame its name; `where` it is asked for, if that is not where it stands."""
         if not name:
-            raise Error(f"{frame.where}: must have a name")
+            raise Error(f"{where or frame.where}: must have a name")
         if name in self.frames:
-            raise Error(f"{frame.where}: names must be unique (got {name!r} twice)")
+            raise Error(f"{where or frame.where}: names must be unique (got {name!r} twice)")
         self.frames[name] = frame
 
     def find(self, name: str, where: str, seen=()) -> np.ndarray:

@@ -231,7 +231,7 @@ def colorize(image: np.ndarray, name: str = "jet") -> np.ndarray:
     image = np.asarray(image)
     if image.ndim != 2 or image.dtype.kind != "f":
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
-    table = np.arange(256, dtype=np.uint8)
+    table = np.arange(256, dtype=np.uint8)[:, None]
     if name != "gray":
         table = cv2.applyColorMap(table, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
     table = np.ascontiguousarray(np.broadcast_to(table.reshape(256, 1, -1), (256, 1, 3)))

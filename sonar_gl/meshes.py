@@ -128,7 +128,10 @@ def concatenate(shapes):
     joined = None
     if any(n is not None for n in normals):
         joined = np.concatenate(
-            [np.zeros((len(m.vertices), 3), np.float32) if n is None else n for m, n in zip(meshes, normals, strict=True)]
+            [
+                np.zeros((len(m.vertices), 3), np.float32) if n is None else n
+                for m, n in zip(meshes, normals, strict=True)
+            ]
         )
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
     return make_shape(np.concatenate([m.vertices for m in meshes]), faces)[0], joined

@@ -99,6 +99,8 @@ def accumulate(
     tan_width,
     tan_elevation,
     shift,
+    below,
+    above,
     bin_edges_m,
     tables,
     footprint,
@@ -116,7 +118,7 @@ def accumulate(
     Parameters
     ----------
     normal_range : (R, C, 4) float32; echo_body : (R, C, 2) float32, as the shader writes them
-    u, v, tan_elevation, shift : of `fan.Sector`; rotation : (3, 3) sector_from_sonar
+    u, v, tan_elevation, shift, below, above : of `fan.Sector`; rotation : (3, 3) sector_from_sonar
     tan_width : tangent of the sector's half width
     bin_edges_m : (K + 1,); tables : of `bin_tables`
     footprint : False drops a sample whole into the bin of its hit point
@@ -128,7 +130,7 @@ def accumulate(
     n_cells, K = echo_sum.shape
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
-    du, dv = u[1], v[2]
+    du = u[1]
     labels = elevation_sum.shape[0] > 0
     for j in range(R):
         for i in range(max(0, shift[j] - n_cells + 1), min(C, shift[j] + 1)):
@@ -145,7 +147,7 @@ def accumulate(
             u2 = 1.0 + uc * uc
             # the part of the rectangle inside the aperture
             v_limit = tan_elevation * math.sqrt(u2)
-            v_low, v_high = max(v0 - dv / 2, -v_limit), min(v0 + dv / 2, v_limit)
+            v_low, v_high = max(v0 - below[j], -v_limit), min(v0 + above[j], v_limit)
             if v_high <= v_low:
                 continue
             vc = (v_low + v_high) / 2
@@ -255,6 +257,8 @@ class Reducer:
                 math.tan(sector.half_width_rad),
                 sector.tan_elevation,
                 sector.shift,
+                sector.below,
+                sector.above,
                 self.edges,
                 self.tables,
                 self.footprint,

@@ -90,7 +90,7 @@ class _Reader:
             if child.tag == "model":
                 placement = child.get("placement_frame") or ""
                 frame = Frame(child.find("pose"), where, "", Scope(where, scope.folder), placement)
-                self.model(scope, name, frame, child, (*stack, None))
+                self.model(scope, name, frame, child, (*stack, None), where)
             elif child.tag == "include":
                 self.include(scope, child, stack)
             elif child.tag == "link":
@@ -106,13 +106,11 @@ class _Reader:
             scope.find(name, scope.frames[name].where)
         return scope
 
-    def model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple):
+    def model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, where: str):
         self.n_models += 1
         if len(stack) > MAX_NESTING or self.n_models > MAX_MODELS:
-            raise Error(
-                f"{frame.where}: a scene must hold at most {MAX_MODELS} models, at most {MAX_NESTING} deep"
-            )
-        scope.add(name, frame)
+            raise Error(f"{where}: a scene must hold at most {MAX_MODELS} models, at most {MAX_NESTING} deep")
+        scope.add(name, frame, where)
         self.fill(frame.scope, element, stack)
 
     def include(self, scope: Scope, element, stack: tuple):
@@ -143,7 +141,8 @@ class _Reader:
         if pose_element is None:
             pose_element, pose_where = model.find("pose"), model_where
         inner = Scope(model_where, scope.folder if built_in else path.parent)
-        self.model(scope, name, Frame(pose_element, pose_where, "", inner, placement), model, (*stack, file))
+        frame = Frame(pose_element, pose_where, "", inner, placement)
+        self.model(scope, name, frame, model, (*stack, file), where)
 
     def links(self, scope: Scope, world_from_scope: np.ndarray, model: str = ""):
         """Every link, in the order of the file."""

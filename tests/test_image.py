@@ -10,7 +10,6 @@ from sonar_gl.image import FanGeometry, colorize, colormaps, draw_axes, fan_geom
 from sonar_gl.types import Error, Ping
 
 HALF_PIXEL = 0.5
-REMAP_LEVEL = 1 / 32  # cv2.remap keeps 5 bits of a fraction
 
 
 def make_ping(fov_deg=90.0, n_beams=128, n_bins=200, range_m=(0.0, 20.0), azimuth_rad=None, fill=0.0):
@@ -39,7 +38,7 @@ def test_port_is_left_and_forward_up():
 @pytest.mark.parametrize("height", [401, 800])
 def test_isotropic_to_half_a_pixel(fov_deg, height):
     geometry = None
-    for beam_share in (0.1, 0.3, 0.5, 0.9):
+    for beam_share in (0.1, 0.3, 0.5, 0.9) if fov_deg > 30 else (0.3, 0.5, 0.7):  # clear of the edges
         for bin_ in (60, 110, 170):
             ping = make_ping(fov_deg, n_beams=10 * fov_deg)
             beam = int(beam_share * len(ping.azimuth_rad))
@@ -103,7 +102,7 @@ def test_full_circle_has_no_seam():
     image = fan_image(ping, 400, scale="linear")
     turned = make_ping(360, n_beams=48)
     turned.intensity[:] = np.roll(ping.intensity, 24, axis=0)
-    assert fan_image(turned, 400, scale="linear")[::-1, ::-1] == pytest.approx(image, abs=0.01 * REMAP_LEVEL * 32)
+    assert fan_image(turned, 400, scale="linear")[::-1, ::-1] == pytest.approx(image, abs=0.01)
     steps = np.abs(np.diff(image[250:380], axis=1))[:, 150:250]
     assert (image[250:380, 150:250] > 0.05).all() and steps.max() < 0.02
 
@@ -211,7 +210,7 @@ def test_fast_enough():
 def test_errors_of_fan_image():
     ping = make_ping()
     for keywords, message in (
-        ({"scale": "dB"}, "unknown scale 'dB' of a fan image: known are db, linear"),
+        ({"scale": "dB"}, "unknown scale 'dB' of a fan image: did you mean 'db'?"),
         ({"height": 0}, "height of a fan image must be a whole number of pixels in 1..16000 (got 0)"),
         ({"height": 9.5}, "height of a fan image must be a whole number of pixels in 1..16000 (got 9.5)"),
         ({"db_range": (0, -60)}, "db_range must rise from the darkest to the brightest dB (got 0 and -60)"),
@@ -223,7 +222,8 @@ def test_errors_of_fan_image():
     with pytest.raises(Error) as caught:
         fan_image(Ping(np.zeros((3, 4)), np.zeros(3), np.zeros(5)))
     assert str(caught.value) == (
-        "a ping's intensity must be (beams, bins), at least one of each (got (3, 4) with 3 azimuths and 5 ranges)"
+        "a ping's intensity must be (beams, bins), at least one of each "
+        "(got (3, 4) with 3 azimuths and 5 ranges)"
     )
 
 
@@ -269,7 +269,10 @@ def test_axes(fov_deg):
     assert drawn[:margin].any()  # labels stand in the margin
     geometry = fan_geometry(ping, 300)
     if fov_deg >= 20:  # most of the echo is as it was
-        column, row = (np.rint(c).astype(int) for c in geometry.pixel(*np.meshgrid([0.05], [7, 12, 17, 22])))
+        column, row = (
+            np.rint(c).astype(int)
+            for c in geometry.pixel(*np.meshgrid([0.05 if fov_deg < 90 else 0.4], [7, 12, 17, 22]))
+        )
         assert (drawn[row + margin, column + margin] == picture[row, column]).all()
 
 

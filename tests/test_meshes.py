@@ -11,6 +11,7 @@ from sonar_gl import mesh_files, meshes
 from sonar_gl.types import Error
 
 FLOAT32 = 1e-6  # normals are float32
+UPWARD = np.array([0.0, 0.0, 0.3])  # tilts normals to what nobody would compute
 SOLIDS = {
     "box": (meshes.box((1.0, 2.0, 3.0)), 6.0, (1, 2, 3)),
     "cylinder": (meshes.cylinder(1.0, 2.0), 2 * np.pi, (2, 2, 2)),
@@ -174,7 +175,7 @@ def test_heightmap_errors(tmp_path):
 @pytest.mark.parametrize("suffix", ["glb", "gltf", "obj", "ply", "dae"])
 def test_normals_of_the_file_are_kept(tmp_path, suffix):
     ball = trimesh.creation.icosphere(1)
-    tilted = np.asarray(ball.vertices) + [0.0, 0.0, 0.3]
+    tilted = ball.vertices + UPWARD
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     ball = trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=tilted, process=False)
     if suffix == "gltf":
@@ -186,7 +187,7 @@ def test_normals_of_the_file_are_kept(tmp_path, suffix):
         options = {"ply": {"vertex_normal": True}, "dae": {}}.get(suffix, {"include_normals": True})
         ball.export(tmp_path / f"a.{suffix}", **options)
     mesh, normals = mesh_files.read_mesh(tmp_path / f"a.{suffix}")
-    expected = mesh.vertices + [0.0, 0.0, 0.3]
+    expected = mesh.vertices + UPWARD
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     assert len(mesh.faces) == 80
     np.testing.assert_allclose(normals, expected, atol=1e-5)  # text formats hold 6 to 8 digits

@@ -512,8 +512,9 @@ def test_symbolic_links_out_of_the_folders_are_refused(tmp_path):
     with pytest.raises(Error) as caught:
         read_sdf(path)
     assert str(caught.value) == (
-        f"{path}: world/include[model://rock]: 'model://rock' must stay in the scene's folder and the resource "
-        f"paths (it leads to {tmp_path}/out/rock; if that is to be trusted, make its folder a resource path)"
+        f"{path}: world/include[model://rock]: 'model://rock' must stay in the scene's folder and the "
+        f"resource paths (it leads to {tmp_path}/out/rock; if that is to be trusted, make its folder "
+        "a resource path)"
     )
 
 
@@ -692,7 +693,9 @@ def test_missing_scene_file_and_resource_path(tmp_path):
     path = write(tmp_path / "a.sdf", model(link()))
     with pytest.raises(Error) as caught:
         read_sdf(path, ["/no/such/folder"])
-    assert str(caught.value) == "resource path '/no/such/folder' must be a folder (there is none of that name)"
+    assert (
+        str(caught.value) == "resource path '/no/such/folder' must be a folder (there is none of that name)"
+    )
 
 
 def test_names_that_no_file_can_have(message):
