@@ -1,33 +1,52 @@
-// In: position in the sonar frame, the body's index. Out: attachment 0 = normal (xyz) and range (w),
-// attachment 1 = echo μ cos θ and the body's number. Defines: SHADING_NORMALS (0 or 1), TABLE_WIDTH.
+// The depth + normal pass. A surface's plane in the sector's frame (x along its middle) is p . x = 1, and
+// 1/x is linear on the image plane: 1/x = p.x - p.y u + p.z v. gl_FragCoord.w is that 1/x, in full float32,
+// and its screen derivatives are the plane's slopes, so depth and normal come without a varying.
+// Out: attachment 0 = 1/x, its slopes along u and v, echo μ cos θ times range (which on a flat face is the same
+// for every ray); attachment 1 (LABELS) = body's number.
+// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, LABELS (each 0 or 1), TABLE_WIDTH.
 #version 330 core
 #include "tables.glsl"
 #include "echo.glsl"
 
+uniform vec3 u, v;          // lattice: u of the ray of pixel (i, j) is u.x + u.y i + u.z j; v likewise
+uniform mat2 pixel_from_uv; // pixels to one unit of u (first column) and of v (second)
 uniform float far_m;
+uniform int first_face;
 
-in vec3 v_position;
+flat in float v_reflectivity;
 flat in uint v_body;
 #if SHADING_NORMALS
 in vec3 v_normal;
 #endif
 
-layout(location = 0) out vec4 normal_range;
-layout(location = 1) out vec2 echo_body;
+layout(location = 0) out vec4 plane_echo;
+#if LABELS
+layout(location = 1) out uint body_id;
+#endif
 
 void main()
 {
-    vec4 face = table_texel(face_table, gl_PrimitiveID);
-    float range_m = length(v_position);
-    vec3 direction = v_position / range_m;
-    vec3 normal = towards_sonar(mat3(body_matrix(v_body)) * face.xyz, direction);
-    vec3 shading = normal;
+    float depth_inverse = gl_FragCoord.w;
+    vec2 slopes = vec2(dFdx(depth_inverse), dFdy(depth_inverse)) * pixel_from_uv;
+    vec3 pixel = vec3(1.0, gl_FragCoord.xy - 0.5);
+    vec2 at = vec2(dot(u, pixel), dot(v, pixel));
+    vec3 plane = vec3(depth_inverse - dot(slopes, at), -slopes.x, slopes.y);
+    vec3 ray = vec3(1.0, -at.x, at.y);
+    vec3 direction = normalize(ray);
+    vec3 normal = -normalize(plane);  // p . x = 1 > 0: minus p looks at the sonar, whichever side this is
 #if SHADING_NORMALS
     if (dot(v_normal, v_normal) > 1e-6)
-        shading = normalize(v_normal) * (dot(v_normal, normal) < 0.0 ? -1.0 : 1.0);
+        normal = normalize(v_normal) * (dot(v_normal, normal) < 0.0 ? -1.0 : 1.0);
 #endif
-    normal_range = vec4(normal, range_m);
-    echo_body = vec2(face.w * cos_incidence(shading, direction), float(v_body) + 1.0);
-    // Linear in range, so that visibility is resolved alike near and far.
+    float reflectivity = v_reflectivity;
+#if FACE_REFLECTIVITY
+    reflectivity = table_texel(face_table, first_face + gl_PrimitiveID).x;
+#endif
+    float range_m = length(ray) / depth_inverse;
+    plane_echo = vec4(depth_inverse, slopes, reflectivity * cos_incidence(normal, direction) * range_m);
+#if LABELS
+    body_id = v_body + 1u;
+#endif
+    // linear in range, so that visibility is resolved alike near and far
     gl_FragDepth = range_m / far_m;
 }

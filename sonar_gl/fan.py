@@ -9,7 +9,7 @@ weighted sum of columns.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from sonar_gl.types import Error, frozen_array
 MAX_SECTOR_RAD = math.radians(50.0)
 # Rows look SHEAR columns apart from bottom to top (and columns SHEAR rows from side to side), so that
 # nothing upright or level falls between the grid's lines as a whole.
-SHEAR = 8.0
+SHEAR = 16.0
+SHEAR_ROWS = 0.25
 REDUCERS = ("footprint", "point")
 
 
@@ -78,12 +79,28 @@ def choose_sampling(sonar: Sonar, tolerance: float) -> Sampling:
 
 
 @dataclass(frozen=True)
+class Parts:
+    """A sector's cells, cut where the fan's columns end: P parts by rising azimuth.
+
+    Attributes
+    ----------
+    cell, column : (P,) int64, the cell that a part belongs to, the fan's column that it lies in
+    u, width : (P,) its middle and its width in u
+    """
+
+    cell: np.ndarray
+    column: np.ndarray
+    u: np.ndarray
+    width: np.ndarray
+
+
+@dataclass(frozen=True)
 class Sector:
     """One perspective view: C by R samples, of which each stands for one cell of a straight grid.
 
-    The rays of a row are shifted against those of the row below by a fraction of a column (and columns by
-    a fraction of a row), so that an upright or level edge meets another part of the cell in every row.
-    The cells stay aligned with the fan's columns.
+    The rays of a row are shifted against those of the row below by a fraction of a cell (and columns of
+    rays by a fraction of a row), so that an upright or level edge meets another part of the cell in every
+    row. The cells themselves stay upright, so that they can be cut where columns end once for all rows.
 
     Attributes
     ----------
@@ -94,9 +111,9 @@ class Sector:
     v : (3,) v of the ray (row j, column i) is v[0] + v[1] i + v[2] j
     tan_elevation : tangent of half the elevation aperture
     n_cells : cells across, from starboard (the highest u) to port
-    shift : (R,) int64, the ray (j, i) belongs to the column shift[j] - i, if that is in 0..n_cells - 1
-    below, above : (R,) how far a row's cells reach in v: half way to the next ray in the same column
-    first_column : the fan's column that its first cell is
+    shift : (R,) int64, the ray (j, i) belongs to the cell shift[j] - i, if that is in 0..n_cells - 1
+    below, above : (R,) how far a row's cells reach in v: half way to the next ray of the same cell
+    parts : Parts
     """
 
     azimuth_rad: float
@@ -110,7 +127,12 @@ class Sector:
     shift: np.ndarray
     below: np.ndarray
     above: np.ndarray
-    first_column: int
+    parts: Parts = None
+
+    def rays(self):
+        """(R, C) u and (R, C) v of all rays."""
+        j, i = np.mgrid[0 : self.rows, 0 : self.columns]
+        return self.u[0] + self.u[1] * i + self.u[2] * j, self.v[0] + self.v[1] * i + self.v[2] * j
 
     def rotation(self) -> np.ndarray:
         """(3, 3) sector_from_sonar: turns the sector's middle onto the x axis."""
@@ -158,8 +180,17 @@ class Fan:
         return len(self.column_edges_rad) - 1
 
 
-def make_fan(sonar: Sonar, sampling: Sampling, reach_rad: float) -> Fan:
-    """Lay the sectors and samples of a sonar whose beams hear `reach_rad` to each side of their axes."""
+def make_fan(
+    sonar: Sonar, sampling: Sampling, reach_rad: float, box: bool = True, shear: float = SHEAR
+) -> Fan:
+    """Lay the sectors, samples and columns of a sonar.
+
+    Parameters
+    ----------
+    reach_rad : how far from their axes the beams hear
+    box : the beams are boxes of that half-width: columns end where beams end
+    shear : of the lattice, in samples across the view
+    """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - reach_rad, azimuths[-1] + reach_rad
     if stop - start > 2 * math.pi - 1e-9:
@@ -170,22 +201,35 @@ def make_fan(sonar: Sonar, sampling: Sampling, reach_rad: float) -> Fan:
     n_cells = max(2, math.ceil(n_samples / n_sectors))
     half_width = span / n_sectors / 2
     tan_elevation = math.tan(math.radians(sonar.elevation_fov_deg) / 2)
-    middles = start + half_width * (2 * np.arange(n_sectors) + 1)
-    sectors = tuple(
-        make_sector(middle, half_width, n_cells, sampling.rows, tan_elevation, index * n_cells)
-        for index, middle in enumerate(middles)
-    )
-    edges = np.arctan(math.tan(half_width) * np.linspace(-1, 1, n_cells + 1))
-    edges = np.append((middles[:, None] + edges[:-1]).ravel(), stop)
+    sectors = [
+        make_sector(start + half_width * (2 * k + 1), half_width, n_cells, sampling.rows, tan_elevation, shear)
+        for k in range(n_sectors)
+    ]
+    if box:
+        ends = np.concatenate([azimuths - reach_rad, azimuths + reach_rad])
+        if span > 2 * math.pi - 1e-9:
+            ends = (ends + math.pi) % (2 * math.pi) - math.pi
+    else:
+        # a smooth pattern changes little over half a spacing
+        ends = np.linspace(start, stop, 1 + math.ceil(2 * span / np.diff(azimuths).min(initial=span)))
+    seams = start + 2 * half_width * np.arange(n_sectors + 1)
+    edges = _distinct(np.clip(np.concatenate([ends, seams]), start, stop))
+    sectors = tuple(replace(sector, parts=make_parts(sector, edges)) for sector in sectors)
     return Fan(sonar, sampling, sectors, frozen_array(edges, np.float64, (None,), "column edges"))
 
 
-def make_sector(azimuth, half_width, n_cells, rows, tan_elevation, first_column) -> Sector:
+def _distinct(azimuths) -> np.ndarray:
+    """Sorted, what lies nearer than a nanoradian taken for one."""
+    azimuths = np.sort(azimuths)
+    return azimuths[np.append(True, np.diff(azimuths) > 1e-9)]
+
+
+def make_sector(azimuth, half_width, n_cells, rows, tan_elevation, shear) -> Sector:
     """A view whose rays fill all cells of ±half_width and the aperture wherever the shear shifts them."""
     tan_width = math.tan(half_width)
     du, dv = 2 * tan_width / n_cells, 2 * tan_elevation / rows
     top = tan_elevation / math.cos(half_width)  # where the aperture's curved edge is highest
-    shear_u, shear_v = min(SHEAR, n_cells / 4), min(SHEAR, rows / 4)
+    shear_u, shear_v = min(shear, n_cells / 4), min(SHEAR_ROWS * rows if shear else 0, n_cells)
     C = n_cells + 2 * math.ceil(shear_u / 2 + 0.5)
     R = 2 * math.ceil((2 * top / dv + shear_v) / 2)
     step_u, step_v = shear_u / R * du, shear_v / C * dv
@@ -193,11 +237,25 @@ def make_sector(azimuth, half_width, n_cells, rows, tan_elevation, first_column)
     v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
     # cells are counted from the highest u down, as azimuth rises
     shift = np.floor((tan_width - u[0] - u[2] * np.arange(R)) / du).astype(np.int64)
-    # where a column passes to the next ray of the row above, the shear of v makes its step longer or shorter
+    # where a cell passes to the next ray of the row above, the shear of v makes its step longer or shorter
     steps = (dv + step_v * np.diff(shift)) / 2
     below, above = np.append(dv / 2, steps), np.append(steps, dv / 2)
-    return Sector(
-        azimuth, half_width, R, C, u, v, tan_elevation, n_cells, shift, below, above, first_column
+    return Sector(azimuth, half_width, R, C, u, v, tan_elevation, n_cells, shift, below, above)
+
+
+def make_parts(sector: Sector, column_edges_rad) -> Parts:
+    """Cut a sector's cells where columns end."""
+    tan_width = math.tan(sector.half_width_rad)
+    cells = sector.azimuth_rad + np.arctan(tan_width * np.linspace(-1, 1, sector.n_cells + 1))
+    inside = (column_edges_rad > cells[0]) & (column_edges_rad < cells[-1])
+    edges = _distinct(np.concatenate([cells, column_edges_rad[inside]]))
+    middles = (edges[1:] + edges[:-1]) / 2
+    u = -np.tan(edges - sector.azimuth_rad)
+    return Parts(
+        cell=np.clip(np.searchsorted(cells, middles) - 1, 0, sector.n_cells - 1),
+        column=np.clip(np.searchsorted(column_edges_rad, middles) - 1, 0, len(column_edges_rad) - 2),
+        u=(u[1:] + u[:-1]) / 2,
+        width=u[:-1] - u[1:],
     )
 
 

@@ -36,7 +36,9 @@ def create_context() -> moderngl.Context:
         code = context.version_code
         context.release()
         raise Error(too_old(f"{code // 100}.{code // 10 % 10}"))
-    context.gc_mode = "auto"  # this context is ours alone; whatever loses its Python name is freed
+    # objects that lose their Python name wait for context.gc(), when this context is current; "auto" would
+    # delete names in whichever context is, and release this one twice
+    context.gc_mode = "context_gc"
     return context
 
 

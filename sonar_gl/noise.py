@@ -77,8 +77,8 @@ class Noise:
 
     @classmethod
     def physical(cls) -> Noise:
-        """Speckle, and a receiver 40 dB below full scale."""
-        return cls(speckle=True, gaussian=1e-4)
+        """Speckle, and a receiver 50 dB below full scale."""
+        return cls(speckle=True, gaussian=1e-5)
 
     @classmethod
     def parse(cls, text: str) -> Noise:
@@ -87,7 +87,7 @@ class Noise:
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
         >>> Noise.parse("physical,speckle=no")
-        Noise(speckle=False, gaussian=0.0001, salt_and_pepper=0.0, median=0, cloud_gaussian_m=0.0)
+        Noise(speckle=False, gaussian=1e-05, salt_and_pepper=0.0, median=0, cloud_gaussian_m=0.0)
         """
         profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
         keys = [f.name for f in fields(cls)]

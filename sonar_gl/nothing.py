@@ -15,15 +15,14 @@ def why_nothing(scene: Scene, sonar: Sonar, pose, views) -> str:
 
     Parameters
     ----------
-    views : (sector, (R, C, 4) normal and range, (R, C, 2) echo and body) of each sector, as rendered
+    views : (sector, (R, C, 4) plane and echo, _) of each sector, as rendered
     """
     if not scene.bodies:
         return "no echo came back: the scene has no bodies"
     inside = _nearest_in_view(views)
     if inside is not None:
-        range_m, echo, number = inside
-        name = scene.bodies[number - 1].name
-        where = f"the nearest surface in the fan is {name!r} at {range_m:.2f} m"
+        range_m, echo = inside
+        where = f"the nearest surface in the fan lies at {range_m:.2f} m"
         if range_m >= sonar.range_max_m:
             return f"no echo came back: {where}, beyond range_max_m = {sonar.range_max_m:g}"
         if range_m < sonar.range_min_m:
@@ -43,18 +42,17 @@ def why_nothing(scene: Scene, sonar: Sonar, pose, views) -> str:
 
 
 def _nearest_in_view(views):
-    """(range, echo, body number) of the nearest sample inside the aperture, or None."""
+    """(range, echo) of the nearest sample inside the aperture, or None."""
     best = None
-    for sector, normal_range, echo_body in views:
-        j, i = np.mgrid[0 : sector.rows, 0 : sector.columns]
-        u = sector.u[0] + sector.u[1] * i + sector.u[2] * j
-        v = sector.v[0] + sector.v[1] * i + sector.v[2] * j
-        seen = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (normal_range[..., 3] > 0)
+    for sector, plane_echo, _ in views:
+        u, v = sector.rays()
+        seen = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (plane_echo[..., 0] > 0)
         if seen.any():
-            ranges = np.where(seen, normal_range[..., 3], np.inf)
+            ranges = np.full(seen.shape, np.inf)
+            ranges[seen] = np.sqrt(1 + u * u + v * v)[seen] / plane_echo[..., 0][seen]
             at = np.unravel_index(ranges.argmin(), ranges.shape)
             if best is None or ranges[at] < best[0]:
-                best = (float(ranges[at]), float(echo_body[at][0]), int(echo_body[at][1]))
+                best = (float(ranges[at]), float(plane_echo[..., 3][at]))
     return best
 
 

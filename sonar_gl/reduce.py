@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numba import njit
@@ -51,10 +52,10 @@ def _spread(sums, c, tables, r_first, per_metre, c0, c1, low, high):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
-def _spread_footprint(sums, c, tables, r_first, per_metre, energy, r0, s, a, b):
-    """Add a sample's energy, spread as the sum of two uniforms on ±a and ±b about s = 1/r, to a row of bins.
+def _spread_footprint(sums, c, tables, r_first, per_metre, energy, s, a, b):
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
 
-    The energy's density follows the cosine of incidence, which on a plane is proportional to s.
+    On a plane the cosine of incidence is proportional to s, and so is the energy's density.
     """
     K = sums.shape[1]
     wide, thin = max(a, b), min(a, b)
@@ -64,18 +65,18 @@ def _spread_footprint(sums, c, tables, r_first, per_metre, energy, r0, s, a, b):
     if s_far > tables[0, K] and s_near < tables[0, 0]:
         near = int((1.0 / s_near - r_first) * per_metre)
         if near == int((1.0 / s_far - r_first) * per_metre):  # the common case: one bin holds it all
-            sums[c, min(near, K - 1)] += energy * s * r0
+            sums[c, min(near, K - 1)] += energy * s
             return
     # ramps shorter than a quarter of a bin are not worth drawing
     if 8 * thin * per_metre < s * s:
-        height = energy * r0 / (2 * wide)
+        height = energy / (2 * wide)
         low, high = s - wide, s + wide
         if low < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
             height *= 2 * wide * s / (high * high / 2)
             low = 0.0
         _spread(sums, c, tables, r_first, per_metre, height, 0.0, low, high)
         return
-    height, slope = energy * r0 / (2 * wide), energy * r0 / (4 * wide * thin)
+    height, slope = energy / (2 * wide), energy / (4 * wide * thin)
     low, high = s - wide + thin, s + wide - thin
     if s_far < 0.0:
         seen = _integral(s_near / (4 * wide * thin), -1 / (4 * wide * thin), max(high, 0.0), s_near)
@@ -91,16 +92,18 @@ def _spread_footprint(sums, c, tables, r_first, per_metre, energy, r0, s, a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 def accumulate(
-    normal_range,
-    echo_body,
+    plane_echo,
+    body_id,
     u,
     v,
-    rotation,
-    tan_width,
     tan_elevation,
     shift,
     below,
     above,
+    part_cell,
+    part_column,
+    part_u,
+    part_width,
     bin_edges_m,
     tables,
     footprint,
@@ -108,78 +111,68 @@ def accumulate(
     echo_sum,
     elevation_sum,
 ):
-    """Add one sector's samples to its columns.
+    """Add some of one sector's samples to the columns.
 
-    Each sample stands for a small rectangle of the view's image plane, which its ray need not meet in the
-    middle. The surface in it is the plane through the hit point with the geometric normal, on which 1/r is
-    linear in (u, v) but for the slow length of the ray: so the share of the rectangle nearer than r is the
-    distribution of two convolved boxes, exact for planes at any grazing angle. It is cut at the aperture.
+    Each sample stands for a rectangle of the view's image plane, which its ray need not meet in the middle.
+    The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for the slow
+    length of the ray: so the share of the rectangle nearer than r is the distribution of two convolved
+    boxes, exact for planes at any grazing angle. It is cut at the aperture and where columns end.
 
     Parameters
     ----------
-    normal_range : (R, C, 4) float32; echo_body : (R, C, 2) float32, as the shader writes them
-    u, v, tan_elevation, shift, below, above : of `fan.Sector`; rotation : (3, 3) sector_from_sonar
-    tan_width : tangent of the sector's half width
+    plane_echo : (R, C, 4) float32, body_id : (R, C) uint16, as the shader writes them
+    u, v, tan_elevation, shift, below, above : of `fan.Sector`
+    part_cell, part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m : (K + 1,); tables : of `bin_tables`
-    footprint : False drops a sample whole into the bin of its hit point
+    footprint : False drops a part of a sample whole into the bin of the hit point
     body : 0 for all, or the number of the one body to add
-    echo_sum : (cells, K) float32, steradians times μ cos θ, added to
+    echo_sum : (columns, K) float32, μ cos θ times steradians, added to
     elevation_sum : same shape, echo times elevation, or (0, 0) when not wanted
     """
-    R, C = normal_range.shape[:2]
-    n_cells, K = echo_sum.shape
+    K = echo_sum.shape[1]
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
-    du = u[1]
     labels = elevation_sum.shape[0] > 0
-    for j in range(R):
-        for i in range(max(0, shift[j] - n_cells + 1), min(C, shift[j] + 1)):
-            r0 = float(normal_range[j, i, 3])
-            echo = float(echo_body[j, i, 0])
-            if r0 <= 0.0 or echo <= 0.0:
-                continue
-            if body != 0 and echo_body[j, i, 1] != body:
-                continue
-            cell = shift[j] - i
-            u0 = u[0] + u[1] * i + u[2] * j
-            v0 = v[0] + v[1] * i + v[2] * j
-            uc = tan_width - (cell + 0.5) * du
-            u2 = 1.0 + uc * uc
+    for p in range(part_cell.shape[0]):
+        cell, c, uc = part_cell[p], part_column[p], part_u[p]
+        u2 = 1.0 + uc * uc
+        v_limit = tan_elevation * math.sqrt(u2)
+        for j in range(plane_echo.shape[0]):
+            i = shift[j] - cell
             # the part of the rectangle inside the aperture
-            v_limit = tan_elevation * math.sqrt(u2)
+            v0 = v[0] + v[1] * i + v[2] * j
             v_low, v_high = max(v0 - below[j], -v_limit), min(v0 + above[j], v_limit)
             if v_high <= v_low:
                 continue
-            vc = (v_low + v_high) / 2
-            nx, ny, nz = normal_range[j, i, 0], normal_range[j, i, 1], float(normal_range[j, i, 2])
-            # the plane in the sector's frame: n . d = q / L, and 1/r is proportional to it
-            qx = rotation[0, 0] * nx + rotation[0, 1] * ny
-            qy = rotation[1, 0] * nx + rotation[1, 1] * ny
-            q0 = qx - qy * u0 + nz * v0
-            if q0 == 0.0:
+            q0, strength = float(plane_echo[j, i, 0]), float(plane_echo[j, i, 3])
+            if q0 <= 0.0 or strength <= 0.0 or (body != 0 and body_id[j, i] != body):
                 continue
-            scale = math.sqrt(1.0 + u0 * u0 + v0 * v0) / (r0 * q0)
+            u0 = u[0] + u[1] * i + u[2] * j
+            vc = (v_low + v_high) / 2
             one_over_L2 = 1.0 / (u2 + vc * vc)
             one_over_L = math.sqrt(one_over_L2)
-            energy = echo * du * (v_high - v_low) * one_over_L * one_over_L2
+            energy = strength * part_width[p] * (v_high - v_low) * one_over_L * one_over_L2
             elevation = math.atan2(vc, math.sqrt(u2)) if labels else 0.0
             if not footprint:
+                r0 = math.sqrt(1.0 + u0 * u0 + v0 * v0) / q0
+                energy /= r0
                 if r_first <= r0 < r_last:
                     k = min(int((r0 - r_first) * per_metre), K - 1)
-                    echo_sum[cell, k] += energy
+                    echo_sum[c, k] += energy
                     if labels:
-                        elevation_sum[cell, k] += energy * elevation
+                        elevation_sum[c, k] += energy * elevation
                 continue
-            qc = (qx - qy * uc + nz * vc) * scale
-            s = qc * one_over_L
-            if s <= 0.0:
+            along_u, along_v = float(plane_echo[j, i, 1]), float(plane_echo[j, i, 2])
+            q = q0 + along_u * (uc - u0) + along_v * (vc - v0)
+            if q <= 0.0:
                 continue
-            a = abs((qy * scale + qc * uc * one_over_L2) * one_over_L) * du / 2
-            b = abs((nz * scale - qc * vc * one_over_L2) * one_over_L) * (v_high - v_low) / 2
-            _spread_footprint(echo_sum, cell, tables, r_first, per_metre, energy, r0, s, a, b)
+            s = q * one_over_L
+            a = abs(along_u - q * uc * one_over_L2) * one_over_L * part_width[p] / 2
+            b = abs(along_v - q * vc * one_over_L2) * one_over_L * (v_high - v_low) / 2
+            _spread_footprint(echo_sum, c, tables, r_first, per_metre, energy, s, a, b)
             if labels:
                 _spread_footprint(
-                    elevation_sum, cell, tables, r_first, per_metre, energy * elevation, r0, s, a, b
+                    elevation_sum, c, tables, r_first, per_metre, energy * elevation, s, a, b
                 )
 
 
@@ -208,6 +201,9 @@ def weigh_columns(echo_sum, first, weights, out):
 class Reducer:
     """Turns the samples of a fan into beams and bins; owns the sums that every ping uses again.
 
+    Two threads share the work by columns, each with its own, so that the sums do not depend on which of
+    them is quicker, nor on how many there are.
+
     Parameters
     ----------
     fan : Fan
@@ -216,15 +212,25 @@ class Reducer:
 
     def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray):
         self.fan, self.first, self.weights = fan, first, weights
-        edges = fan.sonar.bin_edges_m
-        self.edges, self.tables = edges, bin_tables(edges)
+        self.edges = fan.sonar.bin_edges_m
+        self.tables = bin_tables(self.edges)
         self.sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
         self.footprint = fan.sampling.reducer == "footprint"
+        heard = np.zeros(fan.n_columns, bool)
+        for w in range(weights.shape[1]):
+            heard[(first[weights[:, w] > 0] + w) % fan.n_columns] = True
+        self.jobs = []
+        for half in np.array_split(np.arange(fan.n_columns), 2):
+            for index, sector in enumerate(fan.sectors):
+                parts = sector.parts
+                mine = np.isin(parts.column, half) & heard[parts.column]
+                arrays = (parts.cell[mine], parts.column[mine], parts.u[mine], parts.width[mine])
+                self.jobs.append((len(self.jobs) // len(fan.sectors), index, arrays))
+        self._pool = ThreadPoolExecutor(1)
 
     def intensity(self, views) -> np.ndarray:
         """(B, K) float32 echo before the gain, from the samples of all sectors."""
-        self._accumulate(views, 0, self.sums, None)
-        return self._beams(self.sums)
+        return self._beams(self._accumulate(views, 0, self.sums, None))
 
     def labels(self, views) -> tuple[np.ndarray, np.ndarray]:
         """The body of the strongest echo, (B, K) uint16, and its mean elevation, (B, K) float32, radians."""
@@ -232,8 +238,8 @@ class Reducer:
         strongest, body_id = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
         elevation = np.full(shape, np.nan, np.float32)
         sums, elevations = np.zeros_like(self.sums), np.zeros_like(self.sums)
-        seen = [np.unique(echo_body[..., 1][echo_body[..., 0] > 0]) for _, _, echo_body in views]
-        for body in np.unique(np.concatenate(seen)).astype(int):
+        seen = [np.unique(bodies[plane_echo[..., 3] > 0]) for _, plane_echo, bodies in views]
+        for body in np.unique(np.concatenate(seen)).tolist():
             self._accumulate(views, body, sums, elevations)
             echo, moment = self._beams(sums), self._beams(elevations)
             stronger = echo > strongest
@@ -242,32 +248,52 @@ class Reducer:
             elevation[stronger] = moment[stronger] / echo[stronger]
         return body_id, elevation
 
+    def _both(self, work):
+        """Call work(0) and work(1), one of them in the other thread."""
+        other = self._pool.submit(work, 1)
+        work(0)
+        other.result()
+
     def _accumulate(self, views, body, sums, elevations):
-        sums.fill(0.0)
-        if elevations is not None:
-            elevations.fill(0.0)
-        for sector, normal_range, echo_body in views:
-            here = slice(sector.first_column, sector.first_column + sector.n_cells)
-            accumulate(
-                normal_range,
-                echo_body,
-                sector.u,
-                sector.v,
-                sector.rotation(),
-                math.tan(sector.half_width_rad),
-                sector.tan_elevation,
-                sector.shift,
-                sector.below,
-                sector.above,
-                self.edges,
-                self.tables,
-                self.footprint,
-                body,
-                sums[here],
-                sums[:0] if elevations is None else elevations[here],
-            )
+        nothing = sums[:0]
+
+        def work(half):
+            np.array_split(sums, 2)[half].fill(0.0)
+            if elevations is not None:
+                np.array_split(elevations, 2)[half].fill(0.0)
+            for owner, index, parts in self.jobs:
+                if owner != half:
+                    continue
+                sector, plane_echo, bodies = views[index]
+                accumulate(
+                    plane_echo,
+                    bodies,
+                    sector.u,
+                    sector.v,
+                    sector.tan_elevation,
+                    sector.shift,
+                    sector.below,
+                    sector.above,
+                    *parts,
+                    self.edges,
+                    self.tables,
+                    self.footprint,
+                    body,
+                    sums,
+                    nothing if elevations is None else elevations,
+                )
+
+        self._both(work)
+        return sums
 
     def _beams(self, sums) -> np.ndarray:
         out = np.empty((len(self.first), sums.shape[1]), np.float32)
-        weigh_columns(sums, self.first, self.weights, out)
+        halves = np.array_split(np.arange(len(out)), 2)
+
+        def work(half):
+            if len(halves[half]):
+                mine = slice(halves[half][0], halves[half][-1] + 1)
+                weigh_columns(sums, self.first[mine], self.weights[mine], out[mine])
+
+        self._both(work)
         return out

@@ -5,109 +5,147 @@ from __future__ import annotations
 import moderngl
 import numpy as np
 
-from sonar_gl.fan import Fan
+from sonar_gl.fan import Fan, Sector
 from sonar_gl.gl import compile_program
 from sonar_gl.scene import Scene
 from sonar_gl.types import Error, GBuffer
 
-TABLE_WIDTH = 3 * 1024  # texels; whole bodies to a row of the table
+TABLE_WIDTH = 4096  # texels; whole bodies to a row of the table
 # Nearer than this the sonar looks through things: its own face is not an echo.
 NEAR_M = 1e-3
 # Surfaces are drawn this much beyond the last bin, since near grazing a sample whose middle lies beyond it
 # still reaches into it.
 FAR_FACTOR = 8.0
+# Back faces of closed bodies are not drawn. Finding out whether a larger mesh is closed costs too much.
+MAX_CLOSED_FACES = 50_000
 
 
 class SceneOnGpu:
     """A scene's meshes in GL buffers; poses stay on the CPU, in float64, until a ping needs them."""
 
     def __init__(self, context: moderngl.Context, scene: Scene, shader_folder):
-        self.context, self.scene = context, scene
-        self.centres = np.zeros((len(scene.bodies), 3))
-        positions, normals, numbers, indices, faces = [], [], [], [], []
-        first = 0
-        for index, body in enumerate(scene.bodies):
-            vertices = np.asarray(body.mesh.vertices, np.float64)
-            triangles = np.asarray(body.mesh.faces, np.int64)
-            centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            self.centres[index] = centre
-            positions.append((vertices - centre).astype(np.float32))
-            numbers.append(np.full(len(vertices), index, np.uint32))
-            indices.append((triangles + first).astype(np.uint32))
-            faces.append(face_table(vertices, triangles, body.reflectivity))
-            normals.append(np.zeros_like(positions[-1]) if body.normals is None else body.normals)
-            first += len(vertices)
-        smooth = any(body.normals is not None for body in scene.bodies)
-        self.program = compile_program(
-            context,
-            shader_folder,
-            "gbuffer.vert",
-            "gbuffer.frag",
-            {"SHADING_NORMALS": int(smooth), "TABLE_WIDTH": TABLE_WIDTH},
-        )
-        self.vertex_array = None
-        if not scene.bodies:
+        self.context, self.scene, self.shader_folder = context, scene, shader_folder
+        self.programs, self.arrays = {}, {}
+        bodies = scene.bodies
+        if not bodies:
             return
-        layout = [(self._buffer(positions), "3f", "in_position"), (self._buffer(numbers), "1u", "in_body")]
-        if smooth:
-            layout.append((self._buffer(normals), "3f", "in_normal"))
-        self.vertex_array = context.vertex_array(self.program, layout, index_buffer=self._buffer(indices))
-        self.face_texture = self._table(np.concatenate(faces))
-        self.body_texture = self._table(np.zeros((3 * len(scene.bodies), 4), np.float32))
-        self.program["face_table"] = 0
-        self.program["body_table"] = 1
-
-    def _buffer(self, arrays):
-        return self.context.buffer(np.concatenate(arrays).tobytes())
+        limit = context.info["GL_MAX_TEXTURE_SIZE"] * TABLE_WIDTH
+        if scene.n_triangles > limit:
+            raise Error(
+                f"a scene may have at most {limit} triangles on this OpenGL driver "
+                f"(got {scene.n_triangles}; decimate its meshes)"
+            )
+        vertices = [np.asarray(body.mesh.vertices, np.float64) for body in bodies]
+        faces = [np.asarray(body.mesh.faces, np.int64) for body in bodies]
+        self.bounds = np.array([[v.min(axis=0), v.max(axis=0)] for v in vertices])
+        self.centres = self.bounds.mean(axis=1)
+        # +1: closed, normals outwards; −1: closed, normals inwards; 0: open
+        self.closed = np.array([closedness(v, f) for v, f in zip(vertices, faces, strict=True)])
+        first = np.concatenate([[0], np.cumsum([len(v) for v in vertices])])
+        order = np.argsort(self.closed == 0, kind="stable")  # closed bodies first
+        indices = [(faces[b][:, :: -1 if self.closed[b] < 0 else 1] + first[b]) for b in order]
+        self.n_faces = sum(len(faces[b]) for b in order)
+        self.n_closed_faces = sum(len(faces[b]) for b in order if self.closed[b])
+        self.features = {
+            "SHADING_NORMALS": int(any(body.normals is not None for body in bodies)),
+            "FACE_REFLECTIVITY": int(any(np.ndim(body.reflectivity) for body in bodies)),
+            "TABLE_WIDTH": TABLE_WIDTH,
+        }
+        numbers = np.repeat(np.arange(len(bodies), dtype=np.uint32), np.diff(first))
+        positions = np.concatenate(vertices) - self.centres[numbers]
+        self.layout = [
+            (context.buffer(positions.astype(np.float32).tobytes()), "3f", "in_position"),
+            (context.buffer(numbers.tobytes()), "1u", "in_body"),
+        ]
+        if self.features["SHADING_NORMALS"]:
+            normals = [
+                np.zeros(v.shape, np.float32) if body.normals is None else body.normals
+                for v, body in zip(vertices, bodies, strict=True)
+            ]
+            self.layout.append((context.buffer(np.concatenate(normals).tobytes()), "3f", "in_normal"))
+        self.indices = context.buffer(np.concatenate(indices).astype(np.uint32).tobytes())
+        self.body_texels = np.zeros((-(-len(bodies) * 4 // TABLE_WIDTH) * TABLE_WIDTH, 4), np.float32)
+        self.body_texels[3 : 4 * len(bodies) : 4, 0] = [np.mean(body.reflectivity) for body in bodies]
+        self.body_table = self._table(self.body_texels)
+        self.face_table = self.body_table
+        if self.features["FACE_REFLECTIVITY"]:
+            texels = np.zeros((-(-self.n_faces // TABLE_WIDTH) * TABLE_WIDTH, 1), np.float32)
+            reflectivity = [np.broadcast_to(bodies[b].reflectivity, len(faces[b])) for b in order]
+            texels[: self.n_faces, 0] = np.concatenate(reflectivity)
+            self.face_table = self._table(texels)
 
     def _table(self, texels):
-        """(N, 4) float32 in a texture of TABLE_WIDTH texels a row."""
-        height = -(-len(texels) // TABLE_WIDTH)
-        limit = self.context.info["GL_MAX_TEXTURE_SIZE"]
-        if height > limit:
-            raise Error(
-                f"a scene may have at most {limit * TABLE_WIDTH} triangles on this OpenGL driver "
-                f"(got {len(texels)}; decimate its meshes)"
-            )
-        padded = np.zeros((height * TABLE_WIDTH, 4), np.float32)
-        padded[: len(texels)] = texels
-        texture = self.context.texture((TABLE_WIDTH, height), 4, padded.tobytes(), dtype="f4")
+        size = (TABLE_WIDTH, len(texels) // TABLE_WIDTH)
+        texture = self.context.texture(size, texels.shape[1], texels.tobytes(), dtype="f4")
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         return texture
 
-    def place(self, pose: np.ndarray):
-        """Upload the bodies' matrices relative to the sonar, taken in float64 before they are rounded."""
-        if self.vertex_array is None:
-            return
-        rows = np.empty((len(self.scene.bodies), 3, 4), np.float32)
+    def array(self, labels: bool) -> moderngl.VertexArray:
+        """The vertex array whose program writes bodies' numbers too, or does not."""
+        if labels not in self.arrays:
+            defines = {**self.features, "LABELS": int(labels)}
+            program = compile_program(
+                self.context, self.shader_folder, "gbuffer.vert", "gbuffer.frag", defines
+            )
+            for name, unit in (("body_table", 0), ("face_table", 1)):
+                if name in program:
+                    program[name] = unit
+            self.arrays[labels] = self.context.vertex_array(program, self.layout, index_buffer=self.indices)
+        return self.arrays[labels]
+
+    def place(self, pose: np.ndarray) -> bool:
+        """Upload the bodies' matrices relative to the sonar, taken in float64 before they are rounded.
+
+        Returns
+        -------
+        bool
+            whether back faces may be left out: the sonar is in the box of no closed body.
+        """
         sonar_from_world = pose[:3, :3].T
+        texels = self.body_texels[: 4 * len(self.scene.bodies)].reshape(-1, 4, 4)
+        outside = True
         for index, body in enumerate(self.scene.bodies):
             rotation = sonar_from_world @ body.pose[:3, :3]
-            rows[index, :, :3] = rotation
             offset = sonar_from_world @ (body.pose[:3, 3] - pose[:3, 3])
-            rows[index, :, 3] = offset + rotation @ self.centres[index]
-        padded = np.zeros((self.body_texture.height * TABLE_WIDTH, 4), np.float32)
-        padded[: 3 * len(rows)] = rows.reshape(-1, 4)
-        self.body_texture.write(padded.tobytes())
+            texels[index, :3, :3] = rotation
+            texels[index, :3, 3] = offset + rotation @ self.centres[index]
+            if self.closed[index]:
+                low, high = self.bounds[index]
+                sonar = -rotation.T @ offset
+                outside &= bool(((sonar < low - 2 * NEAR_M) | (sonar > high + 2 * NEAR_M)).any())
+        self.body_table.write(self.body_texels.tobytes())
+        return outside
 
 
-def face_table(vertices, triangles, reflectivity) -> np.ndarray:
-    """(F, 4) float32: each face's unit normal in the body's frame and its reflectivity."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    out = np.zeros((len(triangles), 4), np.float32)
-    # a triangle without area covers no pixel centre; its normal is never read
-    out[:, :3] = normals / np.where(lengths > 0, lengths, 1.0)[:, None]
-    out[:, 3] = reflectivity
-    return out
+def closedness(vertices, faces) -> int:
+    """+1 or −1 for a mesh whose every edge joins two faces of one orientation, by the sign of its volume."""
+    if len(faces) > MAX_CLOSED_FACES:
+        return 0
+    extent = np.ptp(vertices, axis=0).max()
+    # vertices that coincide count as one, for creases and seams duplicate them
+    keys = np.ascontiguousarray(np.round(vertices / (extent or 1.0) * 1e9).astype(np.int64))
+    _, same = np.unique(keys.view([("", np.int64)] * 3).ravel(), return_inverse=True)
+    triangles = same.ravel()[faces]
+    triangles = triangles[
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    ]
+    a, b = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    n = len(vertices)
+    forward, backward = np.sort(a * n + b), np.sort(b * n + a)
+    if len(forward) == 0 or (np.diff(forward) == 0).any() or not np.array_equal(forward, backward):
+        return 0
+    middle = vertices - vertices.mean(axis=0)
+    x, y, z = (middle[faces[:, k]] for k in range(3))
+    return int(np.sign(np.einsum("ij,ij->", x, np.cross(y, z))))
 
 
 class Renderer:
     """Draws a fan's sectors side by side into one framebuffer and reads them back."""
 
-    def __init__(self, context: moderngl.Context, scene: Scene, fan: Fan, shader_folder):
-        self.context, self.fan = context, fan
+    def __init__(self, context: moderngl.Context, gpu: SceneOnGpu, fan: Fan):
+        self.context, self.gpu, self.fan = context, gpu, fan
         self.far_m = FAR_FACTOR * fan.sonar.range_max_m
         width = sum(s.columns for s in fan.sectors)
         height = max(s.rows for s in fan.sectors)
@@ -118,55 +156,88 @@ class Renderer:
                 f"{height} rows; ask for a larger tolerance or fewer columns_per_beam or rows)"
             )
         self.size = (width, height)
-        self.gpu = SceneOnGpu(context, scene, shader_folder)
-        self.attachments = [context.renderbuffer(self.size, n, dtype="f4") for n in (4, 2)]
-        self.framebuffer = context.framebuffer(self.attachments, context.depth_renderbuffer(self.size))
-        self.pixels = [np.zeros((height, width, n), np.float32) for n in (4, 2)]
+        plane_echo = context.renderbuffer(self.size, 4, dtype="f4")
+        body_id = context.renderbuffer(self.size, 1, dtype="u2")
+        depth = context.depth_renderbuffer(self.size)
+        self.framebuffers = {
+            False: context.framebuffer([plane_echo], depth),
+            True: context.framebuffer([plane_echo, body_id], depth),
+        }
+        self.plane_echo = np.zeros((height, width, 4), np.float32)
+        self.body_id = np.zeros((height, width), np.uint16)
+        self.lefts = np.cumsum([0] + [s.columns for s in fan.sectors])[:-1]
 
-    def draw(self, pose: np.ndarray):
-        """Draw all sectors as seen from `pose`, world_from_sonar."""
-        gpu = self.gpu
-        gpu.place(pose)
-        self.framebuffer.use()
-        self.framebuffer.clear(depth=1.0)
-        if gpu.vertex_array is None:
-            return
-        self.context.enable_only(moderngl.DEPTH_TEST)
-        gpu.face_texture.use(0)
-        gpu.body_texture.use(1)
-        gpu.program["far_m"].value = self.far_m
-        left = 0
-        for sector in self.fan.sectors:
-            self.framebuffer.viewport = (left, 0, sector.columns, sector.rows)
-            matrix = sector.projection(NEAR_M, self.far_m)
-            gpu.program["clip_from_sonar"].write(np.ascontiguousarray(matrix.T, np.float32))
-            gpu.vertex_array.render()
-            left += sector.columns
-        self.framebuffer.viewport = (0, 0, *self.size)
+    def render(self, pose: np.ndarray, labels: bool = False):
+        """Draw all sectors as seen from `pose`, world_from_sonar, and read them back.
 
-    def read(self):
-        """Copy the G-buffer back; the arrays are reused by the next ping."""
-        for index, (pixels, components) in enumerate(zip(self.pixels, (4, 2), strict=True)):
-            self.framebuffer.read_into(pixels, components=components, attachment=index, dtype="f4")
+        The arrays `plane_echo` and, with labels, `body_id` are used again by the next call.
+        """
+        gpu, framebuffer = self.gpu, self.framebuffers[labels]
+        framebuffer.use()
+        framebuffer.clear(depth=1.0)
+        if self.gpu.scene.bodies:
+            outside = gpu.place(pose)
+            array = gpu.array(labels)
+            gpu.body_table.use(0)
+            gpu.face_table.use(1)
+            for sector, left in zip(self.fan.sectors, self.lefts, strict=True):
+                framebuffer.viewport = (left, 0, sector.columns, sector.rows)
+                self._set_uniforms(array.program, sector, int(left))
+                split = gpu.n_closed_faces if outside else 0
+                if split:
+                    self._draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, 0, split)
+                if split < gpu.n_faces:
+                    self._draw(array, moderngl.DEPTH_TEST, split, gpu.n_faces - split)
+            framebuffer.viewport = (0, 0, *self.size)
+        framebuffer.read_into(self.plane_echo, components=4, dtype="f4")
+        if labels:
+            framebuffer.read_into(self.body_id, components=1, dtype="u2", attachment=1)
 
-    def sector_pixels(self):
-        """(sector, (R, C, 4) normal and range, (R, C, 2) echo and body) of each sector."""
-        left = 0
-        for sector in self.fan.sectors:
+    def _set_uniforms(self, program, sector: Sector, left: int):
+        matrix = sector.projection(NEAR_M, self.far_m)
+        pixel_from_uv = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
+        values = {
+            "clip_from_sonar": matrix.T,
+            "sector_from_sonar": sector.rotation().T,
+            "pixel_from_uv": pixel_from_uv.T,
+            "far_m": np.array([self.far_m]),
+            # pixels count from the left of the whole framebuffer
+            "u": sector.u - [sector.u[1] * left, 0, 0],
+            "v": sector.v - [sector.v[1] * left, 0, 0],
+        }
+        for name, value in values.items():
+            if name in program:
+                program[name].write(np.ascontiguousarray(value, np.float32))
+
+    def _draw(self, array, flags: int, first_face: int, n_faces: int):
+        self.context.enable_only(flags)
+        if "first_face" in array.program:
+            array.program["first_face"].value = first_face
+        array.render(vertices=3 * n_faces, first=3 * first_face)
+
+    def views(self):
+        """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector, of the last render."""
+        for sector, left in zip(self.fan.sectors, self.lefts, strict=True):
             here = (slice(0, sector.rows), slice(left, left + sector.columns))
-            yield sector, self.pixels[0][here], self.pixels[1][here]
-            left += sector.columns
+            yield sector, self.plane_echo[here], self.body_id[here]
 
     def gbuffers(self) -> list[GBuffer]:
-        """What was read, one `GBuffer` a sector, copied."""
+        """What was read, one `GBuffer` a sector."""
         out = []
-        for _, normal_range, echo_body in self.sector_pixels():
+        for sector, plane_echo, body_id in self.views():
+            u, v = sector.rays()
+            q, along_u, along_v = (plane_echo[..., k].astype(np.float64) for k in range(3))
+            plane = np.stack([q - along_u * u - along_v * v, -along_u, along_v], axis=-1)
+            hit = q > 0
+            length = np.where(hit, np.linalg.norm(plane, axis=-1), 1.0)
+            normal = -(plane / length[..., None]) @ sector.rotation()
+            range_m = np.where(hit, np.sqrt(1 + u * u + v * v) / np.where(hit, q, 1.0), 0.0)
             out.append(
                 GBuffer(
-                    range_m=normal_range[..., 3].copy(),
-                    normal=normal_range[..., :3].copy(),
-                    echo=echo_body[..., 0].copy(),
-                    body_id=echo_body[..., 1].astype(np.uint16),
+                    range_m=range_m.astype(np.float32),
+                    normal=np.where(hit[..., None], normal, 0).astype(np.float32),
+                    echo=np.where(hit, plane_echo[..., 3] / np.where(hit, range_m, 1), 0).astype(np.float32),
+                    body_id=body_id.copy(),
                 )
             )
         return out

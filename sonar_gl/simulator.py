@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from sonar_gl.load import data_folder
 from sonar_gl.nothing import why_nothing
 from sonar_gl.noise import Noise, add_noise
 from sonar_gl.reduce import Reducer
-from sonar_gl.render import Renderer
+from sonar_gl.render import Renderer, SceneOnGpu
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping
@@ -58,15 +58,15 @@ class Simulator:
         self.sampling = sampling if sampling is not None else choose_sampling(sonar, tolerance)
         self._context = None
         reach = self.acoustics.beam_reach_rad(sonar)
-        self.fan: Fan = make_fan(sonar, self.sampling, reach)
-        self._reducer = Reducer(
-            self.fan, *beam_weights(self.fan, self.acoustics.beam_pattern_function(sonar), reach)
-        )
+        pattern = self.acoustics.beam_pattern_function(sonar)
+        self.fan: Fan = make_fan(sonar, self.sampling, reach, box=pattern is None)
+        self._reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
         self._gain = self.acoustics.gain(sonar.range_m, sonar).astype(np.float32)
         self._context = gl.create_context()
         with self._context:
             self.gl_info = gl.describe(self._context)
-            self._renderer = Renderer(self._context, scene, self.fan, data_folder("shaders"))
+            gpu = SceneOnGpu(self._context, scene, data_folder("shaders"))
+            self._renderer = Renderer(self._context, gpu, self.fan)
         self._meta = {
             "sonar": asdict(sonar),
             "acoustics": self.acoustics.meta(),
@@ -98,9 +98,8 @@ class Simulator:
         """
         pose = check_pose(pose)
         with self._open():
-            self._renderer.draw(pose)
-            self._renderer.read()
-        views = list(self._renderer.sector_pixels())
+            self._renderer.render(pose, labels)
+        views = list(self._renderer.views())
         intensity = self._reducer.intensity(views)
         intensity *= self._gain
         body_id = elevation_rad = None
@@ -122,9 +121,36 @@ class Simulator:
     def gbuffers(self, pose) -> list[GBuffer]:
         """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
         with self._open():
-            self._renderer.draw(check_pose(pose))
-            self._renderer.read()
+            self._renderer.render(check_pose(pose), labels=True)
         return self._renderer.gbuffers()
+
+    def point_cloud(self, pose, columns: int, rows: int):
+        """Points of a plain grid of rays over the field of view, as a ray sensor would give them.
+
+        Returns
+        -------
+        points : (rows', columns', 3) float32, metres, sonar frame; NaN where nothing was met. About as many
+            as asked for: beyond one perspective view, columns' is a multiple of the views
+        echo : (rows', columns') float32, μ cos θ
+        """
+        sonar = replace(self.sonar, n_beams=1, beam_azimuths_deg=None)
+        fan = make_fan(sonar, Sampling(columns, rows), math.radians(sonar.azimuth_fov_deg) / 2, shear=0.0)
+        with self._open() as context:
+            renderer = Renderer(context, self._renderer.gpu, fan)
+            renderer.render(check_pose(pose))
+        points, echoes = [], []
+        for sector, plane_echo, _ in renderer.views():
+            u, v = sector.rays()
+            q = plane_echo[..., 0]
+            missed = (q <= 0) | (np.abs(v) > sector.tan_elevation * np.sqrt(1 + u * u))
+            x = np.where(missed, np.nan, 1 / np.where(missed, 1, q))
+            echo = plane_echo[..., 3] / (x * np.sqrt(1 + u * u + v * v))
+            rays = np.stack([x, -u * x, v * x], axis=-1) @ sector.rotation()
+            # only this sector's own cells, by rising azimuth
+            inner = slice(sector.shift[0] - sector.n_cells + 1, sector.shift[0] + 1)
+            points.append(rays[:, inner][:, ::-1].astype(np.float32))
+            echoes.append(np.where(missed, 0, echo)[:, inner][:, ::-1])
+        return np.concatenate(points, axis=1), np.concatenate(echoes, axis=1)
 
     def _open(self):
         if self._context is None:

@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from sonar_gl.image import FanGeometry, colorize, colormaps, draw_axes, fan_geometry, fan_image
+from sonar_gl.axes import draw_axes
+from sonar_gl.image import FanGeometry, colorize, colormaps, fan_geometry, fan_image
 from sonar_gl.types import Error, Ping
 
 HALF_PIXEL = 0.5

@@ -213,7 +213,7 @@ def test_read_only_and_transposed_input():
 def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
-    assert Noise.physical() == Noise(speckle=True, gaussian=1e-4)
+    assert Noise.physical() == Noise(speckle=True, gaussian=1e-5)
 
 
 @pytest.mark.parametrize(

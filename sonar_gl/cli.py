@@ -1,0 +1,283 @@
+"""The command line `sonar-gl`. Heavy modules load inside the commands, so that `--help` stays quick."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import sys
+import warnings
+from types import SimpleNamespace
+
+import click
+
+from sonar_gl._version import __version__
+
+FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options that one style knows
+DEMARCO_ONLY = ("form", "join")
+POSE = '"x y z roll pitch yaw", metres and radians'
+
+
+class Commands(click.Group):
+    """Turns what a user can cause into one sentence and exit status 2, and warnings into one line each."""
+
+    def invoke(self, ctx):
+        message, status = "", 0
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="replace")  # a terminal that knows no Greek
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("always", UserWarning)
+                warnings.showwarning = _one_line()
+                super().invoke(ctx)
+        except KeyboardInterrupt:
+            message, status = "interrupted; the files written so far are whole", 130
+        except MemoryError as why:
+            message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
+        except OSError as why:
+            if why.errno == errno.EPIPE:  # `| head` has seen enough
+                raise
+            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+        except ValueError as why:
+            from sonar_gl.types import Error
+
+            if not isinstance(why, Error):
+                raise
+            message, status = str(why), 2
+        if status:
+            click.echo(f"error: {message}", err=True)
+            ctx.exit(status)
+
+
+def _one_line():
+    """A `warnings.showwarning` that says a thing once, on one line."""
+    shown = set()
+
+    def show(message, *_args, **_more):
+        text = " ".join(str(message).split())
+        if text not in shown:
+            click.echo(f"warning: {text}", err=True)
+        shown.add(text)
+
+    return show
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100},
+    epilog="Example: sonar-gl render pylon --sonar p900-90 --axes",
+)
+@click.version_option(__version__, prog_name="sonar-gl")
+def main():
+    """Simulate a 2D imaging sonar, with OpenGL and without a display."""
+
+
+RENDER_EXAMPLES = """\b
+Examples:
+  sonar-gl render pylon
+  sonar-gl render diver --sonar didson-hf --noise physical --axes
+  sonar-gl render ocean_floor --pose "0 0 -5 0 0.3 0" --style demarco2015
+  sonar-gl render harbour.sdf --poses dive.csv --format mp4 --fps 15 --out dive
+"""
+HELP = {
+    "sonar": "A preset (`sonar-gl sonars` lists them) or a .toml file.",
+    "pose": f"Place of the sonar: {POSE}.",
+    "poses": "CSV file of poses, a sequence; its columns are t,x,y,z,roll,pitch,yaw.",
+    "range": "Another maximum range, metres; keeps the size of a bin.",
+    "bins": "Another number of bins.",
+    "profile": "How sound weakens and how beams hear.",
+    "noise": "none, demarco2015, physical, or amounts such as gaussian=0.01,median=3.",
+    "style": "Of the picture: a fan image, or the founding paper's.",
+    "scale": "Of a fan image's brightness.",
+    "db_range": "Darkest and brightest dB of a fan image.",
+    "colormap": "Of a fan image: gray, jet, viridis, and others of OpenCV.",
+    "axes": "Draw ranges and azimuths about a fan image.",
+    "form": "Of demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
+    "join": "Of demarco2015: how its points are drawn.",
+    "height": "Of the picture, pixels, not counting the axes.",
+    "tolerance": "Share of the echo that may lie in wrong bins.",
+    "seed": "Of the noise.",
+    "formats": "What to write; may be repeated. gif and mp4 are for sequences.",
+    "fps": "Frames a second of gif and mp4.",
+    "labels": "Add body_id and elevation_rad to the NPZ.",
+    "resource_path": "Folder that model:// means; may be repeated.",
+    "skip_missing": "Carry on without models that are not found.",
+    "out": "Folder to write into, made if it is not there.",
+}
+
+
+def _option(name: str, *choices: str, **settings):
+    """A click option, with its help; `formats` is --format, the others are called as they are."""
+    flag = "--format" if name == "formats" else "--" + name.replace("_", "-")
+    if choices:
+        settings["type"] = click.Choice(choices)
+    return click.option(flag, name, help=HELP[name], **settings)
+
+
+@main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
+@click.argument("scene")
+@_option("sonar", default="p900-45")
+@_option("pose", show_default="the scene's")
+@_option("poses")
+@_option("range", type=float)
+@_option("bins", type=int)
+@_option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
+@_option("noise", show_default="none; demarco2015 in that style")
+@_option("style", "fan", "demarco2015", default="fan")
+@_option("scale", "db", "linear", default="db")
+@_option("db_range", default="-60 0")
+@_option("colormap", default="jet")
+@_option("axes", is_flag=True)
+@_option("form", "isotropic", "printed", default="isotropic")
+@_option("join", "circles", "polygons", default="circles")
+@_option("height", type=int, default=800)
+@_option("tolerance", type=float, default=0.01)
+@_option("seed", type=int, default=0)
+@_option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
+@_option("fps", type=float, default=10.0)
+@_option("labels", is_flag=True)
+@_option("resource_path", multiple=True)
+@_option("skip_missing", is_flag=True)
+@_option("out", default=".")
+@click.pass_context
+def render(ctx, scene, **options):
+    """Make pings of SCENE, a bundled scene (`sonar-gl scenes` lists them) or a file, and pictures of them.
+
+    Files are named after the scene: pylon.png, pylon.npz; pylon_0000.png and so on in a sequence. The NPZ
+    holds the ping, its pose, and how it was made.
+    """
+    given = {name for name in options if ctx.get_parameter_source(name).name == "COMMANDLINE"}
+    o = SimpleNamespace(**options)
+    _check_together(o, given)
+
+    from dataclasses import replace
+
+    from sonar_gl.acoustics import Acoustics
+    from sonar_gl.dump import Dump, demarco_artist, fan_artist
+    from sonar_gl.export import output_folder
+    from sonar_gl.load import load_scene
+    from sonar_gl.noise import Noise
+    from sonar_gl.simulator import Simulator
+    from sonar_gl.sonar import load_sonar
+
+    in_demarco = o.style == "demarco2015"
+    acoustics = getattr(Acoustics, o.profile or ("demarco2015" if in_demarco else "physical"))()
+    noise = Noise.parse(("demarco2015" if in_demarco else "none") if o.noise is None else o.noise)
+    sonar = load_sonar(o.sonar)
+    sonar = sonar if o.range is None else sonar.with_range(o.range)
+    sonar = sonar if o.bins is None else replace(sonar, n_bins=o.bins)
+    if in_demarco:
+        artist = demarco_artist(o.height, o.form, o.join, noise, o.seed)
+    else:
+        db_range = _numbers("--db-range", o.db_range, "darkest brightest")
+        artist = fan_artist(o.height, o.scale, db_range, o.colormap, o.axes)
+    scene = load_scene(scene, o.resource_path, o.skip_missing)
+    times_s, poses = _poses(o, scene)
+    folder = output_folder(o.out)
+    progress = _progress if o.poses is not None else contextlib.nullcontext
+    with Simulator(scene, sonar, acoustics, tolerance=o.tolerance) as simulator:
+        dump = Dump(simulator, artist, folder, o.formats, noise, o.seed, o.labels, o.fps, progress)
+        click.echo(dump.write(poses, times_s))
+
+
+def _check_together(o, given: set[str]):
+    """Refuse options that do not go together."""
+    from sonar_gl.types import Error
+
+    for style, names in (("fan", FAN_ONLY), ("demarco2015", DEMARCO_ONLY)):
+        for name in names:
+            if name in given and o.style != style:
+                option = "--" + name.replace("_", "-")
+                raise Error(f"{option} must stand with --style {style} (got --style {o.style})")
+    films = [f for f in ("gif", "mp4") if f in o.formats]
+    if o.pose is not None and o.poses is not None:
+        raise Error("--pose and --poses must not stand together (the file of --poses holds every pose)")
+    if films and o.poses is None:
+        raise Error(f"--format {films[0]} must stand with --poses (a film needs a sequence of poses)")
+    if "fps" in given and not films:
+        raise Error("--fps must stand with --format gif or --format mp4 (nothing else has frames)")
+
+
+def _numbers(option: str, text: str, names: str) -> list[float]:
+    """The numbers of an option's text, as many as there are names."""
+    from sonar_gl.types import Error
+
+    count = len(names.split())
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {text!r})") from None
+    if len(numbers) != count:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {len(numbers)}: {text!r})")
+    return numbers
+
+
+def _poses(o, scene):
+    """(times or None, poses) as the options and the scene have them."""
+    from sonar_gl.poses import read_poses
+    from sonar_gl.scene import pose
+    from sonar_gl.types import Error
+
+    if o.poses is not None:
+        return read_poses(o.poses)
+    if o.pose is not None:
+        numbers = _numbers("--pose", o.pose, "x y z roll pitch yaw")
+        try:
+            return None, [pose(*numbers)]
+        except Error as why:
+            raise Error(f"--pose {o.pose!r}: {why}") from None
+    if scene.sonar_pose is None:
+        raise Error(f"scene {scene.name!r} has no sonar in it; give its place with --pose {POSE}")
+    return None, [scene.sonar_pose]
+
+
+def _progress(numbers):
+    """A progress bar on a terminal, nothing elsewhere."""
+    if sys.stderr.isatty():
+        return click.progressbar(numbers, file=sys.stderr)
+    return contextlib.nullcontext(numbers)
+
+
+@main.command(epilog="Example: sonar-gl scenes")
+def scenes():
+    """List the bundled scenes."""
+    from sonar_gl.load import bundled_scenes, scene_description
+
+    formatter = click.HelpFormatter(max_width=100)
+    formatter.write_dl([(name, scene_description(path)) for name, path in bundled_scenes().items()])
+    click.echo(formatter.getvalue(), nl=False)
+
+
+@main.command(epilog="Example: sonar-gl sonars", short_help="List the sonars known by name.")
+def sonars():
+    """List the sonars known by name: beams, field of view, frequency, range, size of a bin."""
+    from sonar_gl.sonar import presets
+
+    known = presets()
+    wide = max(map(len, known))
+    click.echo(f"{'name':{wide}}  beams   view, deg    kHz      range, m  bin, mm")
+    for name, s in known.items():
+        view = f"{s.azimuth_fov_deg:g} x {s.elevation_fov_deg:g}"
+        reach = f"{s.range_min_m:g} to {s.range_max_m:.4g}"
+        click.echo(
+            f"{name:{wide}}  {s.n_beams:5}  {view:>10}  {s.frequency_hz / 1e3:5g}  {reach:>12}"
+            f"  {1e3 * s.bin_size_m:7.4g}"
+        )
+
+
+@main.command(epilog="Example: sonar-gl doctor", short_help="Say whether all that is needed works here.")
+@click.pass_context
+def doctor(ctx):
+    """Say what is installed, which OpenGL is found, and whether a known scene comes out right."""
+    from sonar_gl.doctor import examine
+
+    findings = examine()
+    wide = max(len(f.what) for f in findings)
+    for f in findings:
+        mark = {True: "ok", False: "FAIL", None: "-"}[f.ok]
+        click.echo(f"{mark:4}  {f.what:{wide}}  {f.detail}")
+        if f.ok is not True and f.cure:
+            click.echo(f"{'':4}  {'':{wide}}  {f.cure}")
+    wrong = sum(f.ok is False for f in findings)
+    click.echo(f"{wrong} of {len(findings)} found wanting" if wrong else "all is well")
+    ctx.exit(1 if wrong else 0)

@@ -1,0 +1,137 @@
+"""From poses to files: pings one after the other, as pictures, arrays and films."""
+
+from __future__ import annotations
+
+import statistics
+import time
+import warnings
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.axes import draw_axes
+from sonar_gl.demarco import demarco_image
+from sonar_gl.export import save_animation, save_npz, save_png
+from sonar_gl.image import colorize, fan_image
+from sonar_gl.noise import Noise
+from sonar_gl.simulator import Simulator
+
+STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
+
+
+def fan_artist(height: int, scale: str, db_range, colormap: str, axes: bool):
+    """Function (simulator, ping, number) -> (H, W, 3) fan image in colour; an unknown colour map is told now."""
+    colorize(np.zeros((1, 1), np.float32), colormap)
+
+    def picture(_simulator, ping, _number):
+        drawn = colorize(fan_image(ping, height, scale, db_range), colormap)
+        return draw_axes(drawn, ping) if axes else drawn
+
+    return picture
+
+
+def demarco_artist(height: int, form: str, join: str, noise: Noise, seed: int):
+    """Function (simulator, ping, number) -> (H, W, 3) picture of the founding paper; ping n has seed + n."""
+    if noise.speckle or noise.gaussian:
+        warnings.warn("the picture of style demarco2015 knows no speckle and no gaussian noise", stacklevel=2)
+
+    def picture(simulator, ping, number):
+        law = simulator.acoustics.range_law
+        return demarco_image(simulator, ping.pose, seed + number, noise, height, form, join, law)
+
+    return picture
+
+
+@dataclass
+class Dump:
+    """Writes pings of one simulator into a folder, which exists.
+
+    Parameters
+    ----------
+    artist : function (simulator, ping, number) -> (H, W, 3) picture
+    folder, formats : where, and which of png, npz, gif and mp4
+    noise, seed, labels : of `Simulator.ping`
+    fps : frames a second, of gif and mp4
+    progress : makes of a range a context manager that gives it, as click.progressbar does
+    """
+
+    simulator: Simulator
+    artist: object
+    folder: Path
+    formats: tuple[str, ...]
+    noise: Noise
+    seed: int = 0
+    labels: bool = False
+    fps: float = 10.0
+    progress: object = nullcontext
+
+    def __post_init__(self):
+        self._strongest = (-1.0, "", 0)  # intensity, what and where, number of the ping
+        self._took_ms = []
+
+    def write(self, poses, times_s=None) -> str:
+        """Write all files, and say what was written and found, on one line.
+
+        Parameters
+        ----------
+        poses : (N, 4, 4) world_from_sonar
+        times_s : (N,) seconds, for a sequence, whose files are numbered; None for one ping
+        """
+        name, last = self.simulator.scene.name, len(poses) - 1
+        width = max(4, len(str(last)))
+        names = [name] if times_s is None else [f"{name}_{n:0{width}d}" for n in range(len(poses))]
+        films = [f for f in FILMS if f in self.formats]
+        stills = [f for f in STILLS if f in self.formats]
+        for film in films:  # a second film draws all again: the same seed gives the same bytes
+            frames = self._frames(names, poses, times_s, stills if film == films[0] else ())
+            save_animation(self.folder / f"{name}.{film}", frames, self.fps)
+        if not films:
+            for _ in self._frames(names, poses, times_s, stills):
+                pass
+        several = name if times_s is None else f"{names[0]}..{last:0{width}d}"
+        files = [f"{self.folder / several}.{f}" for f in stills]
+        files += [f"{self.folder / name}.{f}" for f in films]
+        _, strongest, number = self._strongest
+        number = -number  # of equals the first
+        which = "" if times_s is None else f" in ping {number}"
+        beams, bins = self.simulator.sonar.n_beams, self.simulator.sonar.n_bins
+        pace = f"{statistics.median(self._took_ms):.1f} ms" + ("" if times_s is None else " a ping")
+        renderer = self.simulator.gl_info["renderer"]
+        return f"{', '.join(files)}: {beams} beams x {bins} bins, {strongest}{which}; {pace} on {renderer}"
+
+    def _frames(self, names, poses, times_s, stills):
+        """The pictures, one after the other; in passing, the still files."""
+        with self.progress(range(len(poses))) as numbers:
+            for number in numbers:
+                start = time.perf_counter()
+                ping = self.simulator.ping(poses[number], self.noise, self.seed, self.labels, number)
+                self._took_ms.append(1e3 * (time.perf_counter() - start))
+                self._strongest = max(self._strongest, (*self._find(ping), -number))
+                if times_s is not None:
+                    ping = replace(ping, meta={**ping.meta, "time_s": float(times_s[number])})
+                drawn = set(self.formats) != {"npz"}
+                picture = self.artist(self.simulator, ping, number) if drawn else None
+                if "png" in stills:
+                    save_png(self.folder / f"{names[number]}.png", picture)
+                if "npz" in stills:
+                    save_npz(self.folder / f"{names[number]}.npz", ping)
+                yield picture
+
+    def _find(self, ping) -> tuple[float, str]:
+        """Intensity of the strongest echo, and what and where it is."""
+        intensity = ping.intensity
+        if self.noise.salt_and_pepper:
+            intensity = np.where(intensity == 1.0, 0.0, intensity)  # grains of salt
+        beam, bin_ = np.unravel_index(intensity.argmax(), intensity.shape)
+        echo = float(intensity[beam, bin_])
+        if echo <= 0:
+            return 0.0, "no echo"
+        azimuth_deg = float(np.degrees(ping.azimuth_rad[beam]))
+        side = "port" if azimuth_deg > 0 else "starboard"
+        text = f"strongest echo {10 * np.log10(echo):.1f} dB at {ping.range_m[bin_]:.2f} m, "
+        text += f"{abs(azimuth_deg):.1f} deg to {side}"
+        if ping.body_id is not None and ping.body_id[beam, bin_]:
+            text += f", of {self.simulator.scene.bodies[ping.body_id[beam, bin_] - 1].name!r}"
+        return echo, text
