@@ -1,4 +1,4 @@
-// Functions of the echo; each has a NumPy twin of the same name in sonar_gl/acoustics.py.
+// Functions of the echo; each has a NumPy twin of the same name in sonar_gl/reference.py.
 
 // Lambert: per steradian the echo is the cosine of incidence, never above 1 or below 0.
 float cos_incidence(vec3 normal, vec3 direction)

@@ -1,11 +1,11 @@
 """A 2D imaging-sonar simulator: the fan of beams is a depth + normal pass in OpenGL, headless.
 
-    import sonar_gl as sg
+import sonar_gl as sg
 
-    scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45")
-    with sg.Simulator(scene, sonar) as simulator:
-        ping = simulator.ping(scene.sonar_pose)
-    sg.save_png("pylon.png", sg.colorize(sg.fan_image(ping)))
+scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45")
+with sg.Simulator(scene, sonar) as simulator:
+    ping = simulator.ping(scene.sonar_pose)
+sg.save_png("pylon.png", sg.colorize(sg.fan_image(ping)))
 """
 
 from importlib import import_module

@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.types import Error, nearest_names
 
 HALF_POWER = 0.442946470689  # x of sinc²(x) = 1/2: half the −3 dB width of a uniform line array, in λ/L
-LOBES = 8  # of the line array's pattern, to each side of the axis, that count: the rest is below −29 dB
+LOBES = 4  # of the line array's pattern, to each side of the axis, that count: the rest is below −23 dB
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
 MAX_DECADES = 30.0  # gains are held within 10^±30, so that float32 echoes stay finite
 
@@ -239,7 +239,7 @@ class Acoustics:
         return partial(BEAM_PATTERNS[self.beam_pattern], beam_width_rad=np.radians(sonar.beam_width_deg))
 
     def beam_reach_rad(self, sonar) -> float:
-        """How far from its axis a beam hears, radians: half a box, or a line array to its 8th null."""
+        """How far from its axis a beam hears, radians: half a box, or a line array to its 4th null."""
         half = math.radians(sonar.beam_width_deg) / 2
         if self.beam_pattern == "box":
             return half

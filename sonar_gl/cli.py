@@ -3,63 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import sys
-import warnings
 from types import SimpleNamespace
 
 import click
 
 from sonar_gl._version import __version__
+from sonar_gl.commands import Commands, numbers, progress
 
 FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options that one style knows
 DEMARCO_ONLY = ("form", "join")
 POSE = '"x y z roll pitch yaw", metres and radians'
-
-
-class Commands(click.Group):
-    """Turns what a user can cause into one sentence and exit status 2, and warnings into one line each."""
-
-    def invoke(self, ctx):
-        message, status = "", 0
-        for stream in (sys.stdout, sys.stderr):
-            if hasattr(stream, "reconfigure"):
-                stream.reconfigure(errors="replace")  # a terminal that knows no Greek
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("always", UserWarning)
-                warnings.showwarning = _one_line()
-                super().invoke(ctx)
-        except KeyboardInterrupt:
-            message, status = "interrupted; the files written so far are whole", 130
-        except MemoryError as why:
-            message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
-        except OSError as why:
-            if why.errno == errno.EPIPE:  # `| head` has seen enough
-                raise
-            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
-        except ValueError as why:
-            from sonar_gl.types import Error
-
-            if not isinstance(why, Error):
-                raise
-            message, status = str(why), 2
-        if status:
-            click.echo(f"error: {message}", err=True)
-            ctx.exit(status)
-
-
-def _one_line():
-    """A `warnings.showwarning` that says a thing once, on one line."""
-    shown = set()
-
-    def show(message, *_args, **_more):
-        text = " ".join(str(message).split())
-        if text not in shown:
-            click.echo(f"warning: {text}", err=True)
-        shown.add(text)
-
-    return show
 
 
 @click.group(
@@ -76,7 +29,8 @@ RENDER_EXAMPLES = """\b
 Examples:
   sonar-gl render pylon
   sonar-gl render diver --sonar didson-hf --noise physical --axes
-  sonar-gl render ocean_floor --pose "0 0 -5 0 0.3 0" --style demarco2015
+  sonar-gl render diver --sonar demarco-2015 --style demarco2015
+  sonar-gl render ocean_floor --pose "0 0 -5 0 0.3 0" --range 20
   sonar-gl render harbour.sdf --poses dive.csv --format mp4 --fps 15 --out dive
 """
 HELP = {
@@ -169,14 +123,14 @@ def render(ctx, scene, **options):
     if in_demarco:
         artist = demarco_artist(o.height, o.form, o.join, noise, o.seed)
     else:
-        db_range = _numbers("--db-range", o.db_range, "darkest brightest")
+        db_range = numbers("--db-range", o.db_range, "darkest brightest")
         artist = fan_artist(o.height, o.scale, db_range, o.colormap, o.axes)
     scene = load_scene(scene, o.resource_path, o.skip_missing)
     times_s, poses = _poses(o, scene)
     folder = output_folder(o.out)
-    progress = _progress if o.poses is not None else contextlib.nullcontext
+    shown = progress if o.poses is not None else contextlib.nullcontext
     with Simulator(scene, sonar, acoustics, tolerance=o.tolerance) as simulator:
-        dump = Dump(simulator, artist, folder, o.formats, noise, o.seed, o.labels, o.fps, progress)
+        dump = Dump(simulator, artist, folder, o.formats, noise, o.seed, o.labels, o.fps, shown)
         click.echo(dump.write(poses, times_s))
 
 
@@ -198,20 +152,6 @@ def _check_together(o, given: set[str]):
         raise Error("--fps must stand with --format gif or --format mp4 (nothing else has frames)")
 
 
-def _numbers(option: str, text: str, names: str) -> list[float]:
-    """The numbers of an option's text, as many as there are names."""
-    from sonar_gl.types import Error
-
-    count = len(names.split())
-    try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        raise Error(f"{option} must be {count} numbers, {names!r} (got {text!r})") from None
-    if len(numbers) != count:
-        raise Error(f"{option} must be {count} numbers, {names!r} (got {len(numbers)}: {text!r})")
-    return numbers
-
-
 def _poses(o, scene):
     """(times or None, poses) as the options and the scene have them."""
     from sonar_gl.poses import read_poses
@@ -221,21 +161,14 @@ def _poses(o, scene):
     if o.poses is not None:
         return read_poses(o.poses)
     if o.pose is not None:
-        numbers = _numbers("--pose", o.pose, "x y z roll pitch yaw")
+        values = numbers("--pose", o.pose, "x y z roll pitch yaw")
         try:
-            return None, [pose(*numbers)]
+            return None, [pose(*values)]
         except Error as why:
             raise Error(f"--pose {o.pose!r}: {why}") from None
     if scene.sonar_pose is None:
         raise Error(f"scene {scene.name!r} has no sonar in it; give its place with --pose {POSE}")
     return None, [scene.sonar_pose]
-
-
-def _progress(numbers):
-    """A progress bar on a terminal, nothing elsewhere."""
-    if sys.stderr.isatty():
-        return click.progressbar(numbers, file=sys.stderr)
-    return contextlib.nullcontext(numbers)
 
 
 @main.command(epilog="Example: sonar-gl scenes")

@@ -22,7 +22,7 @@ STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
 
 
 def fan_artist(height: int, scale: str, db_range, colormap: str, axes: bool):
-    """Function (simulator, ping, number) -> (H, W, 3) fan image in colour; an unknown colour map is told now."""
+    """Function (simulator, ping, number) -> (H, W, 3) fan image in colour. Raises Error for a bad name."""
     colorize(np.zeros((1, 1), np.float32), colormap)
 
     def picture(_simulator, ping, _number):

@@ -25,12 +25,21 @@ def create_context() -> moderngl.Context:
         if there is no EGL, or the driver is too old.
     """
     try:
-        context = moderngl.create_context(standalone=True, backend="egl", require=REQUIRED_GL)
+        # by their sonames: the unversioned ones come with development packages only
+        context = moderngl.create_context(
+            standalone=True,
+            backend="egl",
+            require=REQUIRED_GL,
+            libgl="libGL.so.1",
+            libegl="libEGL.so.1",
+        )
     except Exception as why:  # moderngl and glcontext raise plain Exception
         text = " ".join(str(why).split())
-        version = re.search(r"version[^0-9]*(\d)(\d)\d", text)
-        if "version" in text.lower() and version:
+        version = re.search(r"got version (\d)(\d)\d", text)
+        if version:
             raise Error(too_old(f"{version[1]}.{version[2]}")) from None
+        if "eglCreateContext failed (0x3009)" in text:  # EGL_BAD_MATCH: no such version
+            raise Error(too_old("an older one")) from None
         raise Error(NO_EGL.format(why=text)) from None
     if context.version_code < REQUIRED_GL:
         code = context.version_code

@@ -13,8 +13,8 @@ from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.fan import Fan, Sampling, beam_weights, choose_sampling, make_fan
 from sonar_gl.load import data_folder
-from sonar_gl.nothing import why_nothing
 from sonar_gl.noise import Noise, add_noise
+from sonar_gl.nothing import why_nothing
 from sonar_gl.reduce import Reducer
 from sonar_gl.render import Renderer, SceneOnGpu
 from sonar_gl.scene import Scene, check_pose

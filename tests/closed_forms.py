@@ -43,7 +43,9 @@ def sphere_echo(radius, distance, azimuth, elevation_max, edges):
     C = (r * r + L2) / (2 * r * d) / math.cos(azimuth)
     s = np.sqrt(np.clip(1 - C * C, 0, None))
     s = np.minimum(s, min(P / Q, math.sin(elevation_max)))
-    F = 0.5 * (s * np.sqrt(np.clip(P2 - Q * Q * s * s, 0, None)) + P2 / Q * np.arcsin(np.clip(Q * s / P, -1, 1)))
+    F = 0.5 * (
+        s * np.sqrt(np.clip(P2 - Q * Q * s * s, 0, None)) + P2 / Q * np.arcsin(np.clip(Q * s / P, -1, 1))
+    )
     return 2 * np.diff(F)
 
 
@@ -82,6 +84,7 @@ def box_beams(sonar, echo, nodes=400):
     half = math.radians(sonar.beam_width_deg) / 2
     offsets = half * ((np.arange(nodes) + 0.5) / nodes * 2 - 1)
     aperture = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
-    return np.array(
-        [np.mean([echo(axis + offset) for offset in offsets], axis=0) for axis in sonar.azimuth_rad]
-    ) / aperture
+    return (
+        np.array([np.mean([echo(axis + offset) for offset in offsets], axis=0) for axis in sonar.azimuth_rad])
+        / aperture
+    )

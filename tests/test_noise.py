@@ -225,7 +225,7 @@ def test_profiles():
         ("gaussian=0.01,median=3", Noise(gaussian=0.01, median=3)),
         (" speckle , gaussian = 1e-3 ", Noise(speckle=True, gaussian=1e-3)),
         ("speckle=no", Noise()),
-        ("physical,median=3.0", Noise(speckle=True, gaussian=1e-4, median=3)),
+        ("physical,median=3.0", Noise(speckle=True, gaussian=1e-5, median=3)),
     ],
 )
 def test_parse(text, noise):

@@ -85,7 +85,7 @@ install_project() {
     checksum=$(cat setup.cfg pyproject.toml sonar_gl/_version.py | sha256sum)
     [ "$(cat ".venv/installed$extra" 2>/dev/null)" != "$checksum" ] || return 0
     say "Installing sonar_gl${extra:+ and what its ${extra}s need} into .venv (a minute or two)"
-    .venv/bin/python -m pip install -q --disable-pip-version-check -e ".${extra:+[$extra]}" </dev/null
+    PIP_USE_PEP517=1 .venv/bin/python -m pip install -q --disable-pip-version-check -e ".${extra:+[$extra]}" </dev/null
     printf '%s\n' "$checksum" | tee ".venv/installed$extra" >.venv/installed
 }
 

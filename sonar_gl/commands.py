@@ -1,0 +1,78 @@
+"""What all commands share: how errors and warnings are told, numbers are read, progress is shown."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import sys
+import warnings
+
+import click
+
+
+class Commands(click.Group):
+    """Turns what a user can cause into one sentence and exit status 2, and warnings into one line each."""
+
+    def invoke(self, ctx):
+        message, status = "", 0
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="replace")  # a terminal that knows no Greek
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("always", UserWarning)
+                warnings.showwarning = _one_line()
+                super().invoke(ctx)
+        except KeyboardInterrupt:
+            message, status = "interrupted; the files written so far are whole", 130
+        except MemoryError as why:
+            message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
+        except ImportError as why:
+            message, status = f"{why}; 'sonar-gl doctor' says what is missing", 2
+        except OSError as why:
+            if why.errno == errno.EPIPE:  # `| head` has seen enough
+                raise
+            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+        except ValueError as why:
+            from sonar_gl.types import Error
+
+            if not isinstance(why, Error):
+                raise
+            message, status = str(why), 2
+        if status:
+            click.echo(f"error: {message}", err=True)
+            ctx.exit(status)
+
+
+def _one_line():
+    """A `warnings.showwarning` that says a thing once, on one line."""
+    shown = set()
+
+    def show(message, *_args, **_more):
+        text = " ".join(str(message).split())
+        if text not in shown:
+            click.echo(f"warning: {text}", err=True)
+        shown.add(text)
+
+    return show
+
+
+def numbers(option: str, text: str, names: str) -> list[float]:
+    """The numbers of an option's text, as many as there are names."""
+    from sonar_gl.types import Error
+
+    count = len(names.split())
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {text!r})") from None
+    if len(values) != count:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {len(values)}: {text!r})")
+    return values
+
+
+def progress(numbers):
+    """A progress bar on a terminal, nothing elsewhere."""
+    if sys.stderr.isatty():
+        return click.progressbar(numbers, file=sys.stderr)
+    return contextlib.nullcontext(numbers)

@@ -1,0 +1,210 @@
+"""The compiled sums: footprints of samples into columns and bins, columns into beams."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, uint64
+
+
+def compiled(function):
+    """Numba's njit without the GIL; its machine code is kept on disk where there is a place for it."""
+    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:  # "cannot cache function": no folder that can be written
+        return njit(**options)(function)
+
+
+def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3, K + 1) float64: s = 1/r at the bins' edges, and over each bin the integrals of s ds and s² ds.
+
+    And the second of them once more, as (K + 1,) float32.
+    """
+    s = 1.0 / np.maximum(bin_edges_m, 1e-6)
+    out = np.zeros((3, len(s)))
+    out[0] = s
+    out[1, :-1] = (s[:-1] ** 2 - s[1:] ** 2) / 2
+    out[2, :-1] = (s[:-1] ** 3 - s[1:] ** 3) / 3
+    return out, out[1].astype(np.float32)
+
+
+@compiled
+def _integral(c0, c1, low, high):
+    """Of (c0 + c1 s) s ds over [low, high]."""
+    return (high - low) * (c0 * (high + low) / 2 + c1 * (high * high + high * low + low * low) / 3)
+
+
+@compiled
+def _spread(sums, c, tables, flat, r_first, per_metre, c0, c1, low, high):
+    """Add the density (c0 + c1 s) s ds of s = 1/r in [low, high] to a row of bins."""
+    K = sums.shape[1]
+    low, high = max(low, tables[0, K]), min(high, tables[0, 0])
+    if high <= low:
+        return
+    near = min(int((1.0 / high - r_first) * per_metre), K - 1)
+    far = min(int((1.0 / low - r_first) * per_metre), K - 1)
+    if near >= far:
+        sums[c, near] += _integral(c0, c1, low, high)
+        return
+    sums[c, near] += _integral(c0, c1, tables[0, near + 1], high)
+    sums[c, far] += _integral(c0, c1, low, tables[0, far])
+    # unsigned: an index that may be negative keeps the compiler from using vectors, six times slower
+    row, first, last = uint64(c), uint64(near + 1), uint64(far)
+    if c1 == 0.0:
+        height = np.float32(c0)
+        for k in range(first, last):
+            sums[row, k] += height * flat[k]
+    else:
+        for k in range(first, last):
+            sums[row, k] += c0 * tables[1, k] + c1 * tables[2, k]
+
+
+@compiled
+def _spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b):
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
+
+    On a plane the cosine of incidence is proportional to s, and so is the energy's density.
+    """
+    K = sums.shape[1]
+    wide, thin = max(a, b), min(a, b)
+    s_near, s_far = s + wide + thin, s - wide - thin
+    if s_near <= tables[0, K] or s_far >= tables[0, 0]:
+        return
+    if s_far > tables[0, K] and s_near < tables[0, 0]:
+        near = int((1.0 / s_near - r_first) * per_metre)
+        if near == int((1.0 / s_far - r_first) * per_metre):  # the common case: one bin holds it all
+            sums[c, min(near, K - 1)] += energy * s
+            return
+    # short ramps are not worth drawing: those of neighbouring samples overlap and add up to the same
+    if 2 * thin * per_metre < s * s or 4 * thin < wide:
+        height = energy / (2 * wide)
+        low, high = s - wide, s + wide
+        if low < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
+            height *= 2 * wide * s / (high * high / 2)
+            low = 0.0
+        _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
+        return
+    height, slope = energy / (2 * wide), energy / (4 * wide * thin)
+    low, high = s - wide + thin, s + wide - thin
+    if s_far < 0.0:
+        seen = _integral(s_near / (4 * wide * thin), -1 / (4 * wide * thin), max(high, 0.0), s_near)
+        if high > 0.0:
+            seen += _integral(1 / (2 * wide), 0.0, max(low, 0.0), high)
+        if low > 0.0:
+            seen += _integral(-s_far / (4 * wide * thin), 1 / (4 * wide * thin), 0.0, low)
+        height, slope = height * s / seen, slope * s / seen
+    _spread(sums, c, tables, flat, r_first, per_metre, slope * s_near, -slope, high, s_near)
+    _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
+    _spread(sums, c, tables, flat, r_first, per_metre, -slope * s_far, slope, s_far, low)
+
+
+@compiled
+def accumulate(
+    plane_echo,
+    body_id,
+    u,
+    v,
+    tan_elevation,
+    shift,
+    below,
+    above,
+    part_cell,
+    part_column,
+    part_u,
+    part_width,
+    bin_edges_m,
+    tables,
+    flat,
+    footprint,
+    body,
+    echo_sum,
+    elevation_sum,
+):
+    """Add some of one sector's samples to the columns.
+
+    Each sample stands for a rectangle of the view's image plane, which its ray need not meet in the middle.
+    The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for the slow
+    length of the ray: so the share of the rectangle nearer than r is the distribution of two convolved
+    boxes, exact for planes at any grazing angle. It is cut at the aperture and where columns end.
+
+    Parameters
+    ----------
+    plane_echo : (R, C, 4) float32, body_id : (R, C) uint16, as the shader writes them
+    u, v, tan_elevation, shift, below, above : of `fan.Sector`
+    part_cell, part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
+    bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
+    footprint : False drops a part of a sample whole into the bin of the hit point
+    body : 0 for all, or the number of the one body to add
+    echo_sum : (columns, K) float32, μ cos θ times steradians, added to
+    elevation_sum : same shape, echo times elevation, or (0, 0) when not wanted
+    """
+    K = echo_sum.shape[1]
+    r_first, r_last = bin_edges_m[0], bin_edges_m[K]
+    per_metre = K / (r_last - r_first)
+    labels = elevation_sum.shape[0] > 0
+    for p in range(part_cell.shape[0]):
+        cell, c, uc = part_cell[p], part_column[p], part_u[p]
+        u2 = 1.0 + uc * uc
+        v_limit = tan_elevation * math.sqrt(u2)
+        for j in range(plane_echo.shape[0]):
+            i = shift[j] - cell
+            # the part of the rectangle inside the aperture
+            v0 = v[0] + v[1] * i + v[2] * j
+            v_low, v_high = max(v0 - below[j], -v_limit), min(v0 + above[j], v_limit)
+            if v_high <= v_low:
+                continue
+            q0, strength = float(plane_echo[j, i, 0]), float(plane_echo[j, i, 3])
+            if q0 <= 0.0 or strength <= 0.0 or (body != 0 and body_id[j, i] != body):
+                continue
+            u0 = u[0] + u[1] * i + u[2] * j
+            vc = (v_low + v_high) / 2
+            one_over_L2 = 1.0 / (u2 + vc * vc)
+            one_over_L = math.sqrt(one_over_L2)
+            energy = strength * part_width[p] * (v_high - v_low) * one_over_L * one_over_L2
+            elevation = math.atan2(vc, math.sqrt(u2)) if labels else 0.0
+            if not footprint:
+                r0 = math.sqrt(1.0 + u0 * u0 + v0 * v0) / q0
+                energy /= r0
+                if r_first <= r0 < r_last:
+                    k = min(int((r0 - r_first) * per_metre), K - 1)
+                    echo_sum[c, k] += energy
+                    if labels:
+                        elevation_sum[c, k] += energy * elevation
+                continue
+            along_u, along_v = float(plane_echo[j, i, 1]), float(plane_echo[j, i, 2])
+            q = q0 + along_u * (uc - u0) + along_v * (vc - v0)
+            if q <= 0.0:
+                continue
+            s = q * one_over_L
+            a = abs(along_u - q * uc * one_over_L2) * one_over_L * part_width[p] / 2
+            b = abs(along_v - q * vc * one_over_L2) * one_over_L * (v_high - v_low) / 2
+            _spread_footprint(echo_sum, c, tables, flat, r_first, per_metre, energy, s, a, b)
+            if labels:
+                _spread_footprint(
+                    elevation_sum, c, tables, flat, r_first, per_metre, energy * elevation, s, a, b
+                )
+
+
+@compiled
+def weigh_columns(echo_sum, first, weights, out):
+    """Beams as weighted sums of columns.
+
+    Parameters
+    ----------
+    echo_sum : (columns, K); first : (B,); weights : (B, W), as `fan.beam_weights` gives them
+    out : (B, K) float32, overwritten
+    """
+    n_columns, K = echo_sum.shape
+    for b in range(out.shape[0]):
+        row = uint64(b)
+        for k in range(uint64(K)):
+            out[row, k] = 0.0
+        for w in range(weights.shape[1]):
+            weight = weights[b, w]
+            if weight == 0.0:
+                continue
+            column = uint64((first[b] + w) % n_columns)
+            for k in range(uint64(K)):
+                out[row, k] += weight * echo_sum[column, k]

@@ -1,0 +1,227 @@
+#!/usr/bin/env python
+"""Times pings of bundled scenes and judges them against the ray-cast reference, for a ladder of samplings.
+
+    python tools/bench.py                              # all scenes, some minutes
+    python tools/bench.py --quick                      # fewer repeats and rays, less than a minute
+    python tools/bench.py --scene pylon --json out.json
+
+The setting is one for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile `ideal`.
+What is compared is interleaved, round by round, and told as medians; ratios are medians of the rounds' ratios.
+The error is the sum of |E - T| over the sum of T, over beams and bins, T the mean of two seeds of
+`sonar_gl.reference_ping` (Embree; the extra `reference`); beside it stands how far the two seeds differ, of
+which T itself is wrong by about half. It is taken with flat faces, since the reference knows no shading normals.
+The picture is a ping of profile `physical` with `Noise.physical()`, as a colour fan image 800 pixels high.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from time import perf_counter
+
+import numpy as np
+
+import sonar_gl as sg
+
+SCENES = ("pylon", "diver", "ocean_floor")
+SONAR = sg.Sonar(
+    name="bench",
+    frequency_hz=900e3,
+    n_beams=256,
+    n_bins=512,
+    azimuth_fov_deg=45.0,
+    elevation_fov_deg=20.0,
+    beam_width_deg=1.0,
+    range_min_m=0.5,
+    range_max_m=30.0,
+)
+LADDER = {  # what a row is called: what `Simulator` is given
+    "tolerance 0.05": {"tolerance": 0.05},
+    "tolerance 0.02": {"tolerance": 0.02},
+    "tolerance 0.01": {"tolerance": 0.01},
+    "1.5 x 48": {"sampling": sg.Sampling(1.5, 48)},
+    "2 x 64": {"sampling": sg.Sampling(2, 64)},
+    "2 x 64, point": {"sampling": sg.Sampling(2, 64, "point")},
+}
+BASE = "tolerance 0.01"  # the default; times are told as multiples of its time too
+STAGES = ("render", "reduce", "beams")  # draw and read back; samples to columns; columns to beams
+CREEP_M = 0.001  # the sonar creeps ahead by so much a round: no two pings alike
+WARM_UP = 3
+
+
+class Stopwatch:
+    """Adds up the seconds that some methods of a simulator take, in STAGES' order."""
+
+    def __init__(self, simulator):
+        renderer, reducer = simulator._renderer, simulator._reducer
+        self.seconds = [0.0] * len(STAGES)
+        for stage, (owner, name) in enumerate(
+            ((renderer, "render"), (reducer, "_accumulate"), (reducer, "_beams"))
+        ):
+            setattr(owner, name, self._timed(stage, getattr(owner, name)))
+
+    def _timed(self, stage, method):
+        def timed(*arguments):
+            start = perf_counter()
+            out = method(*arguments)
+            self.seconds[stage] += perf_counter() - start
+            return out
+
+        return timed
+
+    def time(self, simulator, pose) -> list[float]:
+        """Seconds of a whole ping, then of its stages."""
+        self.seconds[:] = [0.0] * len(STAGES)
+        start = perf_counter()
+        simulator.ping(pose)
+        return [perf_counter() - start, *self.seconds]
+
+
+def picture(simulator, pose, number: int) -> list[float]:
+    """Seconds of a finished picture: the ping with its noise, the fan image, its colours."""
+    start = perf_counter()
+    ping = simulator.ping(pose, sg.Noise.physical(), seed=0, ping_number=number)
+    heard = perf_counter()
+    image = sg.fan_image(ping, 800)
+    formed = perf_counter()
+    sg.colorize(image, "jet")
+    return [heard - start, formed - heard, perf_counter() - formed]
+
+
+def measure(scene, repeats: int):
+    """Times in ms, (repeats, 1 + stages) for each row of the ladder and (repeats, 3) for the picture."""
+    ideal, physical = sg.Acoustics.ideal(), sg.Acoustics.physical()
+    with ExitStack() as stack:
+        ladder = {
+            name: stack.enter_context(sg.Simulator(scene, SONAR, ideal, **how)) for name, how in LADDER.items()
+        }
+        finished = stack.enter_context(sg.Simulator(scene, SONAR, physical))
+        watches = {name: Stopwatch(simulator) for name, simulator in ladder.items()}
+        times = {name: [] for name in ladder}
+        pictures = []
+        for number in range(-WARM_UP, repeats):
+            pose = scene.sonar_pose @ sg.pose(x=CREEP_M * (number + WARM_UP))
+            for name, simulator in ladder.items():
+                times[name].append(watches[name].time(simulator, pose))
+            pictures.append(picture(finished, pose, number + WARM_UP))
+        about = {
+            name: {
+                "columns": simulator._renderer.size[0],
+                "rows": simulator._renderer.size[1],
+                "sampling": asdict(simulator.sampling),
+            }
+            for name, simulator in ladder.items()
+        }
+    times = {name: 1e3 * np.array(rows[WARM_UP:]) for name, rows in times.items()}
+    return times, 1e3 * np.array(pictures[WARM_UP:]), about
+
+
+def errors(scene, n_rays: int):
+    """Error of each row of the ladder, and how far the two seeds of the reference differ."""
+    flat = sg.Scene([replace(body, normals=None) for body in scene.bodies], scene.sonar_pose, scene.name)
+    ideal = sg.Acoustics.ideal()
+    seeds = [
+        sg.reference_ping(flat, SONAR, flat.sonar_pose, ideal, n_rays, seed).intensity.astype(np.float64)
+        for seed in (0, 1)
+    ]
+    truth = (seeds[0] + seeds[1]) / 2
+    out = {}
+    for name, how in LADDER.items():
+        with sg.Simulator(flat, SONAR, ideal, **how) as simulator:
+            echo = simulator.ping(flat.sonar_pose).intensity
+        out[name] = float(np.abs(echo - truth).sum() / truth.sum())
+    return out, float(np.abs(seeds[0] - seeds[1]).sum() / truth.sum())
+
+
+def bench(name: str, repeats: int, n_rays: int) -> dict:
+    """All figures of one scene; times in ms."""
+    scene = sg.load_scene(name)
+    times, pictures, rows = measure(scene, repeats)
+    error, difference = errors(scene, n_rays) if n_rays else ({}, None)
+    for row, ms in times.items():
+        whole, stages = ms[:, 0], ms[:, 1:]
+        rows[row] |= {
+            "ping_ms": {"median": float(np.median(whole)), "p95": float(np.quantile(whole, 0.95))},
+            "stages_ms": dict(zip(STAGES, np.median(stages, axis=0).tolist(), strict=True)),
+            "rest_ms": float(np.median(whole - stages.sum(axis=1))),
+            "times_base": float(np.median(whole / times[BASE][:, 0])),
+            "error": error.get(row),
+        }
+    whole = pictures.sum(axis=1)
+    return {
+        "scene": name,
+        "triangles": scene.n_triangles,
+        "bodies": len(scene.bodies),
+        "reference_rays": n_rays,
+        "reference_seeds_differ": difference,
+        "ladder": rows,
+        "picture_ms": {
+            "median": float(np.median(whole)),
+            "p95": float(np.quantile(whole, 0.95)),
+            **dict(zip(("ping", "fan_image", "colorize"), np.median(pictures, axis=0).tolist(), strict=True)),
+        },
+    }
+
+
+def tell(found: dict):
+    """Print the table of one scene."""
+    wide = max(map(len, found["ladder"]))
+    print(f"\n{found['scene']}: {found['triangles']} triangles, {found['bodies']} bodies")
+    head = f"  {'sampling':{wide}}  {'columns x rows':>14}  {'ping, ms':>8}  {'p95':>6}  {'ratio':>5}"
+    print(head + "".join(f"  {stage:>6}" for stage in (*STAGES, "rest")) + "   error")
+    for name, row in found["ladder"].items():
+        samples = f"{row['columns']} x {row['rows']}"
+        line = f"  {name:{wide}}  {samples:>14}  {row['ping_ms']['median']:8.2f}  {row['ping_ms']['p95']:6.2f}"
+        line += f"  {row['times_base']:5.2f}"
+        line += "".join(f"  {ms:6.2f}" for ms in (*row["stages_ms"].values(), row["rest_ms"]))
+        print(line + ("       -" if row["error"] is None else f"  {row['error']:6.2%}"))
+    if found["reference_rays"]:
+        rays, differ = found["reference_rays"] / 1e6, found["reference_seeds_differ"]
+        print(f"  the reference's two seeds of {rays:g} million rays differ by {differ:.2%}")
+    p = found["picture_ms"]
+    print(
+        f"  colour image with noise: {p['median']:.2f} ms, p95 {p['p95']:.2f} "
+        f"(ping {p['ping']:.2f}, fan image {p['fan_image']:.2f}, colours {p['colorize']:.2f})"
+    )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--scene", action="append", choices=SCENES, help="may be repeated; all if left out")
+    parser.add_argument("--quick", action="store_true", help="fewer repeats and rays")
+    parser.add_argument("--repeats", type=int, help="rounds; 100, or 12 if quick")
+    parser.add_argument("--rays", type=int, help="of each reference; 20 million, or 2 if quick; 0 for no errors")
+    parser.add_argument("--json", metavar="FILE", help="write all figures there too")
+    options = parser.parse_args()
+    repeats = options.repeats or (12 if options.quick else 100)
+    n_rays = options.rays if options.rays is not None else (2_000_000 if options.quick else 20_000_000)
+    with sg.Simulator(sg.Scene([]), SONAR) as simulator:
+        renderer = simulator.gl_info["renderer"]
+    load = os.getloadavg()[0]
+    print(f"sonar_gl {sg.__version__} on {renderer}; Python {platform.python_version()}, {os.cpu_count()} cores")
+    print(f"{repeats} rounds, times are medians; the load at the start is {load:.1f} (quiet is below 0.3)")
+    found = []
+    for name in options.scene or SCENES:
+        found.append(bench(name, repeats, n_rays))
+        tell(found[-1])
+    if options.json:
+        about = {
+            "version": sg.__version__,
+            "gl_renderer": renderer,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+            "cores": os.cpu_count(),
+            "load": load,
+            "rounds": repeats,
+            "sonar": asdict(SONAR),
+        }
+        with open(options.json, "w", encoding="utf-8") as file:
+            json.dump({**about, "scenes": found}, file, indent=2)
+
+
+if __name__ == "__main__":
+    main()
