@@ -11,7 +11,8 @@ import sonar_gl as sg
 
 ELEVATION = math.radians(10.0)
 TOLERANCE = 0.01  # promised: the share of a beam's echo that may lie in wrong bins
-PLANE_TOLERANCE = 0.003  # footprints are exact on planes; what is left is where a wall's nearest bin begins
+# footprints follow planes exactly; what is left is the short ramps that are drawn as steps, at beams' edges
+PLANE_TOLERANCE = 0.006
 
 
 def sonar(beams, fov_deg, width_deg, bins=1181, **changes):
@@ -58,7 +59,8 @@ UNIT = {
 }
 
 
-@pytest.mark.parametrize("beams, fov, width", [(9, 9.0, 0.5), (64, 22.5, 1.0), (64, 22.5, 0.3515625)])
+# apart, overlapping, contiguous and narrow
+@pytest.mark.parametrize("beams, fov, width", [(9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)])
 @pytest.mark.parametrize("name", UNIT)
 def test_planes(name, beams, fov, width):
     normal, distance = UNIT[name]
@@ -128,17 +130,13 @@ def test_plate_and_its_shadow():
     it = sonar(40, 20.0, 0.5)
     plate = sg.Body("plate", trimesh.creation.box((0.002, 400, 1.0)), sg.pose(10.001, 0, -2.5), 1.0)
     floor = plane_body((0, 0, -1), 3.0)
-    both = [
-        box_beams(
-            it,
-            lambda azimuth, k=k: plate_on_floor_echo(3.0, 1.0, 10.0, azimuth, ELEVATION, it.bin_edges_m)[k],
-        )
-        for k in (0, 1)
-    ]
+    exact = box_beams(
+        it, lambda azimuth: plate_on_floor_echo(3.0, 1.0, 10.0, azimuth, ELEVATION, it.bin_edges_m)
+    )
     result = ping([plate, floor], it, labels=True)
     # at 17 degrees of grazing the plate hides the floor from 10 m on: what is behind starts at 15 m
-    assert beam_errors(result.intensity, both[0] + both[1]).max() < TOLERANCE
-    shadow = (both[0] + both[1] == 0) & (it.range_m > 10.5)
+    assert beam_errors(result.intensity, exact).max() < TOLERANCE
+    shadow = (exact == 0) & (it.range_m > 10.5)
     assert shadow.any()
     leaked = np.where(shadow, result.intensity, 0).sum()
     assert leaked < 0.002 * result.intensity.sum()

@@ -1,0 +1,164 @@
+"""The fan's geometry: cells fill the fan once, columns end where beams do, beams weigh their solid angle."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.acoustics import Acoustics
+from sonar_gl.fan import beam_weights, choose_sampling, make_fan
+
+
+def sonar(fov=45.0, beams=64, width=1.0, elevation=20.0, **more):
+    return sg.Sonar("test", 900e3, beams, 100, fov, elevation, width, 0.5, 30.0, **more)
+
+
+def fan_of(it, columns=2.0, rows=32):
+    return make_fan(it, sg.Sampling(columns, rows), math.radians(it.beam_width_deg) / 2)
+
+
+@pytest.mark.parametrize("fov", [8.0, 20.0, 45.0, 130.0, 180.0, 359.5, 360.0])
+def test_cells_cover_the_fan_once(fov):
+    it = sonar(fov, width=min(1.0, fov))
+    fan = fan_of(it)
+    span = min(2 * math.pi, it.azimuth_rad[-1] - it.azimuth_rad[0] + math.radians(it.beam_width_deg))
+    assert fan.column_edges_rad[-1] - fan.column_edges_rad[0] == pytest.approx(span, abs=1e-9)
+    assert (np.diff(fan.column_edges_rad) > 0).all()
+    widths = np.zeros(fan.n_columns)
+    for sector in fan.sectors:
+        assert 2 * sector.half_width_rad <= math.radians(60) + 1e-9
+        parts = sector.parts
+        azimuth = sector.azimuth_rad - np.arctan(
+            np.stack([parts.u + parts.width / 2, parts.u - parts.width / 2])
+        )
+        np.add.at(widths, parts.column, azimuth[1] - azimuth[0])
+        # a part lies in its column and in its cell
+        assert (azimuth[0] > fan.column_edges_rad[parts.column] - 1e-9).all()
+        assert (azimuth[1] < fan.column_edges_rad[parts.column + 1] + 1e-9).all()
+        tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
+        assert (np.abs(tan_width - (parts.cell + 0.5) * du - parts.u) <= du / 2 + 1e-12).all()
+    np.testing.assert_allclose(widths, np.diff(fan.column_edges_rad), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("fov", [20.0, 60.0, 130.0])
+def test_every_cell_has_one_ray_inside_it_in_every_row(fov):
+    for sector in fan_of(sonar(fov)).sectors:
+        u, _ = sector.rays()
+        tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
+        for j in range(sector.rows):
+            i = sector.shift[j] - np.arange(sector.n_cells)
+            assert i.min() >= 0
+            assert i.max() < sector.columns
+            middle = tan_width - (np.arange(sector.n_cells) + 0.5) * du
+            assert (np.abs(u[j, i] - middle) <= du / 2 + 1e-12).all()
+
+
+def test_rows_of_a_cell_touch_and_reach_beyond_the_aperture():
+    for sector in fan_of(sonar(100.0)).sectors:
+        _, v = sector.rays()
+        for cell in range(sector.n_cells):
+            at = v[np.arange(sector.rows), sector.shift - cell]
+            np.testing.assert_allclose((at + sector.above)[:-1], (at - sector.below)[1:], atol=1e-12)
+            u = math.tan(sector.half_width_rad) - (cell + 0.5) * sector.u[1]
+            top = sector.tan_elevation * math.sqrt(1 + u * u)
+            assert at[0] - sector.below[0] <= -top
+            assert at[-1] + sector.above[-1] >= top
+
+
+def test_rays_of_neighbouring_rows_look_elsewhere_in_the_cell():
+    """The plain grid would look at the same place in every row; ours sweeps the cell several times."""
+    sector = fan_of(sonar()).sectors[0]
+    u, _ = sector.rays()
+    tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
+    i = sector.shift - 10
+    offset = (u[np.arange(sector.rows), i] - (tan_width - 10.5 * du)) / du
+    assert np.histogram(offset, bins=4, range=(-0.5, 0.5))[0].min() >= 0.15 * sector.rows
+    plain = make_fan(sonar(), sg.Sampling(2, 32), math.radians(0.5), shear=0.0).sectors[0]
+    assert np.ptp(plain.rays()[0][:, 5]) == 0
+
+
+def test_projection_puts_rays_on_pixel_centres():
+    for sector in fan_of(sonar(130.0)).sectors:
+        clip_from_sonar = sector.projection(1e-3, 100.0)
+        u, v = sector.rays()
+        rays = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation()
+        clip = np.concatenate([7.0 * rays, np.ones((*u.shape, 1))], axis=-1) @ clip_from_sonar.T
+        pixels = (clip[..., :2] / clip[..., 3:] + 1) / 2 * [sector.columns, sector.rows]
+        j, i = np.mgrid[0 : sector.rows, 0 : sector.columns]
+        np.testing.assert_allclose(pixels[..., 0], i + 0.5, atol=1e-9)
+        np.testing.assert_allclose(pixels[..., 1], j + 0.5, atol=1e-9)
+        np.testing.assert_allclose(clip[..., 3], 7.0)  # w is x of the sector's frame: 1/w is what is stored
+
+
+TABLES = {
+    "even": sonar(45.0, 64, 1.0),
+    "contiguous": sonar(45.0, 64, 45 / 64),
+    "apart": sonar(45.0, 16, 0.3),
+    "full circle": sonar(360.0, 90, 6.0),
+    "wider than the circle": sonar(360.0, 4, 170.0),
+    "one beam": sonar(10.0, 1, 10.0),
+    "table": sonar(90.0, 5, 2.0, beam_azimuths_deg=(-40.0, -11.0, 0.5, 1.0, 44.0)),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+@pytest.mark.parametrize("acoustics", [Acoustics.ideal(), Acoustics.physical()], ids=["box", "line array"])
+def test_a_beam_weighs_to_one(name, acoustics):
+    """Columns filled with their own solid angle give 1 in every beam."""
+    it = TABLES[name]
+    pattern, reach = acoustics.beam_pattern_function(it), acoustics.beam_reach_rad(it)
+    fan = make_fan(it, sg.Sampling(4, 16), reach, box=pattern is None)
+    first, weights = beam_weights(fan, pattern, reach)
+    aperture = 2 * math.sin(math.radians(it.elevation_fov_deg) / 2)
+    solid = np.diff(fan.column_edges_rad) * aperture
+    index = (first[:, None] + np.arange(weights.shape[1])) % fan.n_columns
+    np.testing.assert_allclose((weights * solid[index]).sum(axis=1), 1.0, rtol=1e-5)  # float32 weights
+    assert (weights >= 0).all()
+
+
+@pytest.mark.parametrize("name", ["even", "contiguous", "apart", "full circle", "table"])
+def test_box_beams_hear_whole_columns_only(name):
+    """Columns end where beams do, so that no beam has to guess what part of a column it hears."""
+    it = TABLES[name]
+    reach = math.radians(it.beam_width_deg) / 2
+    fan = make_fan(it, sg.Sampling(4, 16), reach)
+    _, weights = beam_weights(fan, None, reach)
+    shares = weights * it.beam_width_deg * math.pi / 180 * 2 * math.sin(math.radians(10))
+    assert ((np.abs(shares) < 1e-5) | (np.abs(shares - 1) < 1e-5)).all()
+
+
+def test_sampling_of_a_tolerance():
+    it = sg.load_sonar("p900-45")
+    counts = [
+        choose_sampling(it, tolerance).columns_per_beam * choose_sampling(it, tolerance).rows
+        for tolerance in (0.3, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+    ]
+    assert counts == sorted(counts)
+    assert choose_sampling(it, 0.01) == sg.Sampling(12 * 45 / 256, 100)
+    # narrow beams hold three samples at least
+    narrow = replace(it, beam_width_deg=0.17578125)
+    assert choose_sampling(narrow, 0.05).columns_per_beam == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (
+            lambda: choose_sampling(sonar(), 0.0),
+            "tolerance must be a number in 0.001..0.5 (got 0.0; 0.01 is one per cent)",
+        ),
+        (
+            lambda: choose_sampling(sonar(), float("nan")),
+            "tolerance must be a number in 0.001..0.5 (got nan; 0.01 is one per cent)",
+        ),
+        (lambda: sg.Sampling(0, 10), "columns_per_beam must be a number in 0..1024 (got 0)"),
+        (lambda: sg.Sampling(2, 0), "rows must be a whole number in 1..16000 (got 0)"),
+        (lambda: sg.Sampling(2, 10, "mean"), "reducer must be one of footprint, point (got 'mean')"),
+    ],
+)
+def test_errors(make, message):
+    with pytest.raises(sg.Error) as caught:
+        make()
+    assert str(caught.value) == message
