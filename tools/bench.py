@@ -5,11 +5,15 @@
     python tools/bench.py --quick                      # fewer repeats and rays, less than a minute
     python tools/bench.py --scene pylon --json out.json
 
-The setting is one for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile `ideal`.
-What is compared is interleaved, round by round, and told as medians; ratios are medians of the rounds' ratios.
+The setting is one for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile
+`ideal`. What is compared is interleaved, round by round, and told as medians; ratios are medians of the
+rounds' ratios.
+
 The error is the sum of |E - T| over the sum of T, over beams and bins, T the mean of two seeds of
-`sonar_gl.reference_ping` (Embree; the extra `reference`); beside it stands how far the two seeds differ, of
-which T itself is wrong by about half. It is taken with flat faces, since the reference knows no shading normals.
+`sonar_gl.reference_ping` (Embree; the extra `reference`). Beside it stands how far the two seeds differ, of
+which T itself is wrong by about half. Errors are those of flat faces, since the reference knows no shading
+normals, at the scene's own pose.
+
 The picture is a ping of profile `physical` with `Noise.physical()`, as a colour fan image 800 pixels high.
 """
 
@@ -97,7 +101,8 @@ def measure(scene, repeats: int):
     ideal, physical = sg.Acoustics.ideal(), sg.Acoustics.physical()
     with ExitStack() as stack:
         ladder = {
-            name: stack.enter_context(sg.Simulator(scene, SONAR, ideal, **how)) for name, how in LADDER.items()
+            name: stack.enter_context(sg.Simulator(scene, SONAR, ideal, **how))
+            for name, how in LADDER.items()
         }
         finished = stack.enter_context(sg.Simulator(scene, SONAR, physical))
         watches = {name: Stopwatch(simulator) for name, simulator in ladder.items()}
@@ -175,7 +180,9 @@ def tell(found: dict):
     print(head + "".join(f"  {stage:>6}" for stage in (*STAGES, "rest")) + "   error")
     for name, row in found["ladder"].items():
         samples = f"{row['columns']} x {row['rows']}"
-        line = f"  {name:{wide}}  {samples:>14}  {row['ping_ms']['median']:8.2f}  {row['ping_ms']['p95']:6.2f}"
+        line = (
+            f"  {name:{wide}}  {samples:>14}  {row['ping_ms']['median']:8.2f}  {row['ping_ms']['p95']:6.2f}"
+        )
         line += f"  {row['times_base']:5.2f}"
         line += "".join(f"  {ms:6.2f}" for ms in (*row["stages_ms"].values(), row["rest_ms"]))
         print(line + ("       -" if row["error"] is None else f"  {row['error']:6.2%}"))
@@ -194,7 +201,9 @@ def main():
     parser.add_argument("--scene", action="append", choices=SCENES, help="may be repeated; all if left out")
     parser.add_argument("--quick", action="store_true", help="fewer repeats and rays")
     parser.add_argument("--repeats", type=int, help="rounds; 100, or 12 if quick")
-    parser.add_argument("--rays", type=int, help="of each reference; 20 million, or 2 if quick; 0 for no errors")
+    parser.add_argument(
+        "--rays", type=int, help="of each reference; 20 million, or 2 if quick; 0 for no errors"
+    )
     parser.add_argument("--json", metavar="FILE", help="write all figures there too")
     options = parser.parse_args()
     repeats = options.repeats or (12 if options.quick else 100)
@@ -202,11 +211,16 @@ def main():
     with sg.Simulator(sg.Scene([]), SONAR) as simulator:
         renderer = simulator.gl_info["renderer"]
     load = os.getloadavg()[0]
-    print(f"sonar_gl {sg.__version__} on {renderer}; Python {platform.python_version()}, {os.cpu_count()} cores")
+    print(
+        f"sonar_gl {sg.__version__} on {renderer}; Python {platform.python_version()}, {os.cpu_count()} cores"
+    )
     print(f"{repeats} rounds, times are medians; the load at the start is {load:.1f} (quiet is below 0.3)")
     found = []
     for name in options.scene or SCENES:
-        found.append(bench(name, repeats, n_rays))
+        try:
+            found.append(bench(name, repeats, n_rays))
+        except sg.Error as why:
+            raise SystemExit(f"{why}; or leave the errors out with --rays 0") from None
         tell(found[-1])
     if options.json:
         about = {

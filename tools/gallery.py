@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Makes the pictures of docs/gallery.md: bundled scenes as the founding paper drew them, and as `physical` does.
+"""Makes the pictures of docs/gallery.md: bundled scenes as the founding paper drew them, and as `physical`.
 
     python tools/gallery.py                # all, into docs/pictures
     python tools/gallery.py pylon_45       # one pair
@@ -81,7 +81,9 @@ def png(picture: np.ndarray) -> bytes:
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("pairs", nargs="*", metavar="pair", help=f"of {', '.join(PAIRS)}; all if none is named")
+    parser.add_argument(
+        "pairs", nargs="*", metavar="pair", help=f"of {', '.join(PAIRS)}; all if none is named"
+    )
     parser.add_argument("--out", type=Path, default=PICTURES, help="folder to write into")
     options = parser.parse_args()
     for name in options.pairs:
@@ -92,7 +94,9 @@ def main():
         for style, picture in zip(("demarco2015", "physical"), draw(PAIRS[name]), strict=True):
             path, data = options.out / f"{name}_{style}.png", png(picture)
             if len(data) > MAX_BYTES:
-                raise SystemExit(f"{path} would have {len(data)} bytes (at most {MAX_BYTES}; give it less height)")
+                raise SystemExit(
+                    f"{path} would have {len(data)} bytes (at most {MAX_BYTES}; give it less height)"
+                )
             path.write_bytes(data)
             print(f"{path}: {picture.shape[1]} x {picture.shape[0]} pixels, {len(data) / 1e3:.0f} kB")
 

@@ -1,0 +1,214 @@
+"""The documentation: its examples run, its commands and options exist, its links lead somewhere."""
+
+import importlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import sonar_gl as sg
+from sonar_gl import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+MAX_PICTURE_BYTES = 120_000
+POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
+
+
+def text_of(page):
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(language):
+    """Every fenced block of a language, with its page and line."""
+    for page in PAGES:
+        for match in re.finditer(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE):
+            line = text_of(page)[: match.start()].count("\n") + 1
+            yield pytest.param(match[1], id=f"{page.name}:{line}")
+
+
+def shell_lines():
+    """Every line of the pages' shell blocks, without its comment."""
+    for block in blocks("sh"):
+        for line in block.values[0].splitlines():
+            if words := shlex.split(line, comments=True):
+                yield pytest.param(words, id=" ".join(words))
+
+
+def commands():
+    return [p for p in shell_lines() if p.values[0][0] == "sonar-gl"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """An empty working directory, but for the poses that README shows."""
+    monkeypatch.chdir(tmp_path)
+    for block in blocks("csv"):
+        Path(POSES_FILE).write_text(block.values[0])
+    return tmp_path
+
+
+def run(*words):
+    return CliRunner().invoke(cli.main, list(words))
+
+
+def test_there_is_something_to_check():
+    assert all(page.is_file() for page in PAGES)
+    assert {page.name for page in PAGES} >= {"README.md", "gallery.md", "method.md", "conventions.md"}
+    assert all(len(list(blocks(language))) > 0 for language in ("python", "sh", "xml", "toml", "csv"))
+    assert len(commands()) > 5
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize("code", list(blocks("python")))
+def test_python_examples_run(code):
+    exec(compile(code, "example", "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize("words", commands())
+def test_commands_run(words, folder):
+    before = set(folder.rglob("*"))
+    result = run(*words[1:])
+    assert result.exit_code == 0, result.output
+    assert "warning" not in result.output
+    if words[1] == "render":
+        assert {path for path in folder.rglob("*") if path.is_file()} - before
+
+
+def test_the_python_example_and_the_command_of_the_first_screen_make_the_same_picture(folder):
+    command = next(p.values[0] for p in commands())
+    assert run(*command[1:], "--out", "command").exit_code == 0
+    exec(next(blocks("python")).values[0], {})
+    assert Path("pylon.png").read_bytes() == Path("command", "pylon.png").read_bytes()
+
+
+@pytest.mark.parametrize("words", [p for p in shell_lines() if p.values[0][0] != "sonar-gl"])
+def test_other_commands_name_files_that_exist(words):
+    paths = [w for w in words[1:] if w.startswith("tools/")]
+    assert all((ROOT / path).is_file() for path in paths)
+    for path in paths:
+        if path.endswith(".py"):
+            options = re.findall(r'add_argument\(\s*"(--[a-z-]+)"', (ROOT / path).read_text(encoding="utf-8"))
+            assert {w for w in words if w.startswith("--")} <= set(options)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["bench.py", "--scene", "pylon", "--repeats", "2", "--rays", "100000", "--json", "bench.json"],
+        ["gallery.py", "diver_vertical", "--out", "pictures"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_tools_run(words, folder):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(ROOT / "tools" / words[0]), *words[1:]]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    if words[0] == "bench.py":
+        (scene,) = json.loads(Path("bench.json").read_text())["scenes"]
+        footprint, point = (scene["ladder"][name]["error"] for name in ("2 x 64", "2 x 64, point"))
+        # so few rays tell no more than this
+        assert 0 < footprint < point
+    else:
+        made, kept = Path("pictures"), ROOT / "docs" / "pictures"
+        assert {path.name for path in made.iterdir()} == {path.name for path in kept.glob("diver_vertical*")}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)]+)\)", text_of(page)):
+        if not target.startswith("https://"):
+            assert (page.parent / target).exists(), target
+
+
+def test_pictures_are_shown_small_and_made_by_the_gallery():
+    shown = {
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text_of(page))
+    }
+    kept = set((ROOT / "docs" / "pictures").iterdir())
+    assert shown == kept
+    assert max(path.stat().st_size for path in kept) <= MAX_PICTURE_BYTES
+    gallery = (ROOT / "tools" / "gallery.py").read_text(encoding="utf-8")
+    assert {path.stem for path in kept} == {
+        f"{name}_{style}"
+        for name in re.findall(r'"(\w+)": Pair\(', gallery)
+        for style in ("demarco2015", "physical")
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_options_exist(page):
+    known = {"--help", "--version"}
+    for command in cli.main.commands.values():
+        known |= {option for parameter in command.params for option in parameter.opts}
+    outside_blocks = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", outside_blocks)) <= known
+
+
+def test_every_command_is_told_in_the_readme():
+    told = set(re.findall(r"^\| `sonar-gl (\w+)", text_of(ROOT / "README.md"), re.MULTILINE))
+    assert told == set(cli.main.commands)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_the_package_exist(page):
+    for module, name in re.findall(r"`sonar_gl\.(\w+)\.([\w.]+)", text_of(page)):
+        found = importlib.import_module(f"sonar_gl.{module}")
+        for part in name.split("."):
+            found = getattr(found, part)
+    for name in re.findall(r"\bsg\.([A-Za-z]\w*)", text_of(page)):
+        assert name in sg.__all__
+    for path in re.findall(r"`((?:sonar_gl|shaders|tests|tools|docs|scenes)/[\w./]*)`", text_of(page)):
+        assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("text", list(blocks("xml")))
+def test_scenes_load_and_echo(text):
+    Path("tank.sdf").write_text(text)
+    scene = sg.load_scene("tank.sdf")
+    assert scene.sonar_pose is not None
+    with sg.Simulator(scene, sg.load_sonar("p900-45"), tolerance=0.05) as simulator:
+        assert simulator.ping(scene.sonar_pose).intensity.any()
+
+
+@pytest.mark.parametrize("text", list(blocks("toml")))
+def test_sonars_load(text):
+    Path("mine.toml").write_text(text)
+    assert sg.load_sonar("mine.toml").name == "mine"
+
+
+@pytest.mark.parametrize(
+    "message", re.findall(r"^\| `([^`]+)` \|", text_of(ROOT / "README.md"), re.MULTILINE)
+)
+def test_messages_of_the_readme_are_said(message):
+    if message.startswith("sonar-gl"):
+        return
+    said = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "sonar_gl").glob("*.py"))
+    assert message in said
+
+
+def test_names_and_shapes_of_an_npz_are_those_of_the_page():
+    page = text_of(ROOT / "docs" / "conventions.md")
+    told = dict(re.findall(r"^\| `(\w+)` \| (\([^)]+\) \w+|JSON text)", page, re.MULTILINE))
+    scene, sonar = sg.load_scene("diver"), sg.load_sonar("demarco-2015")
+    with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+        ping = simulator.ping(scene.sonar_pose, noise=sg.Noise.physical(), labels=True)
+    letters = {sonar.n_beams: "B", sonar.n_bins: "K"}
+
+    def shape(array):
+        inner = ", ".join(str(letters.get(n, n)) for n in array.shape)
+        return f"({inner}{',' if array.ndim == 1 else ''}) {array.dtype}"
+
+    fields = {name: shape(value) for name, value in vars(ping).items() if name != "meta"}
+    assert told == {**fields, "meta": "JSON text"}
+    sentence = page[page.index("`meta` has") : page.index("in a sequence, `time_s`")]
+    assert set(re.findall(r"`(\w+)`", sentence)) - {"meta"} == set(ping.meta)

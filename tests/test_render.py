@@ -1,0 +1,326 @@
+"""The depth + normal pass against geometry, against pyrender's depth buffer, and its NumPy twin."""
+
+import math
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl import gl
+from sonar_gl.load import data_folder, import_pyrender
+from sonar_gl.reference import cos_incidence
+from sonar_gl.render import closedness
+
+BOX = trimesh.creation.box((1, 1, 1))
+
+
+def sonar(fov=60.0, elevation=40.0, beams=60, bins=200, **more):
+    return sg.Sonar("test", 900e3, beams, bins, fov, elevation, fov / beams, 0.5, 20.0, **more)
+
+
+def simulate(bodies, it=None, sampling=None):
+    return sg.Simulator(sg.Scene(bodies), it or sonar(), sg.Acoustics.ideal(), sampling or sg.Sampling(2, 60))
+
+
+def ping(bodies, it=None, pose=None, sampling=None, **kw):
+    with simulate(bodies, it, sampling) as simulator:
+        return simulator.ping(np.eye(4) if pose is None else pose, **kw)
+
+
+def test_gbuffer_of_a_slanted_plane_is_exact():
+    """Range and normal of every sample of a plane, computed from 1/x and its slopes, against geometry."""
+    normal = np.array([1.0, 0.4, -0.3]) / np.linalg.norm([1.0, 0.4, -0.3])
+    pose = trimesh.geometry.align_vectors([0, 0, 1], normal)
+    pose[:3, 3] = 7.0 * normal
+    plate = sg.Body("plate", trimesh.creation.box((60, 60, 1e-3)), pose, 0.6)
+    with simulate([plate], sonar(130.0)) as simulator:
+        buffers = simulator.gbuffers(np.eye(4))
+        sectors = simulator.fan.sectors
+    assert len(buffers) == len(sectors) == 3
+    for sector, buffer in zip(sectors, buffers, strict=True):
+        u, v = sector.rays()
+        rays = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation()
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        cosine = rays @ normal
+        exact = (7.0 - 0.5e-3) / np.where(cosine > 0, cosine, np.inf)
+        hit = buffer.range_m > 0
+        # away from the plate's rim and from grazing, where it is cut off
+        inner = hit & (cosine > 0.35)
+        assert inner.sum() > 0.5 * (cosine > 0.35).sum()
+        # float32 positions of 40 m give micrometres; the slopes are differences of neighbouring pixels
+        np.testing.assert_allclose(buffer.range_m[inner], exact[inner], rtol=5e-6)
+        assert np.abs(buffer.normal[inner] + normal).max() < 2e-3
+        np.testing.assert_allclose(buffer.echo[inner], 0.6 * cosine[inner], rtol=1e-3)
+        assert set(np.unique(buffer.body_id)) <= {0, 1}
+        assert (buffer.body_id[hit] == 1).all()
+
+
+def test_depth_agrees_with_pyrender():
+    """The pylon scene through an independent renderer's depth buffer, from the sonar's own place."""
+    pyrender = import_pyrender()
+    scene = sg.load_scene("pylon")
+    it = replace(sg.load_sonar("p900-45"), azimuth_fov_deg=45.0, elevation_fov_deg=20.0)
+    with sg.Simulator(scene, it, sg.Acoustics.ideal(), sg.Sampling(1, 100)) as simulator:
+        (buffer,) = simulator.gbuffers(scene.sonar_pose)
+        (sector,) = simulator.fan.sectors
+    other = pyrender.Scene()
+    for body in scene.bodies:
+        other.add(pyrender.Mesh.from_trimesh(body.mesh, smooth=False), pose=body.pose)
+    # OpenGL's camera looks along -z with y up; the sonar along x with z up
+    camera_from_sonar = np.array([[0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+    width, height, half_height = 1200, 600, math.tan(math.radians(12))
+    camera = pyrender.PerspectiveCamera(
+        yfov=2 * math.atan(half_height), aspectRatio=width / height, znear=0.5, zfar=60.0
+    )
+    other.add(camera, pose=scene.sonar_pose @ camera_from_sonar)
+    renderer = pyrender.OffscreenRenderer(width, height)
+    try:
+        depth = renderer.render(other, flags=pyrender.RenderFlags.DEPTH_ONLY)
+    finally:
+        renderer.delete()
+    u, v = sector.rays()
+    column = (u / (half_height * width / height) + 1) / 2 * width - 0.5
+    row = (1 - v / half_height) / 2 * height - 0.5
+    inside = (column > 1) & (column < width - 2) & (row > 1) & (row < height - 2)
+    inside &= (buffer.range_m > 0) & (buffer.range_m < 40)
+    assert inside.sum() > 10_000
+    i, j = np.floor(column[inside]).astype(int), np.floor(row[inside]).astype(int)
+    corners = np.stack([depth[j, i], depth[j, i + 1], depth[j + 1, i], depth[j + 1, i + 1]])
+    # 1/depth is linear on a plane; where all four corners lie on one plane interpolation is exact
+    du, dv = column[inside] - i, row[inside] - j
+    inverse = 1 / np.maximum(corners, 1e-6)
+    one_plane = (corners > 0).all(axis=0)
+    one_plane &= np.abs(inverse[0] + inverse[3] - inverse[1] - inverse[2]) < 2e-5
+    blend = (
+        inverse[0] * (1 - du) * (1 - dv)
+        + inverse[1] * du * (1 - dv)
+        + inverse[2] * (1 - du) * dv
+        + inverse[3] * du * dv
+    )
+    range_m = np.sqrt(1 + u * u + v * v)[inside] / blend
+    error = np.abs(range_m - buffer.range_m[inside])[one_plane]
+    assert one_plane.mean() > 0.9
+    # pyrender's 24 bit buffer resolves about 0.4 mm at 40 m and znear 0.5; edges between corners remain
+    assert np.quantile(error, 0.99) < 5e-3
+    assert np.median(error) < 5e-4
+
+
+def test_far_from_the_origin_nothing_changes():
+    """At UTM coordinates, 500 km out, the image is the one at the origin."""
+    away = np.array([500_000.0, 4_500_000.0, -30.0])
+    images = []
+    for offset in (np.zeros(3), away):
+        bodies = [
+            sg.Body("floor", trimesh.creation.box((40, 40, 1)), sg.pose(*(offset + [0, 0, -3]))),
+            sg.Body("box", BOX, sg.pose(*(offset + [6, 1, -1.5]), 0.1, 0.2, 0.3)),
+        ]
+        # a mesh whose own vertices are far away, too
+        rock = trimesh.creation.icosphere(2, 0.8)
+        rock.apply_translation(offset + [8, -2, 0])
+        bodies.append(sg.Body("rock", rock))
+        images.append(ping(bodies, pose=sg.pose(*offset, 0, 0.2, 0.1)).intensity)
+    # float64 at 4 500 km resolves a nanometre
+    assert np.abs(images[0] - images[1]).sum() < 1e-4 * images[0].sum()
+
+
+@pytest.mark.parametrize("roll, pitch, yaw", [(0, 0, 0), (0.3, -0.5, 2.0), (math.pi / 2, 0, 0), (0, -1.5, 1)])
+def test_the_fan_follows_the_sonar(roll, pitch, yaw):
+    """A box 8 m away at azimuth +20°, elevation −5° of the sonar is found there however the sonar lies."""
+    pose = sg.pose(1, 2, 3, roll, pitch, yaw)
+    azimuth, elevation = math.radians(20), math.radians(-5)
+    direction = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    centre = (pose @ [*(8 * np.array(direction)), 1])[:3]
+    result = ping(
+        [sg.Body("box", trimesh.creation.icosphere(3, 0.2), sg.pose(*centre))], pose=pose, labels=True
+    )
+    beam, k = np.unravel_index(result.intensity.argmax(), result.intensity.shape)
+    assert abs(math.degrees(result.azimuth_rad[beam]) - 20) < 1.5
+    assert abs(result.range_m[k] - 7.8) < 0.15
+    assert result.elevation_rad[beam, k] == pytest.approx(elevation, abs=math.radians(0.7))
+
+
+def test_roll_by_90_degrees_turns_the_fan():
+    """An upright rod fills one beam of a level fan and, once the fan stands upright, all of them."""
+    rod = [sg.Body("rod", trimesh.creation.cylinder(0.05, 30.0, sections=64), sg.pose(8, 0, 0))]
+    level = ping(rod).intensity.sum(axis=1)
+    upright = ping(rod, pose=sg.pose(0, 0, 0, math.pi / 2, 0, 0)).intensity.sum(axis=1)
+    assert (level > 0).sum() <= 3
+    assert (upright > 0).all()
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_back_faces_left_out_change_nothing(inverted, monkeypatch):
+    """Culled or not, inside out or not: the same image to the bit, for nearer faces hide the further ones."""
+    torus = trimesh.creation.torus(1.0, 0.3)
+    if inverted:
+        torus.invert()
+    assert closedness(torus.vertices, torus.faces) == (-1 if inverted else 1)
+    body = sg.Body("torus", torus, sg.pose(6, 0, 0, 1.0, 0.3, 0))
+    culled = ping([body]).intensity
+    monkeypatch.setattr("sonar_gl.render.MAX_CLOSED_FACES", 0)
+    whole = ping([body]).intensity
+    assert whole.any()
+    np.testing.assert_array_equal(culled, whole)
+
+
+def test_a_sonar_inside_a_closed_body_sees_its_walls():
+    room = sg.Body("room", trimesh.creation.box((12, 10, 8)))
+    result = ping([room])
+    assert (result.intensity.sum(axis=1) > 0).all()
+    assert result.range_m[result.intensity[30].argmax()] == pytest.approx(6.0, abs=0.1)
+
+
+def test_closedness():
+    assert closedness(BOX.vertices, BOX.faces) == 1
+    split = BOX.copy()
+    split.unmerge_vertices()  # creases and seams have vertices of their own
+    assert closedness(split.vertices, split.faces) == 1
+    assert closedness(BOX.vertices, BOX.faces[:-1]) == 0
+    assert closedness(BOX.vertices, BOX.faces[[0, 0, *range(1, 12)]]) == 0
+    one_turned = np.vstack([BOX.faces[:1, ::-1], BOX.faces[1:]])
+    assert closedness(BOX.vertices, one_turned) == 0
+    flat = np.zeros((3, 3))
+    assert closedness(flat, np.array([[0, 1, 2]])) == 0
+
+
+def test_an_open_sheet_echoes_on_both_sides():
+    sheet = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]])
+    front = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0))]).intensity
+    back = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0, 0, 0, math.pi))]).intensity
+    assert front.any()
+    np.testing.assert_allclose(front, back, rtol=1e-3, atol=1e-9)
+
+
+def test_what_is_nearer_than_range_min_casts_a_shadow_without_an_echo():
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 30, 30)), sg.pose(10, 0, 0))
+    hand = sg.Body("hand", trimesh.creation.box((0.02, 0.1, 0.4)), sg.pose(0.3, 0, 0))
+    result = ping([wall, hand], labels=True)
+    middle = np.abs(np.degrees(result.azimuth_rad)) < 7
+    assert not result.intensity[middle].any()
+    assert (result.intensity[np.abs(np.degrees(result.azimuth_rad)) > 12].sum(axis=1) > 0).all()
+    assert set(np.unique(result.body_id)) == {0, 1}
+
+
+def test_reflectivity_of_bodies_and_of_faces():
+    box = sg.Body("box", BOX, sg.pose(5, 0, 0), 1.0)
+    full = ping([box]).intensity
+    assert full.any()
+    np.testing.assert_allclose(ping([replace(box, reflectivity=0.25)]).intensity, 0.25 * full, rtol=1e-6)
+    nearest = np.isclose(BOX.face_normals[:, 0], -1)
+    only = replace(box, reflectivity=np.where(nearest, 0.5, 0.0))
+    np.testing.assert_allclose(ping([only]).intensity, 0.5 * full, rtol=1e-5)
+    # open bodies are drawn after closed ones: their faces must find their own values
+    sheet = trimesh.Trimesh(BOX.vertices, BOX.faces[:-1], process=False)
+    values = np.linspace(0.1, 1, len(sheet.faces))
+    pair = [
+        sg.Body("sheet", sheet, sg.pose(6, 2, 0), values),
+        sg.Body("closed", BOX, sg.pose(6, -2, 0), np.linspace(0.1, 1, 12)),
+    ]
+    both = ping(pair).intensity
+    apart = ping(pair[:1]).intensity + ping(pair[1:]).intensity
+    np.testing.assert_allclose(both, apart, rtol=1e-5, atol=1e-9)
+
+
+def test_shading_normals_give_the_cosine_alone():
+    """A coarse cylinder with its true normals echoes like a fine one, at its own coarse ranges."""
+    coarse = trimesh.creation.cylinder(1.0, 20.0, sections=24)
+    normals = coarse.vertices * [1, 1, 0]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    fine = ping([sg.Body("fine", trimesh.creation.cylinder(1.0, 20.0, sections=720), sg.pose(6, 0, 0))])
+    flat = ping([sg.Body("flat", coarse, sg.pose(6, 0, 0))])
+    smooth = ping([sg.Body("smooth", coarse, sg.pose(6, 0, 0), normals=normals)])
+    per_beam = [p.intensity.sum(axis=1) for p in (fine, flat, smooth)]
+    error = [np.abs(per_beam[k] - per_beam[0]).sum() / per_beam[0].sum() for k in (1, 2)]
+    assert error[1] < 0.01 < 0.02 < error[0]
+    np.testing.assert_array_equal(smooth.intensity > 0, flat.intensity > 0)
+
+
+def test_labels_name_the_strongest_body_and_leave_the_echo_alone():
+    bodies = [
+        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.2),
+        sg.Body("left", BOX, sg.pose(8, 3, 0), 0.9),
+        sg.Body("right", BOX, sg.pose(8, -3, 0), 0.9),
+    ]
+    with simulate(bodies) as simulator:
+        plain = simulator.ping(np.eye(4))
+        labelled = simulator.ping(np.eye(4), labels=True)
+        alone = []
+        for k in range(3):
+            with simulate(
+                [body if i == k else replace(body, reflectivity=0.0) for i, body in enumerate(bodies)]
+            ) as one:
+                alone.append(one.ping(np.eye(4)).intensity)
+    np.testing.assert_array_equal(plain.intensity, labelled.intensity)
+    assert plain.body_id is None
+    assert plain.elevation_rad is None
+    strongest = np.argmax(alone, axis=0) + 1
+    strongest[np.max(alone, axis=0) == 0] = 0
+    np.testing.assert_array_equal(labelled.body_id, strongest)
+    assert (np.isnan(labelled.elevation_rad) == (labelled.body_id == 0)).all()
+    port = labelled.azimuth_rad[:, None] > 0.05
+    assert not (labelled.body_id == 3)[np.broadcast_to(port, labelled.body_id.shape)].any()
+    floor = labelled.body_id == 1
+    # the floor's top is 2.5 m below: its elevation follows from the range
+    expected = -np.arcsin(2.5 / np.broadcast_to(labelled.range_m, floor.shape)[floor])
+    np.testing.assert_allclose(labelled.elevation_rad[floor], expected, atol=math.radians(1.0))
+
+
+def test_glsl_functions_equal_their_numpy_twins():
+    """shaders/echo.glsl called through a shader that writes to a texture."""
+    rng = np.random.default_rng(0)
+    normal, direction = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 4096, 3)))
+    direction[:64] = -normal[:64]  # aligned: the dot product may be a hair above 1
+    source = (data_folder("shaders") / "echo.glsl").read_text(encoding="utf-8")
+    context = gl.create_context()
+    with context:
+        program = context.program(
+            vertex_shader="""#version 330 core
+            in vec3 normal; in vec3 direction; flat out vec3 n; flat out vec3 d;
+            void main() { n = normal; d = direction; gl_PointSize = 1.0;
+                gl_Position = vec4((gl_VertexID % 64 + 0.5) / 32.0 - 1.0,
+                                   (gl_VertexID / 64 + 0.5) / 32.0 - 1.0, 0.0, 1.0); }""",
+            fragment_shader="#version 330 core\n"
+            + source
+            + "flat in vec3 n; flat in vec3 d; out float x; void main() { x = cos_incidence(n, d); }",
+        )
+        frame = context.simple_framebuffer((64, 64), 1, dtype="f4")
+        frame.use()
+        data = np.hstack([normal, direction]).astype(np.float32)
+        array = context.vertex_array(
+            program, [(context.buffer(data.tobytes()), "3f 3f", "normal", "direction")]
+        )
+        array.render(moderngl.POINTS)
+        got = np.frombuffer(frame.read(components=1, dtype="f4"), np.float32)
+        assert context.error == "GL_NO_ERROR"
+    context.release()
+    want = cos_incidence(*np.split(data.astype(float), 2, axis=1))
+    np.testing.assert_allclose(got, want, atol=2e-7)  # float32
+    assert got.max() <= 1
+    assert got.min() >= 0
+
+
+def test_a_shader_error_names_its_file_and_line(tmp_path):
+    (tmp_path / "a.vert").write_text("#version 330 core\nvoid main() { gl_Position = vec4(0); }\n")
+    (tmp_path / "b.glsl").write_text("float one() { return 1.0; }\nfloat two() { return nonsense; }\n")
+    (tmp_path / "c.frag").write_text(
+        '#version 330 core\n#include "b.glsl"\nout vec4 o;\nvoid main() { o = vec4(one()); }\n'
+    )
+    context = gl.create_context()
+    with context, pytest.raises(RuntimeError, match=r"b\.glsl:2"):
+        gl.compile_program(context, tmp_path, "a.vert", "c.frag", {"X": 1})
+    context.release()
+
+
+def test_too_many_samples_for_the_driver():
+    it = sonar(beams=100)
+    with pytest.raises(sg.Error) as caught:
+        simulate([sg.Body("box", BOX)], it, sg.Sampling(1000, 10))
+    assert str(caught.value).startswith("samples must fit the driver's limit of 16384 by 16384 pixels (got ")
+    assert str(caught.value).endswith("ask for a larger tolerance or fewer columns_per_beam or rows)")
