@@ -8,6 +8,9 @@ import numpy as np
 from numba import njit, uint64
 
 
+SAME = 1e-5  # of the range: well above float32's noise in slopes, well below any bin
+
+
 def compiled(function):
     """Numba's njit without the GIL; its machine code is kept on disk where there is a place for it."""
     options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
@@ -144,28 +147,50 @@ def accumulate(
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
     labels = elevation_sum.shape[0] > 0
+    R = plane_echo.shape[0]
     for p in range(part_cell.shape[0]):
         cell, c, uc = part_cell[p], part_column[p], part_u[p]
         u2 = 1.0 + uc * uc
         v_limit = tan_elevation * math.sqrt(u2)
-        for j in range(plane_echo.shape[0]):
-            i = shift[j] - cell
-            # the part of the rectangle inside the aperture
-            v0 = v[0] + v[1] * i + v[2] * j
-            v_low, v_high = max(v0 - below[j], -v_limit), min(v0 + above[j], v_limit)
-            if v_high <= v_low:
+        i = shift[0] - cell
+        v0 = v[0] + v[1] * i
+        u0 = u[0] + u[1] * i
+        q0, along_v = float(plane_echo[0, i, 0]), float(plane_echo[0, i, 2])
+        q = q0 + float(plane_echo[0, i, 1]) * (uc - u0)
+        low = v0 - below[0]
+        for j in range(R):
+            # this sample, and where its surface gives way to that of the next one up
+            i_here, u_here, v_here, q_here, q_ray, along_here = i, u0, v0, q, q0, along_v
+            high = v0 + above[j]
+            if j + 1 < R:
+                i = shift[j + 1] - cell
+                u0 = u[0] + u[1] * i + u[2] * (j + 1)
+                v0 = v[0] + v[1] * i + v[2] * (j + 1)
+                q0, along_v = float(plane_echo[j + 1, i, 0]), float(plane_echo[j + 1, i, 2])
+                q = q0 + float(plane_echo[j + 1, i, 1]) * (uc - u0)
+                if q_ray > 0.0 and q0 > 0.0:
+                    # two planes that meet between their rays make an edge there, else it is half way
+                    turn = along_here - along_v
+                    meet = q - q_here + along_here * v_here - along_v * v0
+                    if turn < 0.0:
+                        turn, meet = -turn, -meet
+                    # nearer than SAME they are one plane, and where they meet is noise
+                    if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > SAME * q0:
+                        high = meet / turn
+            v_low, v_high = max(low, -v_limit), min(high, v_limit)
+            low = high
+            strength = float(plane_echo[j, i_here, 3])
+            if v_high <= v_low or q_ray <= 0.0 or strength <= 0.0:
                 continue
-            q0, strength = float(plane_echo[j, i, 0]), float(plane_echo[j, i, 3])
-            if q0 <= 0.0 or strength <= 0.0 or (body != 0 and body_id[j, i] != body):
+            if body != 0 and body_id[j, i_here] != body:
                 continue
-            u0 = u[0] + u[1] * i + u[2] * j
             vc = (v_low + v_high) / 2
             one_over_L2 = 1.0 / (u2 + vc * vc)
             one_over_L = math.sqrt(one_over_L2)
             energy = strength * part_width[p] * (v_high - v_low) * one_over_L * one_over_L2
             elevation = math.atan2(vc, math.sqrt(u2)) if labels else 0.0
             if not footprint:
-                r0 = math.sqrt(1.0 + u0 * u0 + v0 * v0) / q0
+                r0 = math.sqrt(1.0 + u_here * u_here + v_here * v_here) / q_ray
                 energy /= r0
                 if r_first <= r0 < r_last:
                     k = min(int((r0 - r_first) * per_metre), K - 1)
@@ -173,13 +198,14 @@ def accumulate(
                     if labels:
                         elevation_sum[c, k] += energy * elevation
                 continue
-            along_u, along_v = float(plane_echo[j, i, 1]), float(plane_echo[j, i, 2])
-            q = q0 + along_u * (uc - u0) + along_v * (vc - v0)
-            if q <= 0.0:
+            at = q_here + along_here * (vc - v_here)
+            if at <= 0.0:
                 continue
-            s = q * one_over_L
-            a = abs(along_u - q * uc * one_over_L2) * one_over_L * part_width[p] / 2
-            b = abs(along_v - q * vc * one_over_L2) * one_over_L * (v_high - v_low) / 2
+            s = at * one_over_L
+            a = abs(float(plane_echo[j, i_here, 1]) - at * uc * one_over_L2)
+            b = abs(along_here - at * vc * one_over_L2)
+            a *= one_over_L * part_width[p] / 2
+            b *= one_over_L * (v_high - v_low) / 2
             _spread_footprint(echo_sum, c, tables, flat, r_first, per_metre, energy, s, a, b)
             if labels:
                 _spread_footprint(
