@@ -113,12 +113,12 @@ def make_fan(
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
-    n_cells = max(2, math.ceil(n_samples / n_sectors))
+    per_sector = max(2, math.ceil(n_samples / n_sectors))
     half_width = span / n_sectors / 2
     tan_elevation = math.tan(math.radians(sonar.elevation_fov_deg) / 2)
     sectors = [
         make_sector(
-            start + half_width * (2 * k + 1), half_width, n_cells, sampling.rows, tan_elevation, shear
+            start + half_width * (2 * k + 1), half_width, per_sector, sampling.rows, tan_elevation, shear
         )
         for k in range(n_sectors)
     ]

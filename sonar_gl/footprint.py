@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numba import njit, uint64
 
-
 SAME = 1e-5  # of the range: well above float32's noise in slopes, well below any bin
 
 
@@ -110,10 +109,6 @@ def accumulate(
     u,
     v,
     tan_elevation,
-    shift,
-    below,
-    above,
-    part_cell,
     part_column,
     part_u,
     part_width,
@@ -127,16 +122,17 @@ def accumulate(
 ):
     """Add some of one sector's samples to the columns.
 
-    Each sample stands for a rectangle of the view's image plane, which its ray need not meet in the middle.
-    The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for the slow
-    length of the ray: so the share of the rectangle nearer than r is the distribution of two convolved
-    boxes, exact for planes at any grazing angle. It is cut at the aperture and where columns end.
+    A sample stands for a rectangle of an upright strip of the view's image plane, which its ray need not meet
+    in the middle. The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for
+    the slow length of the ray: so the share of the rectangle nearer than r is the distribution of two
+    convolved boxes, exact for planes at any grazing angle. It is cut at the aperture, where columns end, and
+    where the plane meets that of the next sample up.
 
     Parameters
     ----------
     plane_echo : (R, C, 4) float32, body_id : (R, C) uint16, as the shader writes them
-    u, v, tan_elevation, shift, below, above : of `fan.Sector`
-    part_cell, part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
+    u, v, tan_elevation : of `fan.Sector`
+    part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
     footprint : False drops a part of a sample whole into the bin of the hit point
     body : 0 for all, or the number of the one body to add
@@ -148,37 +144,38 @@ def accumulate(
     per_metre = K / (r_last - r_first)
     labels = elevation_sum.shape[0] > 0
     R = plane_echo.shape[0]
-    for p in range(part_cell.shape[0]):
-        cell, c, uc = part_cell[p], part_column[p], part_u[p]
+    for p in range(part_u.shape[0]):
+        c, uc = part_column[p], part_u[p]
         u2 = 1.0 + uc * uc
         v_limit = tan_elevation * math.sqrt(u2)
-        i = shift[0] - cell
-        v0 = v[0] + v[1] * i
-        u0 = u[0] + u[1] * i
+        nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
+        i = int(nearest)
+        u0, v0 = u[0] + u[1] * i, v[0] + v[1] * i
         q0, along_v = float(plane_echo[0, i, 0]), float(plane_echo[0, i, 2])
         q = q0 + float(plane_echo[0, i, 1]) * (uc - u0)
-        low = v0 - below[0]
+        high = -v_limit
         for j in range(R):
             # this sample, and where its surface gives way to that of the next one up
+            low = high
             i_here, u_here, v_here, q_here, q_ray, along_here = i, u0, v0, q, q0, along_v
-            high = v0 + above[j]
+            high = v_limit
             if j + 1 < R:
-                i = shift[j + 1] - cell
+                i = int(nearest - step * (j + 1))
                 u0 = u[0] + u[1] * i + u[2] * (j + 1)
                 v0 = v[0] + v[1] * i + v[2] * (j + 1)
                 q0, along_v = float(plane_echo[j + 1, i, 0]), float(plane_echo[j + 1, i, 2])
                 q = q0 + float(plane_echo[j + 1, i, 1]) * (uc - u0)
+                high = (v_here + v0) / 2
                 if q_ray > 0.0 and q0 > 0.0:
-                    # two planes that meet between their rays make an edge there, else it is half way
+                    # two planes that meet between their rays make an edge there, else it is half way;
+                    # nearer than SAME they are one plane, and where they meet is noise
                     turn = along_here - along_v
                     meet = q - q_here + along_here * v_here - along_v * v0
                     if turn < 0.0:
                         turn, meet = -turn, -meet
-                    # nearer than SAME they are one plane, and where they meet is noise
                     if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > SAME * q0:
                         high = meet / turn
             v_low, v_high = max(low, -v_limit), min(high, v_limit)
-            low = high
             strength = float(plane_echo[j, i_here, 3])
             if v_high <= v_low or q_ray <= 0.0 or strength <= 0.0:
                 continue

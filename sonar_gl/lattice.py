@@ -1,4 +1,4 @@
-"""A sector's lattice: where its samples look, which cells they stand for, how columns cut the cells.
+"""A sector's lattice: where its samples look, and the parts of the view that they stand for.
 
 A sector is one perspective view of part of the fan. A sample is one pixel of it; on the view's image plane
 at unit distance it sits at u (to starboard, u = −tan ψ') and v (up, v = tan φ / cos ψ'), with ψ' the azimuth
@@ -12,23 +12,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Rows look SHEAR cells apart from bottom to top, and columns of samples SHEAR_ROWS of the aperture apart from
-# side to side, so that nothing upright or level falls between the grid's lines as a whole.
+# Rows look SHEAR samples apart from bottom to top, and columns of samples SHEAR_ROWS of the aperture apart
+# from side to side, so that nothing upright or level falls between the grid's lines as a whole.
 SHEAR = 16.0
 SHEAR_ROWS = 0.25
 
 
 @dataclass(frozen=True)
 class Parts:
-    """A sector's cells, cut where the fan's columns end: P parts by rising azimuth.
+    """The upright strips that a sector's samples stand for: P of them, by rising azimuth.
+
+    A strip ends where one of the fan's columns does and is no wider than a sample, give or take a half. In
+    each row the nearest ray stands for it.
 
     Attributes
     ----------
-    cell, column : (P,) int64, the cell that a part belongs to, the fan's column that it lies in
+    column : (P,) int64, the fan's column that it lies in
     u, width : (P,) its middle and its width in u
     """
 
-    cell: np.ndarray
     column: np.ndarray
     u: np.ndarray
     width: np.ndarray
@@ -36,11 +38,11 @@ class Parts:
 
 @dataclass(frozen=True)
 class Sector:
-    """One perspective view: C by R samples, of which each stands for one cell of a straight grid.
+    """One perspective view: C by R samples.
 
-    The rays of a row are shifted against those of the row below by a fraction of a cell (and columns of
-    rays by a fraction of a row), so that an upright or level edge meets another part of the cell in every
-    row. The cells themselves stay upright, so that they can be cut where columns end once for all rows.
+    The rays of a row are shifted against those of the row below by a fraction of a sample (and columns of
+    rays by a fraction of a row), so that an upright or level edge meets another part of the strips in every
+    row. The strips themselves stay upright.
 
     Attributes
     ----------
@@ -50,9 +52,6 @@ class Sector:
     u : (3,) u of the ray (row j, column i) is u[0] + u[1] i + u[2] j
     v : (3,) v of the ray (row j, column i) is v[0] + v[1] i + v[2] j
     tan_elevation : tangent of half the elevation aperture
-    n_cells : cells across, from starboard (the highest u) to port
-    shift : (R,) int64, the ray (j, i) belongs to the cell shift[j] - i, if that is in 0..n_cells - 1
-    below, above : (R,) how far a row's cells reach in v: half way to the next ray of the same cell
     parts : Parts
     """
 
@@ -63,10 +62,6 @@ class Sector:
     u: np.ndarray
     v: np.ndarray
     tan_elevation: float
-    n_cells: int
-    shift: np.ndarray
-    below: np.ndarray
-    above: np.ndarray
     parts: Parts = None
 
     def rays(self):
@@ -105,36 +100,30 @@ def distinct(azimuths) -> np.ndarray:
     return azimuths[np.append(True, np.diff(azimuths) > 1e-9)]
 
 
-def make_sector(azimuth, half_width, n_cells, rows, tan_elevation, shear) -> Sector:
-    """A view whose rays fill all cells of ±half_width and the aperture wherever the shear shifts them."""
+def make_sector(azimuth, half_width, n_samples, rows, tan_elevation, shear) -> Sector:
+    """A view with n_samples to a row over ±half_width, and as many more as the shear asks for."""
     tan_width = math.tan(half_width)
-    du, dv = 2 * tan_width / n_cells, 2 * tan_elevation / rows
+    du, dv = 2 * tan_width / n_samples, 2 * tan_elevation / rows
     top = tan_elevation / math.cos(half_width)  # where the aperture's curved edge is highest
-    shear_u, shear_v = min(shear, n_cells / 4), min(SHEAR_ROWS * rows if shear else 0, n_cells)
-    C = n_cells + 2 * math.ceil(shear_u / 2 + 0.5)
+    shear_u = min(shear, n_samples / 4)
+    shear_v = min(SHEAR_ROWS * rows, n_samples) if shear else 0.0
+    C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
     R = 2 * math.ceil((2 * top / dv + shear_v) / 2)
     step_u, step_v = shear_u / R * du, shear_v / C * dv
     u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])
     v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
-    # cells are counted from the highest u down, as azimuth rises
-    shift = np.floor((tan_width - u[0] - u[2] * np.arange(R)) / du).astype(np.int64)
-    # where a cell passes to the next ray of the row above, the shear of v makes its step longer or shorter
-    steps = (dv + step_v * np.diff(shift)) / 2
-    below, above = np.append(dv / 2, steps), np.append(steps, dv / 2)
-    return Sector(azimuth, half_width, R, C, u, v, tan_elevation, n_cells, shift, below, above)
+    return Sector(azimuth, half_width, R, C, u, v, tan_elevation)
 
 
 def make_parts(sector: Sector, column_edges_rad) -> Parts:
-    """Cut a sector's cells where columns end."""
-    tan_width = math.tan(sector.half_width_rad)
-    cells = sector.azimuth_rad + np.arctan(tan_width * np.linspace(-1, 1, sector.n_cells + 1))
-    inside = (column_edges_rad > cells[0]) & (column_edges_rad < cells[-1])
-    edges = distinct(np.concatenate([cells, column_edges_rad[inside]]))
-    middles = (edges[1:] + edges[:-1]) / 2
-    u = -np.tan(edges - sector.azimuth_rad)
-    return Parts(
-        cell=np.clip(np.searchsorted(cells, middles) - 1, 0, sector.n_cells - 1),
-        column=np.clip(np.searchsorted(column_edges_rad, middles) - 1, 0, len(column_edges_rad) - 2),
-        u=(u[1:] + u[:-1]) / 2,
-        width=u[:-1] - u[1:],
+    """Cut a sector into strips: at columns' edges, and wider columns into even pieces."""
+    low, high = sector.azimuth_rad - sector.half_width_rad, sector.azimuth_rad + sector.half_width_rad
+    inside = (column_edges_rad > low) & (column_edges_rad < high)
+    edges = -np.tan(distinct(np.concatenate([[low], column_edges_rad[inside], [high]])) - sector.azimuth_rad)
+    pieces = np.maximum(np.rint((edges[:-1] - edges[1:]) / sector.u[1]), 1).astype(int)
+    edges = np.concatenate(
+        [np.linspace(edges[k], edges[k + 1], n, endpoint=False) for k, n in enumerate(pieces)] + [edges[-1:]]
     )
+    u = (edges[1:] + edges[:-1]) / 2
+    columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
+    return Parts(np.clip(columns, 0, len(column_edges_rad) - 2), u, edges[:-1] - edges[1:])

@@ -36,7 +36,7 @@ class Reducer:
             for index, sector in enumerate(fan.sectors):
                 parts = sector.parts
                 mine = np.isin(parts.column, half) & heard[parts.column]
-                arrays = (parts.cell[mine], parts.column[mine], parts.u[mine], parts.width[mine])
+                arrays = (parts.column[mine], parts.u[mine], parts.width[mine])
                 self.jobs.append((len(self.jobs) // len(fan.sectors), index, arrays))
         self._pool = ThreadPoolExecutor(1)
 
@@ -83,9 +83,6 @@ class Reducer:
                     sector.u,
                     sector.v,
                     sector.tan_elevation,
-                    sector.shift,
-                    sector.below,
-                    sector.above,
                     *parts,
                     self.edges,
                     self.tables,

@@ -39,6 +39,7 @@ class SceneOnGpu:
         faces = [np.asarray(body.mesh.faces, np.int64) for body in bodies]
         self.bounds = np.array([[v.min(axis=0), v.max(axis=0)] for v in vertices])
         self.centres = self.bounds.mean(axis=1)
+        self.poses = np.array([body.pose for body in bodies])
         # +1: closed, normals outwards; −1: closed, normals inwards; 0: open
         self.closed = np.array([closedness(v, f) for v, f in zip(vertices, faces, strict=True)])
         first = np.concatenate([[0], np.cumsum([len(v) for v in vertices])])
@@ -102,19 +103,16 @@ class SceneOnGpu:
             whether back faces may be left out: the sonar is in the box of no closed body.
         """
         sonar_from_world = pose[:3, :3].T
-        texels = self.body_texels[: 4 * len(self.scene.bodies)].reshape(-1, 4, 4)
-        outside = True
-        for index, body in enumerate(self.scene.bodies):
-            rotation = sonar_from_world @ body.pose[:3, :3]
-            offset = sonar_from_world @ (body.pose[:3, 3] - pose[:3, 3])
-            texels[index, :3, :3] = rotation
-            texels[index, :3, 3] = offset + rotation @ self.centres[index]
-            if self.closed[index]:
-                low, high = self.bounds[index]
-                sonar = -rotation.T @ offset
-                outside &= bool(((sonar < low - 2 * NEAR_M) | (sonar > high + 2 * NEAR_M)).any())
-        self.body_table.write(self.body_texels.tobytes())
-        return outside
+        rotations = sonar_from_world @ self.poses[:, :3, :3]
+        offsets = (self.poses[:, :3, 3] - pose[:3, 3]) @ sonar_from_world.T
+        texels = self.body_texels[: 4 * len(rotations)].reshape(-1, 4, 4)
+        texels[:, :3, :3] = rotations
+        texels[:, :3, 3] = offsets + np.einsum("nij,nj->ni", rotations, self.centres)
+        self.body_table.write(self.body_texels)
+        sonar = -np.einsum("nji,nj->ni", rotations, offsets)
+        low, high = self.bounds[:, 0] - 2 * NEAR_M, self.bounds[:, 1] + 2 * NEAR_M
+        inside = ((sonar > low) & (sonar < high)).all(axis=1)
+        return not (inside & (self.closed != 0)).any()
 
 
 def closedness(vertices, faces) -> int:
@@ -163,6 +161,7 @@ class Renderer:
             False: context.framebuffer([plane_echo], depth),
             True: context.framebuffer([plane_echo, body_id], depth),
         }
+        self.uniforms = {}
         self.plane_echo = np.zeros((height, width, 4), np.float32)
         self.body_id = np.zeros((height, width), np.uint16)
         self.lefts = np.cumsum([0] + [s.columns for s in fan.sectors])[:-1]
@@ -182,7 +181,8 @@ class Renderer:
             gpu.face_table.use(1)
             for sector, left in zip(self.fan.sectors, self.lefts, strict=True):
                 framebuffer.viewport = (left, 0, sector.columns, sector.rows)
-                self._set_uniforms(array.program, sector, int(left))
+                for name, value in self._uniforms(array.program, sector, int(left)):
+                    array.program[name].write(value)
                 split = gpu.n_closed_faces if outside else 0
                 if split:
                     self._draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, 0, split)
@@ -193,21 +193,26 @@ class Renderer:
         if labels:
             framebuffer.read_into(self.body_id, components=1, dtype="u2", attachment=1)
 
-    def _set_uniforms(self, program, sector: Sector, left: int):
-        matrix = sector.projection(NEAR_M, self.far_m)
-        pixel_from_uv = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
-        values = {
-            "clip_from_sonar": matrix.T,
-            "sector_from_sonar": sector.rotation().T,
-            "pixel_from_uv": pixel_from_uv.T,
-            "far_m": np.array([self.far_m]),
-            # pixels count from the left of the whole framebuffer
-            "u": sector.u - [sector.u[1] * left, 0, 0],
-            "v": sector.v - [sector.v[1] * left, 0, 0],
-        }
-        for name, value in values.items():
-            if name in program:
-                program[name].write(np.ascontiguousarray(value, np.float32))
+    def _uniforms(self, program, sector: Sector, left: int) -> list[tuple[str, bytes]]:
+        """What a program needs to know of a sector; the same for every ping."""
+        key = (program.glo, left)
+        if key not in self.uniforms:
+            pixel_from_uv = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
+            values = {
+                "clip_from_sonar": sector.projection(NEAR_M, self.far_m).T,
+                "sector_from_sonar": sector.rotation().T,
+                "pixel_from_uv": pixel_from_uv.T,
+                "far_m": self.far_m,
+                # pixels count from the left of the whole framebuffer
+                "u": sector.u - [sector.u[1] * left, 0, 0],
+                "v": sector.v - [sector.v[1] * left, 0, 0],
+            }
+            self.uniforms[key] = [
+                (name, np.ascontiguousarray(value, np.float32).tobytes())
+                for name, value in values.items()
+                if name in program
+            ]
+        return self.uniforms[key]
 
     def _draw(self, array, flags: int, first_face: int, n_faces: int):
         self.context.enable_only(flags)

@@ -61,6 +61,9 @@ class Simulator:
         pattern = self.acoustics.beam_pattern_function(sonar)
         self.fan: Fan = make_fan(sonar, self.sampling, reach, box=pattern is None)
         self._reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
+        self._azimuth_rad, self._range_m = sonar.azimuth_rad, sonar.range_m
+        for array in (self._azimuth_rad, self._range_m):
+            array.setflags(write=False)  # all pings share them
         self._gain = self.acoustics.gain(sonar.range_m, sonar).astype(np.float32)
         self._context = gl.create_context()
         with self._context:
@@ -109,8 +112,8 @@ class Simulator:
             warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
         ping = Ping(
             intensity,
-            self.sonar.azimuth_rad,
-            self.sonar.range_m,
+            self._azimuth_rad,
+            self._range_m,
             body_id,
             elevation_rad,
             pose,
@@ -146,8 +149,8 @@ class Simulator:
             x = np.where(missed, np.nan, 1 / np.where(missed, 1, q))
             echo = plane_echo[..., 3] / (x * np.sqrt(1 + u * u + v * v))
             rays = np.stack([x, -u * x, v * x], axis=-1) @ sector.rotation()
-            # only this sector's own cells, by rising azimuth
-            inner = slice(sector.shift[0] - sector.n_cells + 1, sector.shift[0] + 1)
+            # only this sector's own rays, by rising azimuth
+            inner = np.abs(u[0]) < math.tan(sector.half_width_rad)
             points.append(rays[:, inner][:, ::-1].astype(np.float32))
             echoes.append(np.where(missed, 0, echo)[:, inner][:, ::-1])
         return np.concatenate(points, axis=1), np.concatenate(echoes, axis=1)

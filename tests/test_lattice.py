@@ -20,7 +20,7 @@ def fan_of(it, columns=2.0, rows=32):
 
 
 @pytest.mark.parametrize("fov", [8.0, 20.0, 45.0, 130.0, 180.0, 359.5, 360.0])
-def test_cells_cover_the_fan_once(fov):
+def test_strips_cover_the_fan_once(fov):
     it = sonar(fov, width=min(1.0, fov))
     fan = fan_of(it)
     span = min(2 * math.pi, it.azimuth_rad[-1] - it.azimuth_rad[0] + math.radians(it.beam_width_deg))
@@ -34,46 +34,41 @@ def test_cells_cover_the_fan_once(fov):
             np.stack([parts.u + parts.width / 2, parts.u - parts.width / 2])
         )
         np.add.at(widths, parts.column, azimuth[1] - azimuth[0])
-        # a part lies in its column and in its cell
+        # a strip lies in its column, and a sample stands for no more than one and a half of its own width
         assert (azimuth[0] > fan.column_edges_rad[parts.column] - 1e-9).all()
         assert (azimuth[1] < fan.column_edges_rad[parts.column + 1] + 1e-9).all()
-        tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
-        assert (np.abs(tan_width - (parts.cell + 0.5) * du - parts.u) <= du / 2 + 1e-12).all()
+        assert (parts.width < 1.5 * sector.u[1] + 1e-12).all()
     np.testing.assert_allclose(widths, np.diff(fan.column_edges_rad), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("fov", [20.0, 60.0, 130.0])
-def test_every_cell_has_one_ray_inside_it_in_every_row(fov):
+def test_a_ray_is_near_every_strip_in_every_row(fov):
     for sector in fan_of(sonar(fov)).sectors:
         u, _ = sector.rays()
-        tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
         for j in range(sector.rows):
-            i = sector.shift[j] - np.arange(sector.n_cells)
-            assert i.min() >= 0
-            assert i.max() < sector.columns
-            middle = tan_width - (np.arange(sector.n_cells) + 0.5) * du
-            assert (np.abs(u[j, i] - middle) <= du / 2 + 1e-12).all()
+            away = np.abs(u[j, :, None] - sector.parts.u).min(axis=0)
+            assert away.max() <= sector.u[1] / 2 + 1e-12
 
 
-def test_rows_of_a_cell_touch_and_reach_beyond_the_aperture():
+def test_rows_reach_beyond_the_aperture_wherever_the_shear_shifts_them():
     for sector in fan_of(sonar(100.0)).sectors:
-        _, v = sector.rays()
-        for cell in range(sector.n_cells):
-            at = v[np.arange(sector.rows), sector.shift - cell]
-            np.testing.assert_allclose((at + sector.above)[:-1], (at - sector.below)[1:], atol=1e-12)
-            u = math.tan(sector.half_width_rad) - (cell + 0.5) * sector.u[1]
-            top = sector.tan_elevation * math.sqrt(1 + u * u)
-            assert at[0] - sector.below[0] <= -top
-            assert at[-1] + sector.above[-1] >= top
+        u, v = sector.rays()
+        for part in sector.parts.u:
+            i = np.abs(u - part).argmin(axis=1)
+            at = v[np.arange(sector.rows), i]
+            top = sector.tan_elevation * math.sqrt(1 + part * part)
+            spacing = sector.v[2]
+            assert at[0] < -top + spacing
+            assert at[-1] > top - spacing
+            assert np.diff(at).max() <= spacing * 1.2
 
 
-def test_rays_of_neighbouring_rows_look_elsewhere_in_the_cell():
-    """The plain grid would look at the same place in every row; ours sweeps the cell several times."""
+def test_rays_of_neighbouring_rows_look_elsewhere_in_the_strip():
+    """The plain grid would look at the same place in every row; ours sweeps the strip several times."""
     sector = fan_of(sonar()).sectors[0]
     u, _ = sector.rays()
-    tan_width, du = math.tan(sector.half_width_rad), sector.u[1]
-    i = sector.shift - 10
-    offset = (u[np.arange(sector.rows), i] - (tan_width - 10.5 * du)) / du
+    offset = u - sector.parts.u[10]
+    offset = np.take_along_axis(offset, np.abs(offset).argmin(axis=1)[:, None], axis=1) / sector.u[1]
     assert np.histogram(offset, bins=4, range=(-0.5, 0.5))[0].min() >= 0.15 * sector.rows
     plain = make_fan(sonar(), sg.Sampling(2, 32), math.radians(0.5), shear=0.0).sectors[0]
     assert np.ptp(plain.rays()[0][:, 5]) == 0

@@ -168,7 +168,7 @@ def test_demarco_image_looks_up_with_port_on_the_left():
 def test_a_beam_table():
     table = (-25.0, -3.0, 0.0, 17.0, 18.0, 19.0, 28.0)
     sonar = replace(SONAR, n_beams=7, beam_azimuths_deg=table)
-    with simulator(sonar=sonar) as it:
+    with simulator(sonar=sonar, sampling=sg.Sampling(40, 40)) as it:
         ping = it.ping(np.eye(4))
     np.testing.assert_allclose(np.degrees(ping.azimuth_rad), table)
     # the box spans azimuths 13 to 25 degrees

@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python3.12 names the Python to use. What is in place already is left alone.
 
 set -euo pipefail
-cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." >/dev/null
+cd -P -- "$(dirname -- "${BASH_SOURCE[0]}")/.." >/dev/null
 
 opengl=(libegl1 libgl1 libgl1-mesa-dri)  # Debian's and Ubuntu's names
 again="bash $0"
