@@ -168,14 +168,14 @@ def test_demarco_image_looks_up_with_port_on_the_left():
 def test_a_beam_table():
     table = (-25.0, -3.0, 0.0, 17.0, 18.0, 19.0, 28.0)
     sonar = replace(SONAR, n_beams=7, beam_azimuths_deg=table)
-    with simulator(sonar=sonar, sampling=sg.Sampling(40, 40)) as it:
+    with simulator(sonar=sonar, sampling=sg.Sampling(40, 200)) as it:
         ping = it.ping(np.eye(4))
     np.testing.assert_allclose(np.degrees(ping.azimuth_rad), table)
     # the box spans azimuths 13 to 25 degrees
     assert (ping.intensity.sum(axis=1) > 0).tolist() == [False, False, False, True, True, True, False]
     even = replace(SONAR, n_beams=1, azimuth_fov_deg=36.0)  # one beam, 1.5 degrees wide, at 0
     turned = sg.pose(0, 0, 0, 0, 0, math.radians(18.0))
-    with simulator(sonar=even, sampling=sg.Sampling(60, 40)) as it:
+    with simulator(sonar=even, sampling=sg.Sampling(60, 200)) as it:
         alone = it.ping(turned).intensity[0]
     np.testing.assert_allclose(ping.intensity[4].sum(), alone.sum(), rtol=0.02)
 
