@@ -16,7 +16,6 @@ from sonar_gl._version import __version__
 _HOMES = {
     "acoustics": ("Acoustics",),
     "axes": ("draw_axes",),
-    "demarco": ("demarco_image",),
     "export": ("load_npz", "save_animation", "save_npz", "save_png"),
     "fan": ("Sampling",),
     "image": ("colorize", "fan_image"),
@@ -24,7 +23,7 @@ _HOMES = {
     "noise": ("Noise",),
     "reference": ("reference_ping",),
     "scene": ("Body", "Scene", "pose"),
-    "simulator": ("Simulator",),
+    "simulator": ("Simulator", "demarco_image"),
     "sonar": ("Sonar", "load_sonar", "presets"),
     "types": ("Error", "GBuffer", "Ping"),
 }

@@ -40,6 +40,7 @@ HELP = {
     "range": "Another maximum range, metres; keeps the size of a bin.",
     "bins": "Another number of bins.",
     "profile": "How sound weakens and how beams hear.",
+    "range_law": "Of profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",
     "noise": "none, demarco2015, physical, or amounts such as gaussian=0.01,median=3.",
     "style": "Of the picture: a fan image, or the founding paper's.",
     "scale": "Of a fan image's brightness.",
@@ -76,6 +77,7 @@ def _option(name: str, *choices: str, **settings):
 @_option("range", type=float)
 @_option("bins", type=int)
 @_option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
+@_option("range_law", "printed", "constant", "inverse", show_default="printed")
 @_option("noise", show_default="none; demarco2015 in that style")
 @_option("style", "fan", "demarco2015", default="fan")
 @_option("scale", "db", "linear", default="db")
@@ -113,9 +115,13 @@ def render(ctx, scene, **options):
     from sonar_gl.noise import Noise
     from sonar_gl.simulator import Simulator
     from sonar_gl.sonar import load_sonar
+    from sonar_gl.types import Error
 
     in_demarco = o.style == "demarco2015"
-    acoustics = getattr(Acoustics, o.profile or ("demarco2015" if in_demarco else "physical"))()
+    profile = o.profile or ("demarco2015" if in_demarco else "physical")
+    if o.range_law is not None and profile != "demarco2015":
+        raise Error(f"--range-law must stand with --profile demarco2015 (got --profile {profile})")
+    acoustics = getattr(Acoustics, profile)(**({} if o.range_law is None else {"range_law": o.range_law}))
     noise = Noise.parse(("demarco2015" if in_demarco else "none") if o.noise is None else o.noise)
     sonar = load_sonar(o.sonar)
     sonar = sonar if o.range is None else sonar.with_range(o.range)

@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.axes import draw_axes
-from sonar_gl.demarco import demarco_image
 from sonar_gl.export import save_animation, save_npz, save_png
 from sonar_gl.image import colorize, fan_image
 from sonar_gl.noise import Noise
-from sonar_gl.simulator import Simulator
+from sonar_gl.simulator import Simulator, demarco_image
 
 STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
 

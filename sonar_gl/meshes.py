@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-AROUND = 96  # facets around a curved primitive: 3.75 degrees, 0.05 % of the radius between chord and arc
+SAGITTA_M = 5e-4  # most that a chord of a curved primitive leaves its arc: a fifth of the finest bins in use
 INFINITE_M = 2000.0  # width that a plane without edges is drawn with
 
 
@@ -27,33 +27,45 @@ def box(size):
     return make_shape(corners, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
-def _lathe(*strips):
-    """Turn profiles about z: strips of rows (radius, z, radial part and z of the normal), from the bottom up.
+def facets_around(radius: float) -> int:
+    """Facets of a circle of `radius` metres: a multiple of four, 24 to 256.
+
+    >>> facets_around(0.1), facets_around(1.0), facets_around(50.0)
+    (32, 100, 256)
+    """
+    needed = np.pi / np.arccos(1 - min(SAGITTA_M / radius, 1.0))
+    return int(4 * np.clip(np.ceil(needed / 4), 6, 64))
+
+
+def _lathe(n: int, *strips):
+    """Turn profiles about z, n facets around, from the bottom up.
+
+    A profile is a strip of rows: radius, z, radial part and z of the normal.
 
     Each strip has vertices of its own, so an edge between two strips stays sharp.
     """
-    angle = np.arange(AROUND) * (2 * np.pi / AROUND)
+    angle = np.arange(n) * (2 * np.pi / n)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     circle[np.abs(circle) < 1e-15] = 0.0  # the extremes lie exactly on the axes
-    around, following = np.arange(AROUND), (np.arange(AROUND) + 1) % AROUND
+    around, following = np.arange(n), (np.arange(n) + 1) % n
     vertices, normals, faces, count = [], [], [], 0
     for strip in strips:
         for radius, z, normal_radial, normal_z in strip:
-            vertices.append(np.column_stack([radius * circle, np.full(AROUND, z)]))
-            normals.append(np.column_stack([normal_radial * circle, np.full(AROUND, normal_z)]))
+            vertices.append(np.column_stack([radius * circle, np.full(n, z)]))
+            normals.append(np.column_stack([normal_radial * circle, np.full(n, normal_z)]))
         for row in range(len(strip) - 1):
-            low, high = count + row * AROUND, count + (row + 1) * AROUND
+            low, high = count + row * n, count + (row + 1) * n
             if strip[row][0] > 0:  # at a pole this triangle has no area
                 faces.append(np.column_stack([low + around, low + following, high + following]))
             if strip[row + 1][0] > 0:
                 faces.append(np.column_stack([low + around, high + following, high + around]))
-        count += len(strip) * AROUND
+        count += len(strip) * n
     return make_shape(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
 
 
-def _arc(radius: float, start_deg: float, stop_deg: float, z: float = 0.0):
-    """Profile of a sphere about (0, 0, z) between two latitudes, in AROUND/2 steps from pole to pole."""
-    steps = round(AROUND / 2 * (stop_deg - start_deg) / 180)
+def _arc(n: int, radius: float, start_deg: float, stop_deg: float, z: float = 0.0):
+    """Profile of a sphere about (0, 0, z) between two latitudes, in n/2 steps from pole to pole."""
+    steps = round(n / 2 * (stop_deg - start_deg) / 180)
     rows = []
     for latitude in np.radians(np.linspace(start_deg, stop_deg, steps + 1)):
         cos, sin = np.cos(latitude), np.sin(latitude)
@@ -66,6 +78,7 @@ def cylinder(radius: float, length: float):
     """A cylinder along z about the origin, metres; round side, flat ends with sharp edges."""
     h = length / 2
     return _lathe(
+        facets_around(radius),
         [(0, -h, 0, -1), (radius, -h, 0, -1)],
         [(radius, -h, 1, 0), (radius, h, 1, 0)],
         [(radius, h, 0, 1), (0, h, 0, 1)],
@@ -73,20 +86,23 @@ def cylinder(radius: float, length: float):
 
 
 def sphere(radius: float):
-    """A sphere about the origin, metres, 96 facets around and 48 from pole to pole."""
-    return _lathe(_arc(radius, -90, 90))
+    """A sphere about the origin, metres, half as many facets from pole to pole as around."""
+    n = facets_around(radius)
+    return _lathe(n, _arc(n, radius, -90, 90))
 
 
 def capsule(radius: float, length: float):
     """A cylinder of `length` along z about the origin with a half sphere on each end, metres."""
-    h = length / 2
-    return _lathe(_arc(radius, -90, 0, -h) + _arc(radius, 0, 90, h))
+    h, n = length / 2, facets_around(radius)
+    return _lathe(n, _arc(n, radius, -90, 0, -h) + _arc(n, radius, 0, 90, h))
 
 
 def ellipsoid(radii):
     """An ellipsoid about the origin with half-axes `radii` (x, y, z), metres."""
-    mesh, normals = sphere(1.0)
-    return make_shape(mesh.vertices * radii, mesh.faces, normals / np.asarray(radii))
+    largest = float(np.max(radii))
+    mesh, normals = sphere(largest)
+    radii = np.asarray(radii) / largest
+    return make_shape(mesh.vertices * radii, mesh.faces, normals / radii)
 
 
 def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_M, INFINITE_M)):

@@ -171,6 +171,15 @@ def test_profile_is_that_of_the_simulator():
         assert ping().meta["profile"] == name
 
 
+def test_range_law_is_that_of_the_paper_s_profile():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    for law in ("printed", "constant", "inverse"):
+        render("--profile", "demarco2015", "--range-law", law, "--format", "npz")
+        acoustics = sg.Acoustics.demarco2015(law)
+        with sg.Simulator(scene, sonar, acoustics, tolerance=0.05) as simulator:
+            np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4)).intensity)
+
+
 def test_choices_are_those_of_the_modules():
     choices = {p.name: getattr(p.type, "choices", None) for p in cli.render.params}
     assert list(choices["profile"]) == list(acoustics.PROFILES)
@@ -525,6 +534,10 @@ def test_numbers_out_of_range():
 def test_options_that_do_not_go_together():
     paper = ("--style", "demarco2015")
     for options, message in (
+        (
+            ("--range-law", "constant"),
+            "--range-law must stand with --profile demarco2015 (got --profile physical)",
+        ),
         (("--form", "printed"), "--form must stand with --style demarco2015 (got --style fan)"),
         (("--join", "circles"), "--join must stand with --style demarco2015 (got --style fan)"),
         ((*paper, "--axes"), "--axes must stand with --style fan (got --style demarco2015)"),
