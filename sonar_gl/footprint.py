@@ -64,42 +64,61 @@ def _spread(sums, c, tables, flat, r_first, per_metre, c0, c1, low, high):
 
 
 @compiled
-def _spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b):
-    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
+def _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide, thin):
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±wide and ±thin about s, to a row of bins.
 
     On a plane the cosine of incidence is proportional to s, and so is the energy's density.
     """
+    near, far = s + wide + thin, s - wide - thin
+    low, high = s - wide + thin, s + wide - thin
+    height, slope = energy / (2 * wide), energy / (4 * wide * thin)
+    if far < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
+        seen = _integral(slope * near, -slope, max(high, 0.0), near)
+        if high > 0.0:
+            seen += _integral(height, 0.0, max(low, 0.0), high)
+        if low > 0.0:
+            seen += _integral(-slope * far, slope, 0.0, low)
+        height, slope = height * energy * s / seen, slope * energy * s / seen
+    _spread(sums, c, tables, flat, r_first, per_metre, slope * near, -slope, high, near)
+    _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
+    _spread(sums, c, tables, flat, r_first, per_metre, -slope * far, slope, far, low)
+
+
+@compiled
+def spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b):
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins."""
     K = sums.shape[1]
     wide, thin = max(a, b), min(a, b)
-    s_near, s_far = s + wide + thin, s - wide - thin
-    if s_near <= tables[0, K] or s_far >= tables[0, 0]:
-        return
-    if s_far > tables[0, K] and s_near < tables[0, 0]:
-        near = int((1.0 / s_near - r_first) * per_metre)
-        if near == int((1.0 / s_far - r_first) * per_metre):  # the common case: one bin holds it all
-            sums[c, min(near, K - 1)] += energy * s
-            return
     # short ramps are not worth drawing: those of neighbouring samples overlap and add up to the same
-    if 2 * thin * per_metre < s * s or 4 * thin < wide:
-        height = energy / (2 * wide)
-        low, high = s - wide, s + wide
-        if low < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
-            height *= 2 * wide * s / (high * high / 2)
-            low = 0.0
-        _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
+    if 2 * thin * per_metre >= s * s and 4 * thin >= wide:
+        if s + wide + thin > tables[0, K] and s - wide - thin < tables[0, 0]:
+            _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide, thin)
         return
-    height, slope = energy / (2 * wide), energy / (4 * wide * thin)
-    low, high = s - wide + thin, s + wide - thin
-    if s_far < 0.0:
-        seen = _integral(s_near / (4 * wide * thin), -1 / (4 * wide * thin), max(high, 0.0), s_near)
-        if high > 0.0:
-            seen += _integral(1 / (2 * wide), 0.0, max(low, 0.0), high)
-        if low > 0.0:
-            seen += _integral(-s_far / (4 * wide * thin), 1 / (4 * wide * thin), 0.0, low)
-        height, slope = height * s / seen, slope * s / seen
-    _spread(sums, c, tables, flat, r_first, per_metre, slope * s_near, -slope, high, s_near)
-    _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
-    _spread(sums, c, tables, flat, r_first, per_metre, -slope * s_far, slope, s_far, low)
+    near, far = s + wide, s - wide
+    if far <= tables[0, K] or near >= tables[0, 0]:  # it reaches past the first or the last bin
+        if near <= tables[0, K] or far >= tables[0, 0]:
+            return
+        height = energy / (2 * wide)
+        if far < 0.0:
+            height *= 2 * wide * s / (near * near / 2)
+            far = 0.0
+        _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, far, near)
+        return
+    # nearly all samples come here: one division gives both ends' ranges and the height
+    wide = max(wide, 1e-12 * s)
+    product = near * far
+    inverse = 1.0 / (product * wide)
+    first = int((far * inverse * wide - r_first) * per_metre)
+    last = min(int((near * inverse * wide - r_first) * per_metre), K - 1)
+    if first >= last:
+        sums[c, last] += energy * s
+        return
+    height = energy * product * inverse / 2
+    sums[c, first] += height * (near * near - tables[0, first + 1] ** 2) / 2
+    sums[c, last] += height * (tables[0, last] ** 2 - far * far) / 2
+    row, height = uint64(c), np.float32(height)
+    for k in range(uint64(first + 1), uint64(last)):
+        sums[row, k] += height * flat[k]
 
 
 @compiled
@@ -117,10 +136,10 @@ def accumulate(
     flat,
     footprint,
     body,
-    echo_sum,
-    elevation_sum,
+    moment,
+    sums,
 ):
-    """Add some of one sector's samples to the columns.
+    """Sum some of one sector's samples into columns.
 
     A sample stands for a rectangle of an upright strip of the view's image plane, which its ray need not meet
     in the middle. The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for
@@ -136,30 +155,37 @@ def accumulate(
     bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
     footprint : False drops a part of a sample whole into the bin of the hit point
     body : 0 for all, or the number of the one body to add
-    echo_sum : (columns, K) float32, μ cos θ times steradians, added to
-    elevation_sum : same shape, echo times elevation, or (0, 0) when not wanted
+    moment : sum the echo times its elevation, in radians, instead of the echo
+    sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
     """
-    K = echo_sum.shape[1]
+    K = sums.shape[1]
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
-    labels = elevation_sum.shape[0] > 0
     R = plane_echo.shape[0]
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
+        if p == 0 or part_column[p - 1] != c:
+            row = uint64(c)
+            for k in range(uint64(K)):
+                sums[row, k] = 0.0
         u2 = 1.0 + uc * uc
         v_limit = tan_elevation * math.sqrt(u2)
         nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
-        i = int(nearest)
-        u0, v0 = u[0] + u[1] * i, v[0] + v[1] * i
-        q0, along_v = float(plane_echo[0, i, 0]), float(plane_echo[0, i, 2])
-        q = q0 + float(plane_echo[0, i, 1]) * (uc - u0)
+        # the rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
+        bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
+        first = max(int((-v_limit - bottom) / rise) - 2, 0)
+        last = min(int((v_limit - bottom) / rise) + 3, R - 1)
+        i = int(nearest - step * first)
+        u0, v0 = u[0] + u[1] * i + u[2] * first, v[0] + v[1] * i + v[2] * first
+        q0, along_v = float(plane_echo[first, i, 0]), float(plane_echo[first, i, 2])
+        q = q0 + float(plane_echo[first, i, 1]) * (uc - u0)
         high = -v_limit
-        for j in range(R):
+        for j in range(first, last + 1):
             # this sample, and where its surface gives way to that of the next one up
             low = high
             i_here, u_here, v_here, q_here, q_ray, along_here = i, u0, v0, q, q0, along_v
             high = v_limit
-            if j + 1 < R:
+            if j < last:
                 i = int(nearest - step * (j + 1))
                 u0 = u[0] + u[1] * i + u[2] * (j + 1)
                 v0 = v[0] + v[1] * i + v[2] * (j + 1)
@@ -185,15 +211,14 @@ def accumulate(
             one_over_L2 = 1.0 / (u2 + vc * vc)
             one_over_L = math.sqrt(one_over_L2)
             energy = strength * part_width[p] * (v_high - v_low) * one_over_L * one_over_L2
-            elevation = math.atan2(vc, math.sqrt(u2)) if labels else 0.0
+            if moment:
+                energy *= math.atan2(vc, math.sqrt(u2))
             if not footprint:
                 r0 = math.sqrt(1.0 + u_here * u_here + v_here * v_here) / q_ray
                 energy /= r0
                 if r_first <= r0 < r_last:
                     k = min(int((r0 - r_first) * per_metre), K - 1)
-                    echo_sum[c, k] += energy
-                    if labels:
-                        elevation_sum[c, k] += energy * elevation
+                    sums[c, k] += energy
                 continue
             at = q_here + along_here * (vc - v_here)
             if at <= 0.0:
@@ -203,11 +228,7 @@ def accumulate(
             b = abs(along_here - at * vc * one_over_L2)
             a *= one_over_L * part_width[p] / 2
             b *= one_over_L * (v_high - v_low) / 2
-            _spread_footprint(echo_sum, c, tables, flat, r_first, per_metre, energy, s, a, b)
-            if labels:
-                _spread_footprint(
-                    elevation_sum, c, tables, flat, r_first, per_metre, energy * elevation, s, a, b
-                )
+            spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b)
 
 
 @compiled

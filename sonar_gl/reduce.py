@@ -42,18 +42,17 @@ class Reducer:
 
     def intensity(self, views) -> np.ndarray:
         """(B, K) float32 echo before the gain, from the samples of all sectors."""
-        return self._beams(self._accumulate(views, 0, self.sums, None))
+        return self._beams(self._accumulate(views))
 
     def labels(self, views) -> tuple[np.ndarray, np.ndarray]:
         """The body of the strongest echo, (B, K) uint16, and its mean elevation, (B, K) float32, radians."""
         shape = (len(self.first), self.fan.sonar.n_bins)
         strongest, body_id = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
         elevation = np.full(shape, np.nan, np.float32)
-        sums, elevations = np.zeros_like(self.sums), np.zeros_like(self.sums)
         seen = [np.unique(bodies[plane_echo[..., 3] > 0]) for _, plane_echo, bodies in views]
         for body in np.unique(np.concatenate(seen)).tolist():
-            self._accumulate(views, body, sums, elevations)
-            echo, moment = self._beams(sums), self._beams(elevations)
+            echo = self._beams(self._accumulate(views, body))
+            moment = self._beams(self._accumulate(views, body, moment=True))
             stronger = echo > strongest
             strongest[stronger] = echo[stronger]
             body_id[stronger] = body
@@ -66,13 +65,10 @@ class Reducer:
         work(0)
         other.result()
 
-    def _accumulate(self, views, body, sums, elevations):
-        nothing = sums[:0]
+    def _accumulate(self, views, body=0, moment=False) -> np.ndarray:
+        """Fill the columns' sums, with one body's echo or all, or its moment; see `accumulate`."""
 
         def work(half):
-            np.array_split(sums, 2)[half].fill(0.0)
-            if elevations is not None:
-                np.array_split(elevations, 2)[half].fill(0.0)
             for owner, index, parts in self.jobs:
                 if owner != half:
                     continue
@@ -89,12 +85,12 @@ class Reducer:
                     self.flat,
                     self.footprint,
                     body,
-                    sums,
-                    nothing if elevations is None else elevations,
+                    moment,
+                    self.sums,
                 )
 
         self._both(work)
-        return sums
+        return self.sums
 
     def _beams(self, sums) -> np.ndarray:
         out = np.empty((len(self.first), sums.shape[1]), np.float32)
