@@ -65,10 +65,7 @@ def _spread(sums, c, tables, flat, r_first, per_metre, c0, c1, low, high):
 
 @compiled
 def _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide, thin):
-    """Add energy times s = 1/r, spread as the sum of two uniforms on ±wide and ±thin about s, to a row of bins.
-
-    On a plane the cosine of incidence is proportional to s, and so is the energy's density.
-    """
+    """The same where the ramps count, or the footprint reaches past a plane's horizon."""
     near, far = s + wide + thin, s - wide - thin
     low, high = s - wide + thin, s + wide - thin
     height, slope = energy / (2 * wide), energy / (4 * wide * thin)
@@ -86,7 +83,10 @@ def _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide
 
 @compiled
 def spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b):
-    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins."""
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
+
+    On a plane the cosine of incidence is proportional to s, and so is the energy's density.
+    """
     K = sums.shape[1]
     wide, thin = max(a, b), min(a, b)
     # short ramps are not worth drawing: those of neighbouring samples overlap and add up to the same
@@ -235,10 +235,7 @@ def accumulate(
 def weigh_columns(echo_sum, first, weights, out):
     """Beams as weighted sums of columns.
 
-    Parameters
-    ----------
-    echo_sum : (columns, K); first : (B,); weights : (B, W), as `fan.beam_weights` gives them
-    out : (B, K) float32, overwritten
+    echo_sum : (columns, K); first : (B,); weights : (B, W), of `fan.beam_weights`; out : (B, K), overwritten
     """
     n_columns, K = echo_sum.shape
     for b in range(out.shape[0]):

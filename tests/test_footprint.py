@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sonar_gl.footprint import spread_footprint, bin_tables, weigh_columns
+from sonar_gl.footprint import bin_tables, spread_footprint, weigh_columns
 
 EDGES = np.linspace(0.5, 30.5, 301)
 
