@@ -48,7 +48,7 @@ class Sampling:
             raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {self.reducer!r})")
 
 
-# tolerance; samples across a beam width (of half a degree at least, and three at least); rows a degree
+# tolerance; samples across a beam (as if 0.5 to 1.5 degrees wide, and three at least); rows a degree
 TABLE = (
     (0.05, 3.0, 1.6),
     (0.02, 6.0, 3.2),
@@ -69,12 +69,14 @@ def choose_sampling(sonar: Sonar, tolerance: float) -> Sampling:
     if not (isinstance(tolerance, (int, float, np.number)) and 0.001 <= tolerance <= 0.5):
         raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
     _, across, per_degree = next((row for row in TABLE if row[0] <= tolerance), TABLE[-1])
-    sample_deg = min(max(sonar.beam_width_deg, 0.5) / across, sonar.beam_width_deg / 3)
+    sample_deg = min(float(np.clip(sonar.beam_width_deg, 0.5, 1.5)) / across, sonar.beam_width_deg / 3)
+    # rows are even in tan φ: as dense on the boresight as asked for, denser above and below
+    aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
     spacing_deg = sonar.azimuth_fov_deg / sonar.n_beams
-    return Sampling(spacing_deg / sample_deg, max(16, math.ceil(per_degree * sonar.elevation_fov_deg)))
+    return Sampling(spacing_deg / sample_deg, max(16, math.ceil(per_degree * aperture_deg)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fan:
     """All that the samples of a sonar need, fixed once per run.
 

@@ -18,7 +18,7 @@ SHEAR = 16.0
 SHEAR_ROWS = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Parts:
     """The upright strips that a sector's samples stand for: P of them, by rising azimuth.
 
@@ -36,7 +36,7 @@ class Parts:
     width: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sector:
     """One perspective view: C by R samples.
 

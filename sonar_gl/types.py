@@ -46,7 +46,7 @@ def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GBuffer:
     """One sector's samples: what the depth + normal pass saw. R rows (elevation), C columns (azimuth).
 
@@ -64,7 +64,7 @@ class GBuffer:
     body_id: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ping:
     """One transmission and what it brought back. B beams, K bins.
 

@@ -131,7 +131,7 @@ def test_sampling_of_a_tolerance():
         for tolerance in (0.3, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
     ]
     assert counts == sorted(counts)
-    assert choose_sampling(it, 0.01) == sg.Sampling(12 * 45 / 256, 100)
+    assert choose_sampling(it, 0.01) == sg.Sampling(12 * 45 / 256, 102)
     # narrow beams hold three samples at least
     narrow = replace(it, beam_width_deg=0.17578125)
     assert choose_sampling(narrow, 0.05).columns_per_beam == pytest.approx(3.0)
