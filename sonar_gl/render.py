@@ -242,7 +242,7 @@ class Renderer:
                     range_m=range_m.astype(np.float32),
                     normal=np.where(hit[..., None], normal, 0).astype(np.float32),
                     echo=np.where(hit, plane_echo[..., 3] / np.where(hit, range_m, 1), 0).astype(np.float32),
-                    body_id=body_id.copy(),
+                    body_id=np.where(hit, body_id, 0),  # cleared or not is left open for integers
                 )
             )
         return out
