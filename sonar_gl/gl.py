@@ -15,6 +15,23 @@ NO_EGL = (
     "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
 )
 
+_discarded: list[moderngl.Context] = []
+
+
+def discard(context: moderngl.Context) -> None:
+    """Have a context released later, when nobody is drawing.
+
+    For finalisers: the garbage collector may call them in the midst of another context's drawing, and
+    releasing a context leaves none current.
+    """
+    _discarded.append(context)
+
+
+def release_discarded() -> None:
+    """Release what was discarded; not to be called inside a `with context` block."""
+    while _discarded:
+        _discarded.pop().release()
+
 
 def create_context() -> moderngl.Context:
     """A stand-alone headless context of at least OpenGL 3.3 core, current in this thread.
@@ -24,6 +41,7 @@ def create_context() -> moderngl.Context:
     Error
         if there is no EGL, or the driver is too old.
     """
+    release_discarded()
     try:
         # by their sonames: the unversioned ones come with development packages only
         context = moderngl.create_context(

@@ -59,6 +59,10 @@ class Reducer:
             elevation[stronger] = moment[stronger] / echo[stronger]
         return body_id, elevation
 
+    def close(self):
+        """End the other thread."""
+        self._pool.shutdown()
+
     def _both(self, work):
         """Call work(0) and work(1), one of them in the other thread."""
         other = self._pool.submit(work, 1)

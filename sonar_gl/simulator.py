@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -57,7 +59,7 @@ class Simulator:
         self.scene, self.sonar = scene, sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
         self.sampling = sampling if sampling is not None else choose_sampling(sonar, tolerance)
-        self._context = None
+        self._context, self._lock = None, threading.Lock()
         reach = self.acoustics.beam_reach_rad(sonar)
         pattern = self.acoustics.beam_pattern_function(sonar)
         self.fan: Fan = make_fan(sonar, self.sampling, reach, box=pattern is None)
@@ -71,6 +73,9 @@ class Simulator:
             self.gl_info = gl.describe(self._context)
             gpu = SceneOnGpu(self._context, scene, data_folder("shaders"))
             self._renderer = Renderer(self._context, gpu, self.fan)
+            # shaders and sums are compiled when first used: now, so that all pings cost alike
+            self._renderer.render(np.eye(4))
+        self._reducer.intensity(list(self._renderer.views()))
         self._meta = {
             "sonar": asdict(sonar),
             "acoustics": self.acoustics.meta(),
@@ -101,16 +106,16 @@ class Simulator:
             if nothing came back, saying what was nearest and why.
         """
         pose = check_pose(pose)
-        with self._open():
-            self._renderer.render(pose, labels)
-        views = list(self._renderer.views())
-        intensity = self._reducer.intensity(views)
-        intensity *= self._gain
         body_id = elevation_rad = None
-        if labels:
-            body_id, elevation_rad = self._reducer.labels(views)
-        if not intensity.any():
-            warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
+        with self._drawing():
+            self._renderer.render(pose, labels)
+            views = list(self._renderer.views())
+            intensity = self._reducer.intensity(views)
+            if labels:
+                body_id, elevation_rad = self._reducer.labels(views)
+            if not intensity.any():
+                warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
+        intensity *= self._gain
         ping = Ping(
             intensity,
             self._azimuth_rad,
@@ -124,9 +129,9 @@ class Simulator:
 
     def gbuffers(self, pose) -> list[GBuffer]:
         """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
-        with self._open():
+        with self._drawing():
             self._renderer.render(check_pose(pose), labels=True)
-        return self._renderer.gbuffers()
+            return self._renderer.gbuffers()
 
     def point_cloud(self, pose, columns: int, rows: int):
         """Points of a plain grid of rays over the field of view, as a ray sensor would give them.
@@ -139,7 +144,7 @@ class Simulator:
         """
         sonar = replace(self.sonar, n_beams=1, beam_azimuths_deg=None)
         fan = make_fan(sonar, Sampling(columns, rows), math.radians(sonar.azimuth_fov_deg) / 2, shear=0.0)
-        with self._open() as context:
+        with self._drawing() as context:
             renderer = Renderer(context, self._renderer.gpu, fan)
             renderer.render(check_pose(pose))
         points, echoes = [], []
@@ -156,19 +161,25 @@ class Simulator:
             echoes.append(np.where(missed, 0, echo)[:, inner][:, ::-1])
         return np.concatenate(points, axis=1), np.concatenate(echoes, axis=1)
 
-    def _open(self):
+    @contextmanager
+    def _drawing(self):
+        """This simulator's context, current for the time of the block, in one thread at a time."""
         if self._context is None:
             raise Error("this Simulator is closed; make a new one")
-        return self._context
+        with self._lock, self._context as context:
+            yield context
 
     def close(self):
         """Give the OpenGL context and all it holds back; twice does no harm."""
-        context, self._context = self._context, None
-        if context is not None:
-            with context:
-                self._renderer = None
-                context.gc()
-            context.release()
+        with self._lock:
+            context, self._context = self._context, None
+            if context is not None:
+                self._reducer.close()
+                with context:
+                    self._renderer = None
+                    context.gc()
+                context.release()
+        gl.release_discarded()
 
     def __enter__(self):
         return self
@@ -178,7 +189,7 @@ class Simulator:
 
     def __del__(self):
         if getattr(self, "_context", None) is not None:
-            self.close()
+            gl.discard(self._context)
 
 
 def demarco_image(

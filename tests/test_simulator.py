@@ -1,8 +1,10 @@
 """A run from scene to ping: what it promises, what it says when nothing comes back, what it refuses."""
 
+import gc
 import math
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -100,6 +102,37 @@ def test_a_ping_in_another_thread():
     np.testing.assert_array_equal(here, there[0])
 
 
+def test_pings_in_two_threads_at_once():
+    poses = [sg.pose(0, y, 0) for y in (-1, 0, 1, 2)]
+    with simulator() as it:
+        alone = [it.ping(pose).intensity for pose in poses]
+        with ThreadPoolExecutor(4) as pool:
+            together = [ping.intensity for ping in pool.map(it.ping, poses * 5)]
+    for k, intensity in enumerate(together):
+        np.testing.assert_array_equal(intensity, alone[k % 4])
+
+
+def test_a_simulator_collected_in_the_midst_of_a_ping_does_no_harm(monkeypatch):
+    """The finaliser of one simulator, in a reference cycle, runs while another one draws."""
+    with simulator() as it:
+        expected = it.ping(sg.pose(1, 0, 0)).intensity
+        it.ping(np.eye(4))
+        gc.disable()
+        cycle = [simulator()]
+        cycle.append(cycle)
+        del cycle
+        render = it._renderer.render
+
+        def collecting(*args):
+            gc.collect()
+            return render(*args)
+
+        monkeypatch.setattr(it._renderer, "render", collecting)
+        got = it.ping(sg.pose(1, 0, 0)).intensity
+        gc.enable()
+    np.testing.assert_array_equal(got, expected)
+
+
 def test_bins_sum_and_do_not_average():
     """Twice the surface is twice the echo: two plates that share a bin."""
     plate = trimesh.creation.box((0.01, 1, 0.2))
@@ -129,13 +162,9 @@ def test_one_beam_one_bin_and_many():
         replace(SONAR, n_beams=1001, n_bins=7, beam_width_deg=0.06),
     ):
         with simulator(sonar=sonar, sampling=None, tolerance=0.05) as it:
-            ping = it.ping(np.eye(4))
+            ping = it.ping(sg.pose(0, 2, 0))
         assert ping.intensity.shape == (sonar.n_beams, sonar.n_bins)
-        # a single beam of the default width looks past the box, which lies to port
-        if sonar.n_beams == 1 and sonar.n_bins == 8192:
-            assert not ping.intensity.any()
-        else:
-            assert ping.intensity.any()
+        assert ping.intensity.any()
 
 
 def test_point_cloud_lies_on_the_bodies():
