@@ -23,7 +23,8 @@ _HOMES = {
     "noise": ("Noise",),
     "reference": ("reference_ping",),
     "scene": ("Body", "Scene", "pose"),
-    "simulator": ("Simulator", "demarco_image"),
+    "paper": ("demarco_image",),
+    "simulator": ("Simulator",),
     "sonar": ("Sonar", "load_sonar", "presets"),
     "types": ("Error", "GBuffer", "Ping"),
 }

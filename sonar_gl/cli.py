@@ -29,7 +29,7 @@ RENDER_EXAMPLES = """\b
 Examples:
   sonar-gl render pylon
   sonar-gl render diver --sonar didson-hf --noise physical --axes
-  sonar-gl render diver --sonar demarco-2015 --style demarco2015
+  sonar-gl render diver --sonar demarco-2015 --style demarco2015 --range-law constant
   sonar-gl render ocean_floor --pose "0 0 -5 0 0.3 0" --range 20
   sonar-gl render harbour.sdf --poses dive.csv --format mp4 --fps 15 --out dive
 """
@@ -41,7 +41,7 @@ HELP = {
     "bins": "Another number of bins.",
     "profile": "How sound weakens and how beams hear.",
     "range_law": "Of profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",
-    "noise": "none, demarco2015, physical, or amounts such as gaussian=0.01,median=3.",
+    "noise": "none, demarco2015, physical, or amounts such as gaussian=1e-4,median=3.",
     "style": "Of the picture: a fan image, or the founding paper's.",
     "scale": "Of a fan image's brightness.",
     "db_range": "Darkest and brightest dB of a fan image.",

@@ -15,7 +15,8 @@ from sonar_gl.axes import draw_axes
 from sonar_gl.export import save_animation, save_npz, save_png
 from sonar_gl.image import colorize, fan_image
 from sonar_gl.noise import Noise
-from sonar_gl.simulator import Simulator, demarco_image
+from sonar_gl.paper import demarco_image
+from sonar_gl.simulator import Simulator
 
 STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
 
@@ -37,8 +38,7 @@ def demarco_artist(height: int, form: str, join: str, noise: Noise, seed: int):
         warnings.warn("the picture of style demarco2015 knows no speckle and no gaussian noise", stacklevel=2)
 
     def picture(simulator, ping, number):
-        law = simulator.acoustics.range_law
-        return demarco_image(simulator, ping.pose, seed + number, noise, height, form, join, law)
+        return demarco_image(simulator, ping.pose, seed + number, noise, height, form, join)
 
     return picture
 
@@ -120,6 +120,8 @@ class Dump:
 
     def _find(self, ping) -> tuple[float, str]:
         """Intensity of the strongest echo, and what and where it is."""
+        if not ping.meta["has_echo"]:  # what there is is noise
+            return 0.0, "no echo"
         intensity = ping.intensity
         if self.noise.salt_and_pepper:
             intensity = np.where(intensity == 1.0, 0.0, intensity)  # grains of salt

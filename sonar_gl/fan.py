@@ -19,6 +19,7 @@ from sonar_gl.types import Error, frozen_array
 MAX_SECTOR_RAD = math.radians(60.0)
 # Columns of a smooth beam pattern, to a beam spacing
 COLUMNS_PER_SPACING = 2
+MAX_COLUMNS_PER_BEAM = 1024
 REDUCERS = ("footprint", "point")
 
 
@@ -39,7 +40,8 @@ class Sampling:
 
     def __post_init__(self):
         if not (
-            isinstance(self.columns_per_beam, (int, float, np.number)) and 0 < self.columns_per_beam <= 1024
+            isinstance(self.columns_per_beam, (int, float, np.number))
+            and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM
         ):
             raise Error(f"columns_per_beam must be a number in 0..1024 (got {self.columns_per_beam!r})")
         if not (isinstance(self.rows, (int, np.integer)) and 1 <= self.rows <= 16000):
@@ -73,7 +75,9 @@ def choose_sampling(sonar: Sonar, tolerance: float) -> Sampling:
     # rows are even in tan φ: as dense on the boresight as asked for, denser above and below
     aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
     spacing_deg = sonar.azimuth_fov_deg / sonar.n_beams
-    return Sampling(spacing_deg / sample_deg, max(16, math.ceil(per_degree * aperture_deg)))
+    return Sampling(
+        min(spacing_deg / sample_deg, MAX_COLUMNS_PER_BEAM), max(16, math.ceil(per_degree * aperture_deg))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,9 +134,8 @@ def make_fan(
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         # a smooth pattern changes little over half a spacing
-        ends = np.linspace(
-            start, stop, 1 + math.ceil(COLUMNS_PER_SPACING * span / np.diff(azimuths).min(initial=span))
-        )
+        spacing = np.diff(azimuths).min(initial=span)
+        ends = np.linspace(start, stop, 1 + math.ceil(COLUMNS_PER_SPACING * span / spacing - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = distinct(np.clip(np.concatenate([ends, seams]), start, stop))
     sectors = tuple(replace(sector, parts=make_parts(sector, edges)) for sector in sectors)

@@ -82,6 +82,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         return read_sdf(bundled[what], resource_paths, skip_missing)
     suffix = path.suffix.lower()
     if suffix in SDF_SUFFIXES or suffix in mesh_files.SUFFIXES:
+        if path.is_dir():
+            raise Error(f"{path}: a scene must be a file, and this is a folder")
         if not path.is_file():
             raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
         if suffix in mesh_files.SUFFIXES:

@@ -122,17 +122,21 @@ def _amount(text: str, key: str, value: str | None):
     return int(number) if key == "median" and number.is_integer() else number
 
 
+def check_seed(number, what: str = "seed") -> int:
+    """A whole number, 0 or more, or an `Error`."""
+    if isinstance(number, (bool, np.bool_)) or not isinstance(number, (int, np.integer)) or number < 0:
+        raise Error(f"{what} must be a whole number, 0 or more (got {number!r})")
+    return int(number)
+
+
 def stream(seed: int, ping_number: int, term: str) -> np.random.Generator:
     """Random numbers for one term of one ping: no term, switched on or off, moves those of another.
 
     >>> bool(stream(7, 0, "speckle").random() == stream(7, 0, "speckle").random())
     True
     """
-    for what, number in (("seed", seed), ("ping_number", ping_number)):
-        if isinstance(number, (bool, np.bool_)) or not isinstance(number, (int, np.integer)) or number < 0:
-            raise Error(f"{what} must be a whole number, 0 or more (got {number!r})")
-    key = (int(ping_number), STREAMS[term])
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(int(seed), spawn_key=key)))
+    key = (check_seed(ping_number, "ping_number"), STREAMS[term])
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(check_seed(seed), spawn_key=key)))
 
 
 @lru_cache(maxsize=8)

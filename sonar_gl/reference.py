@@ -49,7 +49,12 @@ def _embree_scene(scene: Scene, pose):
 
 
 def reference_ping(
-    scene: Scene, sonar: Sonar, pose, acoustics: Acoustics, n_rays: int = 20_000_000, seed: int = 0
+    scene: Scene,
+    sonar: Sonar,
+    pose,
+    acoustics: Acoustics | None = None,
+    n_rays: int = 20_000_000,
+    seed: int = 0,
 ) -> Ping:
     """A ping by ray casting, for judging the fast one; faces count as flat, shading normals are not used.
 
@@ -65,6 +70,7 @@ def reference_ping(
         if Embree is not installed.
     """
     pose = check_pose(pose)
+    acoustics = Acoustics.physical() if acoustics is None else acoustics
     embree, _keep, reflectivity = _embree_scene(scene, pose)
     rng = np.random.default_rng(seed)
     B, K = sonar.n_beams, sonar.n_bins

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import os
 import threading
 import warnings
 from contextlib import contextmanager
@@ -13,10 +15,9 @@ import numpy as np
 from sonar_gl import gl
 from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.demarco import demarco_picture
 from sonar_gl.fan import Fan, Sampling, beam_weights, choose_sampling, make_fan
 from sonar_gl.load import data_folder
-from sonar_gl.noise import Noise, add_noise
+from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.nothing import why_nothing
 from sonar_gl.reduce import Reducer
 from sonar_gl.render import Renderer, SceneOnGpu
@@ -50,16 +51,17 @@ class Simulator:
         sampling: Sampling | None = None,
         tolerance: float = 0.01,
     ):
-        for name, value, kind in (("scene", scene, Scene), ("sonar", sonar, Sonar)):
-            if not isinstance(value, kind):
-                raise Error(
-                    f"{name} must be a {kind.__name__} (got {type(value).__name__}; "
-                    f"sonar_gl.load_{name} makes one from a name or a file)"
-                )
+        for name, value, kind, cure in (
+            ("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file"),
+            ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
+            ("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()"),
+            ("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)"),
+        ):
+            _check_kind(name, value, kind, cure)
         self.scene, self.sonar = scene, sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
         self.sampling = sampling if sampling is not None else choose_sampling(sonar, tolerance)
-        self._context, self._lock = None, threading.Lock()
+        self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
         reach = self.acoustics.beam_reach_rad(sonar)
         pattern = self.acoustics.beam_pattern_function(sonar)
         self.fan: Fan = make_fan(sonar, self.sampling, reach, box=pattern is None)
@@ -105,7 +107,8 @@ class Simulator:
         UserWarning
             if nothing came back, saying what was nearest and why.
         """
-        pose = check_pose(pose)
+        pose, seed = check_pose(pose), check_seed(seed)
+        _check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         body_id = elevation_rad = None
         with self._drawing():
             self._renderer.render(pose, labels)
@@ -113,9 +116,13 @@ class Simulator:
             intensity = self._reducer.intensity(views)
             if labels:
                 body_id, elevation_rad = self._reducer.labels(views)
-            if not intensity.any():
+            has_echo = bool(intensity.any())
+            if not has_echo:
                 warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
         intensity *= self._gain
+        for array in (intensity, body_id, elevation_rad):
+            if array is not None:
+                array.setflags(write=False)
         ping = Ping(
             intensity,
             self._azimuth_rad,
@@ -123,7 +130,7 @@ class Simulator:
             body_id,
             elevation_rad,
             pose,
-            {**self._meta, "seed": seed},
+            {**copy.deepcopy(self._meta), "seed": seed, "has_echo": has_echo},
         )
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
@@ -142,8 +149,10 @@ class Simulator:
             as asked for: beyond one perspective view, columns' is a multiple of the views
         echo : (rows', columns') float32, μ cos θ
         """
-        sonar = replace(self.sonar, n_beams=1, beam_azimuths_deg=None)
-        fan = make_fan(sonar, Sampling(columns, rows), math.radians(sonar.azimuth_fov_deg) / 2, shear=0.0)
+        # one beam a column, that reach to the edges of the field of view and not beyond
+        sonar = replace(self.sonar, n_beams=columns, beam_azimuths_deg=None)
+        reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
+        fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
         with self._drawing() as context:
             renderer = Renderer(context, self._renderer.gpu, fan)
             renderer.render(check_pose(pose))
@@ -166,11 +175,15 @@ class Simulator:
         """This simulator's context, current for the time of the block, in one thread at a time."""
         if self._context is None:
             raise Error("this Simulator is closed; make a new one")
+        if os.getpid() != self._process:
+            raise Error("a Simulator must be used in the process that made it; make one in each process")
         with self._lock, self._context as context:
             yield context
 
     def close(self):
         """Give the OpenGL context and all it holds back; twice does no harm."""
+        if os.getpid() != self._process:  # of a fork: the context is the parent's
+            self._context = None
         with self._lock:
             context, self._context = self._context, None
             if context is not None:
@@ -188,54 +201,12 @@ class Simulator:
         self.close()
 
     def __del__(self):
-        if getattr(self, "_context", None) is not None:
+        if getattr(self, "_context", None) is not None and os.getpid() == self._process:
             gl.discard(self._context)
 
 
-def demarco_image(
-    simulator,
-    pose,
-    seed: int = 0,
-    noise: Noise | None = None,
-    height: int = 600,
-    form: str = "isotropic",
-    join: str = "circles",
-    range_law: str = "printed",
-) -> np.ndarray:
-    """The founding paper's picture of a scene: its sensor's rays, 280 x 70 to 45 x 20 degrees, and its chain.
-
-    Parameters
-    ----------
-    simulator : Simulator, for its scene and sonar
-    pose : (4, 4) world_from_sonar
-    noise : Noise; None is `Noise.demarco2015()`
-    seed, height, form, join : of `demarco_picture`
-    range_law : of `Acoustics.demarco2015`: eq. (4) as "printed", "constant" or "inverse"
-
-    Returns
-    -------
-    array of shape (H, W, 3), uint8 RGB
-    """
-    noise = Noise.demarco2015() if noise is None else noise
-    sonar = simulator.sonar
-    columns = max(2, round(280 / 45 * sonar.azimuth_fov_deg))
-    rows = max(2, round(70 / 20 * sonar.elevation_fov_deg))
-    points, echo = simulator.point_cloud(pose, columns, rows)
-    points = points.astype(np.float64)
-    range_m = np.linalg.norm(points, axis=-1)
-    points[~((range_m >= sonar.range_min_m) & (range_m < sonar.range_max_m))] = np.nan
-    gain = Acoustics.demarco2015(range_law).gain(np.nan_to_num(range_m), sonar)
-    return demarco_picture(
-        points.reshape(-1, 3),
-        (255 * echo * gain).ravel(),
-        math.radians(sonar.azimuth_fov_deg),
-        sonar.range_max_m,
-        height,
-        form,
-        join,
-        echo.shape,
-        noise.cloud_gaussian_m,
-        noise.median,
-        noise.salt_and_pepper,
-        seed,
-    )
+def _check_kind(name: str, value, kind, cure: str):
+    if not isinstance(value, kind):
+        wanted = getattr(kind, "__name__", str(kind).split(" ")[0].split(".")[-1])
+        article = "an" if wanted[0] in "AEIOU" else "a"
+        raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")

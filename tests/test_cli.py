@@ -403,7 +403,7 @@ def test_scene_files_that_cannot_be_read():
     Path("folder").mkdir()
     none = "there is no such file (bundled scenes are named without an ending)"
     assert refused(scene="none.sdf") == f"none.sdf: {none}"
-    assert refused(scene="folder.sdf") == f"folder.sdf: {none}"
+    assert refused(scene="folder.sdf") == "folder.sdf: a scene must be a file, and this is a folder"
     assert refused(scene="folder").startswith("folder: a scene file must end in one of .sdf .world ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
     message = refused(scene="latin.sdf")

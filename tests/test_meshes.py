@@ -312,3 +312,11 @@ def test_reading_warns_of_nothing(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         mesh_files.read_mesh(tmp_path / "a.glb")
+
+
+def test_text_meshes_need_not_be_utf8(tmp_path):
+    """As CAD programs write them: a comment in Latin-1."""
+    text = "# mod\xe8le\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_bytes(text.encode("latin-1"))
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2]]

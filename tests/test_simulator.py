@@ -2,6 +2,7 @@
 
 import gc
 import math
+import os
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -268,6 +269,22 @@ NAN[0, 3] = np.nan
             "sonar must be a Sonar (got str; sonar_gl.load_sonar makes one from a name or a file)",
         ),
         (
+            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, "physical"),
+            "acoustics must be an Acoustics (got str; such as sonar_gl.Acoustics.physical())",
+        ),
+        (
+            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, sampling=3),
+            "sampling must be a Sampling (got int; such as sonar_gl.Sampling(2, 100))",
+        ),
+        (
+            lambda: simulator().ping(np.eye(4), noise="physical"),
+            "noise must be a Noise (got str; such as sonar_gl.Noise.physical())",
+        ),
+        (
+            lambda: simulator().ping(np.eye(4), seed=1.5),
+            "seed must be a whole number, 0 or more (got 1.5)",
+        ),
+        (
             lambda: simulator(sampling=None, tolerance=2.0),
             "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
         ),
@@ -331,3 +348,49 @@ def test_reference_and_raster_agree_on_the_pylons():
     assert errors[1] < 0.01
     assert errors[0] > 2 * errors[1]
     assert errors[2] < errors[1]
+
+
+@pytest.mark.parametrize("fov", [100.0, 200.0, 360.0])
+def test_demarco_image_of_wide_fans(fov):
+    room = sg.Body("room", trimesh.creation.box((12, 10, 4)), reflectivity=1.0)
+    with simulator((room,), replace(SONAR, azimuth_fov_deg=fov, n_beams=8)) as it:
+        points, _ = it.point_cloud(np.eye(4), columns=1500, rows=5)
+        picture = sg.demarco_image(it, np.eye(4), range_law="constant")
+    azimuth = np.arctan2(points[2, :, 1], points[2, :, 0])
+    assert 1500 <= points.shape[1] < 1520
+    assert np.degrees(np.abs(azimuth)).max() == pytest.approx(fov / 2, abs=fov / 1000)
+    assert (np.diff(azimuth) > 0).all()
+    assert (picture[..., 0] > 0).any()
+
+
+def test_a_simulator_of_another_process_says_so():
+    """A fork has no OpenGL of its own; the child must not hang, draw nothing, or close its parent's."""
+    with simulator() as it:
+        expected = it.ping(np.eye(4)).intensity
+        read, write = os.pipe()
+        child = os.fork()
+        if child == 0:  # pragma: no cover
+            try:
+                it.ping(np.eye(4))
+            except sg.Error as why:
+                os.write(write, str(why).encode())
+            it.close()
+            os._exit(0)
+        os.close(write)
+        with os.fdopen(read) as told:
+            message = told.read()
+        os.waitpid(child, 0)
+        np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
+    assert message == "a Simulator must be used in the process that made it; make one in each process"
+
+
+def test_pings_do_not_share_what_can_be_changed():
+    with simulator() as it:
+        first = it.ping(np.eye(4))
+        first.meta["sonar"]["n_beams"] = -1
+        second = it.ping(np.eye(4), sg.Noise(gaussian=1e-6), labels=True)
+    assert second.meta["sonar"]["n_beams"] == 64
+    for array in (first.intensity, second.intensity, second.body_id, second.elevation_rad):
+        assert not array.flags.writeable
+    assert not first.range_m.flags.writeable
+    assert not first.azimuth_rad.flags.writeable
