@@ -20,7 +20,7 @@ def compiled(function):
 
 
 def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3, K + 1): s = 1/r at the bins' edges, each bin's integrals of s ds and s² ds; the former in float32."""
+    """(3, K + 1): s = 1/r at the edges of bins, their integrals of s ds and s² ds; the former in float32."""
     s = 1.0 / np.maximum(bin_edges_m, 1e-6)
     out = np.zeros((3, len(s)))
     out[0] = s
