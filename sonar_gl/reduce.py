@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from threading import Thread
 
 import numpy as np
 
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import accumulate, bin_tables, weigh_columns
+
+
+def _serve(todo: SimpleQueue, done: SimpleQueue):
+    """Do the second halves of work, until there is None."""
+    while (work := todo.get()) is not None:
+        try:
+            done.put(work(1))
+        except BaseException as why:
+            done.put(why)
 
 
 class Reducer:
@@ -23,6 +33,9 @@ class Reducer:
     """
 
     def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray):
+        # two queues and a thread hand over in half the time that an executor takes
+        self._todo, self._done = SimpleQueue(), SimpleQueue()
+        Thread(target=_serve, args=(self._todo, self._done), daemon=True).start()
         self.fan, self.first, self.weights = fan, first, weights
         self.edges = fan.sonar.bin_edges_m
         self.tables, self.flat = bin_tables(self.edges)
@@ -38,7 +51,6 @@ class Reducer:
                 mine = np.isin(parts.column, half) & heard[parts.column]
                 arrays = (parts.column[mine], parts.u[mine], parts.width[mine])
                 self.jobs.append((len(self.jobs) // len(fan.sectors), index, arrays))
-        self._pool = ThreadPoolExecutor(1)
 
     def intensity(self, views) -> np.ndarray:
         """(B, K) float32 echo before the gain, from the samples of all sectors."""
@@ -61,13 +73,20 @@ class Reducer:
 
     def close(self):
         """End the other thread."""
-        self._pool.shutdown()
+        self._todo.put(None)
+
+    def __del__(self):
+        self.close()
 
     def _both(self, work):
         """Call work(0) and work(1), one of them in the other thread."""
-        other = self._pool.submit(work, 1)
-        work(0)
-        other.result()
+        self._todo.put(work)
+        try:
+            work(0)
+        finally:
+            failure = self._done.get()
+        if failure is not None:
+            raise failure
 
     def _accumulate(self, views, body=0, moment=False) -> np.ndarray:
         """Fill the columns' sums, with one body's echo or all, or its moment; see `accumulate`."""

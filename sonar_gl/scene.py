@@ -14,7 +14,8 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     """A rigid (4, 4) float64 `world_from_x`, or an `Error`."""
     out = frozen_array(matrix, np.float64, (4, 4), what)
     rotation = out[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+    askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if askew > 1e-5 or np.linalg.det(rotation) < 0:
         raise Error(
             f"{what} must be a rotation and a translation (its 3x3 part scales, shears or mirrors; "
             "scale the mesh instead)"
