@@ -18,13 +18,14 @@ def _serve(todo: SimpleQueue, done: SimpleQueue):
             done.put(work(1))
         except BaseException as why:
             done.put(why)
+        work = None  # it holds its reducer, which must be free to go
 
 
 class Reducer:
     """Turns the samples of a fan into beams and bins; owns the sums that every ping uses again.
 
     Two threads share the work by columns, each with its own, so that the sums do not depend on which of
-    them is quicker, nor on how many there are.
+    them is quicker.
 
     Parameters
     ----------

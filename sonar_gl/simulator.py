@@ -174,17 +174,20 @@ class Simulator:
     @contextmanager
     def _drawing(self):
         """This simulator's context, current for the time of the block, in one thread at a time."""
-        if self._context is None:
-            raise Error("this Simulator is closed; make a new one")
         if os.getpid() != self._process:
             raise Error("a Simulator must be used in the process that made it; make one in each process")
-        with self._lock, self._context as context:
-            yield context
+        with self._lock:
+            if self._context is None:
+                raise Error("this Simulator is closed; make a new one")
+            with self._context as context:
+                context.gc()
+                yield context
 
     def close(self):
         """Give the OpenGL context and all it holds back; twice does no harm."""
-        if os.getpid() != self._process:  # of a fork: the context is the parent's
+        if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
             self._context = None
+            return
         with self._lock:
             context, self._context = self._context, None
             if context is not None:

@@ -4,7 +4,9 @@ import gc
 import math
 import os
 import threading
+import time
 import warnings
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -394,3 +396,47 @@ def test_pings_do_not_share_what_can_be_changed():
         assert not array.flags.writeable
     assert not first.range_m.flags.writeable
     assert not first.azimuth_rad.flags.writeable
+
+
+def test_a_forgotten_simulator_is_freed_with_its_thread():
+    it = simulator()
+    it.ping(np.eye(4))
+    reducer = weakref.ref(it._reducer)
+    del it
+    for _ in range(50):  # the other thread lets go of its last work a moment after it is done
+        gc.collect()
+        if reducer() is None:
+            break
+        time.sleep(0.01)
+    assert reducer() is None
+
+
+def test_point_clouds_leave_no_gl_objects_behind():
+    """What one call lets go of is deleted by the next: what waits does not grow."""
+    with simulator() as it:
+        waiting = []
+        for _ in range(6):
+            it.point_cloud(np.eye(4), 40, 10)
+            waiting.append(len(it._context.objects))
+        assert len(set(waiting[1:])) == 1
+
+
+def test_a_ping_that_waits_while_another_thread_closes():
+    it = simulator()
+    outcome = []
+
+    def wait():
+        try:
+            it.ping(np.eye(4))
+        except Exception as why:
+            outcome.append(why)
+
+    with it._lock:
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+        time.sleep(0.1)
+        context, it._context = it._context, None
+    waiting.join()
+    it._context = context
+    it.close()
+    assert [type(why) for why in outcome] == [sg.Error]
