@@ -101,6 +101,8 @@ def load_npz(path) -> Ping:
     for array in arrays.values():
         array.setflags(write=False)
     meta = json.loads(str(arrays.pop("meta", "{}")))
+    if "error_estimate" in arrays:
+        arrays["error_estimate"] = float(arrays["error_estimate"])
     return Ping(**{name: arrays[name] for name in names if name in arrays}, meta=meta)
 
 

@@ -77,6 +77,8 @@ class Ping:
     elevation_rad : (B, K) float32 or None, mean elevation of that echo, NaN where nothing
     pose : (4, 4) float64, world_from_sonar
     meta : what made it: sonar, profile, sampling, seed, version, GL renderer
+    body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
+    error_estimate : float or None, the share of the echo that is thought to lie in wrong bins
     """
 
     intensity: np.ndarray
@@ -86,6 +88,8 @@ class Ping:
     elevation_rad: np.ndarray | None = None
     pose: np.ndarray | None = None
     meta: dict = field(default_factory=dict)
+    body_echo: np.ndarray | None = None
+    error_estimate: float | None = None
 
     @property
     def bin_size_m(self) -> float:
