@@ -1,15 +1,31 @@
-"""The slow truth: the same integral by stratified, jittered Embree rays, sharing no code with reduce."""
+"""The slow truth: the same integral by stratified Embree rays, sharing no code with reduce."""
 
 from __future__ import annotations
 
+import threading
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from itertools import pairwise
+
 import numpy as np
 
+from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
+from sonar_gl.noise import check_seed
+from sonar_gl.rays import Target, hear, land, shoot
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, Ping
 
-FINE = 16  # columns to a beam spacing; the box of a beam ends inside one of them
+NEAR_M = 1e-3  # what is nearer is seen through, as in the fast ping
+AGREEMENT = 10  # the two seeds must differ so many times less than the error that is to be judged
+WORST_BODY = 5  # a body's own echo may err so many times more than the whole
+HEARD = 1e-3  # of the whole echo: bodies that return less are not looked at by themselves
+FIRST_RAYS = 2**19  # of a seed, before they are compared for the first time
+BATCH = 2**13  # rays and their hits fit the cache
+NODES_PER_WIDTH = 64  # a smooth pattern is drawn by straight lines: off by 2e-4 of its peak at most
+WIDEST_DEG = 16.0  # what counts as a beam's width there, for patterns of wide beams end in a step
 
 
 def cos_incidence(normal, direction):
@@ -27,101 +43,195 @@ def cos_incidence(normal, direction):
     return np.clip(-(normal * direction).sum(axis=-1), 0.0, 1.0)
 
 
-def _embree_scene(scene: Scene, pose):
-    try:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-    except ImportError:
-        raise Error(
-            "the reference needs Embree (got no module embreex); install it with "
-            "\"pip install 'sonar_gl[reference]'\""
-        ) from None
-    embree = rtcore_scene.EmbreeScene()
-    sonar_from_world = np.linalg.inv(pose)
-    reflectivity, keep = [], []
-    for body in scene.bodies:
-        matrix = sonar_from_world @ body.pose
-        vertices = np.asarray(body.mesh.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        triangles = vertices[np.asarray(body.mesh.faces)]
-        keep.append(TriangleMesh(embree, np.ascontiguousarray(triangles, np.float32)))
-        reflectivity.append(np.broadcast_to(body.reflectivity, len(triangles)))
-    return embree, keep, reflectivity
-
-
 def reference_ping(
     scene: Scene,
     sonar: Sonar,
     pose,
     acoustics: Acoustics | None = None,
-    n_rays: int = 20_000_000,
+    error: float = 0.01,
+    max_rays: int = 400_000_000,
     seed: int = 0,
 ) -> Ping:
-    """A ping by ray casting, for judging the fast one; faces count as flat, shading normals are not used.
+    """A ping by ray casting, for judging the fast one: slow, and as exact as is asked for.
 
     Parameters
     ----------
     scene, sonar, acoustics : as for `Simulator`; pose : (4, 4) world_from_sonar
-    n_rays : about so many rays, equal in solid angle, one to a cell of a (azimuth, elevation) grid
-    seed : of the jitter inside the cells
+    error : 1e-4..0.5, the error that is to be judged. Rays are added until two independent halves of them
+        differ by no more than a tenth of it, and by half of it in the echo of any body by itself
+    max_rays : 1e6 or more, where adding ends in any case
+    seed : of the rays; the same seed gives the same bytes
+
+    Returns
+    -------
+    Ping
+        the mean of the two halves, with `body_echo`; meta's `difference` is how far the halves A and B are
+        apart, Σ|A − B| over Σ(A + B)/2, `body_difference` the same of the worst body that returns more than a
+        thousandth of the echo, `n_rays` what it took, `converged` whether that is near enough.
 
     Raises
     ------
     Error
-        if Embree is not installed.
+        if an argument is of the wrong kind or out of bounds, or Embree is not installed.
+
+    Warns
+    -----
+    UserWarning
+        if max_rays were too few.
     """
-    pose = check_pose(pose)
-    acoustics = Acoustics.physical() if acoustics is None else acoustics
-    embree, _keep, reflectivity = _embree_scene(scene, pose)
-    rng = np.random.default_rng(seed)
-    B, K = sonar.n_beams, sonar.n_bins
-    axes = sonar.azimuth_rad
-    reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
-    start, stop = axes[0] - reach, axes[-1] + reach
-    if stop - start >= 2 * np.pi:
-        start, stop = -np.pi, np.pi
-    n_columns = int(np.ceil(FINE * B * (stop - start) / np.radians(sonar.azimuth_fov_deg)))
-    per_column = max(1, round(n_rays / n_columns))
-    column_rad = (stop - start) / n_columns
-    top = np.sin(np.radians(sonar.elevation_fov_deg) / 2)
-    sums = np.zeros((n_columns, K))
-    step = max(1, 2_000_000 // per_column)
-    for first in range(0, n_columns, step):
-        columns = np.arange(first, min(first + step, n_columns))
-        jitter = rng.random((2, len(columns), per_column))
-        # one ray to each of per_column strata of azimuth and to each of elevation, paired at random
-        strata = rng.permuted(np.broadcast_to(np.arange(per_column), jitter.shape[1:]), axis=1)
-        azimuth = start + column_rad * (columns[:, None] + (strata + jitter[0]) / per_column)
-        sine = top * (2 * (np.arange(per_column) + jitter[1]) / per_column - 1)
-        cosine = np.sqrt(1 - sine**2)
-        d = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), sine], axis=-1).reshape(-1, 3)
-        d = d.astype(np.float32)
-        hit = embree.run(np.zeros_like(d), d, output=True)
-        good = hit["geomID"] >= 0
-        normal = hit["Ng"][good].astype(np.float64)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        normal *= -np.sign((normal * d[good]).sum(axis=1, keepdims=True))
-        cosine = cos_incidence(normal, d[good])
-        geom, prim = hit["geomID"][good], hit["primID"][good]
-        mu = np.empty(len(geom))
-        for g in np.unique(geom):
-            mu[geom == g] = reflectivity[g][prim[geom == g]]
-        k = np.floor((hit["tfar"][good].astype(np.float64) - sonar.range_min_m) / sonar.bin_size_m).astype(
-            int
+    acoustics = _check(scene, sonar, acoustics, error, max_rays)
+    pose, seed = check_pose(pose), check_seed(seed)
+    meta = {
+        "sonar": asdict(sonar),
+        "acoustics": acoustics.meta(),
+        "profile": acoustics.profile,
+        "bin_size_m": sonar.bin_size_m,
+        "scene": scene.name,
+        "bodies": [body.name for body in scene.bodies],
+        "seed": seed,
+        "version": __version__,
+    }
+    target = Target(scene, pose)
+    fan = _Fan(sonar, acoustics)
+    halves = [_Half(target, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
+    blocks = len(fan.blocks)
+    most = max(1, int(max_rays) // (2 * blocks))
+    per_block, difference, bodies = min(most, max(1, FIRST_RAYS // blocks)), 0.0, 0.0
+    stop = threading.Event()
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            while scene.bodies:
+                list(pool.map(lambda half, n=per_block: half.refine(n, stop), halves))
+                a, b = (half.sums * fan.gain for half in halves)
+                whole = (a.sum() + b.sum()) / 2
+                difference = float(np.abs(a - b).sum() / whole) if whole > 0 else 0.0
+                bodies = _bodies_differ(*(half.bodies for half in halves))
+                excess = max(difference, bodies / WORST_BODY) * AGREEMENT / error
+                if excess <= 1 or per_block >= most:
+                    break
+                # the difference falls about as n^-0.75; at most twice, that the first guesses do not run away
+                growth = excess ** (4 / 3)
+                per_block = min(int(per_block * np.clip(growth, 1.25, 2)) + 1, most)
+        finally:
+            stop.set()  # a user who interrupts need not wait for the rays under way
+    meta["n_rays"] = 2 * blocks * per_block if scene.bodies else 0
+    meta["difference"], meta["body_difference"] = difference, bodies
+    meta["converged"] = max(difference, bodies / WORST_BODY) <= error / AGREEMENT
+    if difference > error / AGREEMENT:
+        warnings.warn(
+            f"the reference can judge errors above {AGREEMENT * difference:.2g} only, not {error:g}: after "
+            f"{meta['n_rays']} rays its halves still differ by {difference:.2g} (ask for more max_rays)",
+            stacklevel=2,
         )
-        column = np.repeat(columns - first, per_column)[good]
-        inside = (k >= 0) & (k < K)
-        flat = np.bincount(column[inside] * K + k[inside], (mu * cosine)[inside], minlength=len(columns) * K)
-        sums[first : first + len(columns)] += flat.reshape(len(columns), K)
-    sums *= column_rad * 2 * top / per_column
-    offset = start + column_rad * (np.arange(n_columns) + 0.5) - axes[:, None]
-    offset = (offset + np.pi) % (2 * np.pi) - np.pi
-    if pattern is None:
-        heard = np.clip((reach - np.abs(offset)) / column_rad + 0.5, 0, 1)
-    else:
-        heard = pattern(axes[:, None] + offset, axes[:, None]) * (np.abs(offset) <= reach)
-    solid_angle = heard.sum(axis=1) * column_rad * 2 * top
-    gain = acoustics.gain(sonar.range_m, sonar)
-    intensity = (heard @ sums) / solid_angle[:, None] * gain
-    return Ping(
-        intensity.astype(np.float32), axes, sonar.range_m, pose=pose, meta={"n_rays": per_column * n_columns}
-    )
+    scale = fan.solid_angle / (2 * per_block * blocks)
+    intensity = ((halves[0].sums + halves[1].sums) * (fan.gain * scale)).astype(np.float32)
+    body_echo = (halves[0].bodies + halves[1].bodies) * scale
+    for array in (intensity, body_echo):
+        array.setflags(write=False)
+    return Ping(intensity, sonar.azimuth_rad, sonar.range_m, pose=pose, meta=meta, body_echo=body_echo)
+
+
+def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
+    """The acoustics; or an Error about the first argument that makes no sense."""
+    acoustics = Acoustics.physical() if acoustics is None else acoustics
+    for name, value, kind, cure in (
+        ("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file"),
+        ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
+        ("acoustics", acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()"),
+    ):
+        if not isinstance(value, kind):
+            article = "an" if kind is Acoustics else "a"
+            raise Error(f"{name} must be {article} {kind.__name__} (got {type(value).__name__}; {cure})")
+    for name, value, low, high in (("error", error, 1e-4, 0.5), ("max_rays", max_rays, 1e6, 2**33)):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            raise Error(f"{name} of a reference must be a number (got {value!r})")
+        if not low <= value <= high:  # NaN too
+            raise Error(f"{name} of a reference must lie in {low:g}..{high:g} (got {value:g})")
+    return acoustics
+
+
+def _bodies_differ(a, b) -> float:
+    """The largest relative difference of a body's echo in the two halves."""
+    both = (a + b) / 2
+    heard = both > HEARD * both.sum()
+    return float((np.abs(a - b)[heard] / both[heard]).max(initial=0.0))
+
+
+class _Fan:
+    """Azimuths that are looked at, cut into 2^k blocks, and what each beam hears of each block."""
+
+    def __init__(self, sonar: Sonar, acoustics: Acoustics):
+        axes, pattern = sonar.azimuth_rad, acoustics.beam_pattern_function(sonar)
+        reach = acoustics.beam_reach_rad(sonar)
+        self.start, stop = axes[0] - reach, axes[-1] + reach
+        if stop - self.start >= 2 * np.pi:
+            self.start, stop = -np.pi, np.pi
+        self.span, self.hat = stop - self.start, pattern is not None
+        self.top = np.sin(np.radians(sonar.elevation_fov_deg) / 2)
+        self.solid_angle = self.span * 2 * self.top
+        self.bins = (sonar.range_min_m, 1 / sonar.bin_size_m)
+        self.gain, self.shape = acoustics.gain(sonar.range_m, sonar), (sonar.n_beams, sonar.n_bins)
+        if self.hat:
+            step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
+            self.nodes = np.linspace(self.start, stop, int(np.ceil(self.span / step)) + 1)
+            offset = reach * ((np.arange(1024) + 0.5) / 512 - 1)
+            heard = pattern(axes[:, None] + offset, axes[:, None]).mean(axis=1)
+        else:  # between two nodes no box begins or ends
+            ends = _turn(np.concatenate([axes - reach, axes + reach]), self.start)
+            self.nodes = np.unique(np.clip(np.append(ends, [self.start, stop]), self.start, stop))
+            heard = 1.0
+        beam_solid_angle = heard * 2 * reach * 2 * self.top
+        self.log2_blocks = int(np.clip(np.ceil(np.log2(len(self.nodes) / 8)), 3, 10))
+        edges = np.linspace(self.start, stop, 2**self.log2_blocks + 1)
+        self.blocks = []
+        for low, high in pairwise(edges):
+            first = max(np.searchsorted(self.nodes, low, side="right") - 1, 0)
+            last = min(np.searchsorted(self.nodes, high, side="left") + 1, len(self.nodes))
+            nodes = self.nodes[first:last]
+            places = nodes if self.hat else np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
+            offset = np.abs(_turn(places - axes[:, None], -np.pi))
+            weights = (offset <= reach * (1 + 1e-9)).astype(float)
+            beams = np.flatnonzero(weights.any(axis=1))
+            weights, offset = weights[beams], offset[beams]
+            if self.hat:
+                weights *= pattern(axes[beams, None] + offset, axes[beams, None])
+            weights /= np.broadcast_to(beam_solid_angle, len(axes))[beams, None]
+            self.blocks.append((nodes, beams, weights))
+
+
+def _turn(azimuth_rad, first_rad):
+    """The same directions within a turn from `first_rad` on."""
+    return (azimuth_rad - first_rad) % (2 * np.pi) + first_rad
+
+
+class _Half:
+    """One of the two independent estimates."""
+
+    def __init__(self, target: Target, fan: _Fan, seeds: np.random.SeedSequence):
+        self.target, self.fan, self.keys = target, fan, seeds.generate_state(4, np.uint32)
+        self.sums, self.bodies, self.done = np.zeros(fan.shape), np.zeros(target.n_bodies + 1), 0
+        self.room = (np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32))
+        azimuth = [self._shoot(number, 0, 1)[0][0] for number in range(len(fan.blocks))]
+        self.numbers = np.argsort(azimuth)  # of the blocks, in the sequence
+
+    def refine(self, per_block: int, stop: threading.Event):
+        """Add rays until there are so many in each block."""
+        fan = self.fan
+        for number, (nodes, beams, weights) in zip(self.numbers, fan.blocks, strict=True):
+            if stop.is_set():
+                return
+            sums, heard = np.zeros((len(nodes), fan.shape[1])), weights.sum(axis=0)
+            for first in range(self.done, per_block, BATCH):
+                azimuth, origin, ray = self._shoot(number, first, min(BATCH, per_block - first))
+                hits = self.target.hits(origin, ray)
+                at = (self.target.faces, nodes, fan.hat, heard, fan.bins, fan.gain)
+                land(azimuth, ray, NEAR_M, hits, *at, sums, self.bodies)
+            hear(sums, beams, weights, self.sums)
+        self.done = per_block
+
+    def _shoot(self, number: int, first: int, count: int):
+        """Azimuth, origin and direction of so many rays, valid until the next call."""
+        fan, rays = self.fan, tuple(array[:count] for array in self.room)
+        place = (number, fan.log2_blocks, self.keys, fan.start, fan.span, fan.top)
+        shoot(first, *place, NEAR_M, *rays)
+        return rays

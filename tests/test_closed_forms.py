@@ -1,4 +1,4 @@
-"""Pings of simple scenes against their closed forms: profile `ideal`, default sampling."""
+"""Pings of simple scenes against their closed forms: profile `ideal`, samples fixed or by tolerance."""
 
 import math
 
@@ -40,6 +40,18 @@ def ping(bodies, sonar, sampling=None, pose=None, tolerance=0.01, **kw):
         return simulator.ping(np.eye(4) if pose is None else pose, **kw)
 
 
+def samples(it, sample_deg, rows=102):
+    """Samples so wide, of which a box beam has three at least."""
+    spacing_deg = it.azimuth_fov_deg / it.n_beams
+    return sg.Sampling(spacing_deg / min(sample_deg, it.beam_width_deg / 3), rows)
+
+
+FINE = (
+    0.08,
+    102,
+)  # degrees, rows: what the limits of single beams are for; a tolerance is for the whole ping
+
+
 def beam_errors(measured, exact, at_least=1e-3):
     """L1 error of each beam over its own echo, of beams that hold a fair share of the loudest one's."""
     total = exact.sum(axis=1)
@@ -69,8 +81,11 @@ def test_planes(name, beams, fov, width):
     exact = box_beams(
         it, lambda azimuth: plane_echo(normal, distance, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m)
     )
-    errors = beam_errors(ping([plane_body(normal, distance)], it).intensity, exact)
-    assert errors.max() < PLANE_TOLERANCE
+    plane = [plane_body(normal, distance)]
+    fine = ping(plane, it, samples(it, *FINE)).intensity
+    assert beam_errors(fine, exact).max() < PLANE_TOLERANCE
+    by_tolerance = ping(plane, it).intensity
+    assert np.abs(by_tolerance - exact).sum() / exact.sum() < TOLERANCE
 
 
 @pytest.mark.parametrize("bin_m", [0.0025, 0.0254, 0.25])
@@ -79,7 +94,7 @@ def test_floor_in_fine_and_coarse_bins(bin_m):
     exact = box_beams(
         it, lambda azimuth: plane_echo((0, 0, -1), 3.0, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m)
     )
-    measured = ping([plane_body((0, 0, -1), 3.0)], it).intensity
+    measured = ping([plane_body((0, 0, -1), 3.0)], it, samples(it, *FINE)).intensity
     assert beam_errors(measured, exact).max() < PLANE_TOLERANCE
     floor = exact > 0
     # no bin of the floor is empty, none is a ring: the two end bins apart each is right by itself
@@ -116,14 +131,17 @@ def test_curved_bodies(echo, mesh, beams):
     body = sg.Body(echo, mesh(), sg.pose({"sphere": 6.0, "cylinder": 5.0}[echo], 0, 0), 1.0)
     chosen = [np.abs(np.degrees(it.azimuth_rad) - beam).argmin() for beam in beams]
     worst, whole = [], []
-    for tolerance in (0.05, 0.01, 0.002):
-        measured = ping([body], it, tolerance=tolerance).intensity
+    for sample_deg, rows in ((0.17, 33), (0.042, 102), (0.016, 364)):
+        measured = ping([body], it, samples(it, sample_deg, rows)).intensity
         worst.append(beam_errors(measured[chosen], exact[chosen]).max())
         whole.append(np.abs(measured - exact).sum() / exact.sum())
     assert worst[1] < TOLERANCE
     assert worst[0] > worst[1] > worst[2]
     assert whole[1] < TOLERANCE / 2
     assert whole[0] > 1.5 * whole[1] > 1.5 * whole[2]  # falling as samples grow
+    for tolerance in (0.05, 0.01, 0.002):
+        measured = ping([body], it, tolerance=tolerance).intensity
+        assert np.abs(measured - exact).sum() / exact.sum() < tolerance
 
 
 def test_plate_and_its_shadow():
