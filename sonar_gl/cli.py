@@ -8,11 +8,15 @@ from types import SimpleNamespace
 import click
 
 from sonar_gl._version import __version__
+from sonar_gl.checks import cost_plans, plan_text, verify
 from sonar_gl.commands import Commands, numbers, progress
+from sonar_gl.options import judged as _judged
+from sonar_gl.options import option as _option
+from sonar_gl.options import poses as _poses
+from sonar_gl.options import sonar as _sonar
 
 FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options that one style knows
 DEMARCO_ONLY = ("form", "join")
-POSE = '"x y z roll pitch yaw", metres and radians'
 
 
 @click.group(
@@ -25,6 +29,8 @@ def main():
     """Simulate a 2D imaging sonar, with OpenGL and without a display."""
 
 
+main.add_command(verify)
+
 RENDER_EXAMPLES = """\b
 Examples:
   sonar-gl render pylon
@@ -33,40 +39,6 @@ Examples:
   sonar-gl render ocean_floor --pose "0 0 -5 0 0.3 0" --range 20
   sonar-gl render harbour.sdf --poses dive.csv --format mp4 --fps 15 --out dive
 """
-HELP = {
-    "sonar": "A preset (`sonar-gl sonars` lists them) or a .toml file.",
-    "pose": f"Place of the sonar: {POSE}.",
-    "poses": "CSV file of poses, a sequence; its columns are t,x,y,z,roll,pitch,yaw.",
-    "range": "Another maximum range, metres; keeps the size of a bin.",
-    "bins": "Another number of bins.",
-    "profile": "How sound weakens and how beams hear.",
-    "range_law": "Of profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",
-    "noise": "none, demarco2015, physical, or amounts such as gaussian=1e-4,median=3.",
-    "style": "Of the picture: a fan image, or the founding paper's.",
-    "scale": "Of a fan image's brightness.",
-    "db_range": "Darkest and brightest dB of a fan image.",
-    "colormap": "Of a fan image: gray, jet, viridis, and others of OpenCV.",
-    "axes": "Draw ranges and azimuths about a fan image.",
-    "form": "Of demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
-    "join": "Of demarco2015: how its points are drawn.",
-    "height": "Of the picture, pixels, not counting the axes.",
-    "tolerance": "Share of the echo that may lie in wrong bins.",
-    "seed": "Of the noise.",
-    "formats": "What to write; may be repeated. gif and mp4 are for sequences.",
-    "fps": "Frames a second of gif and mp4.",
-    "labels": "Add body_id and elevation_rad to the NPZ.",
-    "resource_path": "Folder that model:// means; may be repeated.",
-    "skip_missing": "Carry on without models that are not found.",
-    "out": "Folder to write into, made if it is not there.",
-}
-
-
-def _option(name: str, *choices: str, **settings):
-    """A click option, with its help; `formats` is --format, the others are called as they are."""
-    flag = "--format" if name == "formats" else "--" + name.replace("_", "-")
-    if choices:
-        settings["type"] = click.Choice(choices)
-    return click.option(flag, name, help=HELP[name], **settings)
 
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
@@ -106,15 +78,12 @@ def render(ctx, scene, **options):
     o = SimpleNamespace(**options)
     _check_together(o, given)
 
-    from dataclasses import replace
-
     from sonar_gl.acoustics import Acoustics
     from sonar_gl.dump import Dump, demarco_artist, fan_artist
     from sonar_gl.export import output_folder
     from sonar_gl.load import load_scene
     from sonar_gl.noise import Noise
     from sonar_gl.simulator import Simulator
-    from sonar_gl.sonar import load_sonar
     from sonar_gl.types import Error
 
     in_demarco = o.style == "demarco2015"
@@ -123,9 +92,7 @@ def render(ctx, scene, **options):
         raise Error(f"--range-law must stand with --profile demarco2015 (got --profile {profile})")
     acoustics = getattr(Acoustics, profile)(**({} if o.range_law is None else {"range_law": o.range_law}))
     noise = Noise.parse(("demarco2015" if in_demarco else "none") if o.noise is None else o.noise)
-    sonar = load_sonar(o.sonar)
-    sonar = sonar if o.range is None else sonar.with_range(o.range)
-    sonar = sonar if o.bins is None else replace(sonar, n_bins=o.bins)
+    sonar = _sonar(o)
     if in_demarco:
         artist = demarco_artist(o.height, o.form, o.join, noise, o.seed)
     else:
@@ -136,6 +103,8 @@ def render(ctx, scene, **options):
     folder = output_folder(o.out)
     shown = progress if o.poses is not None else contextlib.nullcontext
     with Simulator(scene, sonar, acoustics, tolerance=o.tolerance) as simulator:
+        if not in_demarco or "npz" in o.formats:  # the paper's picture is made of points alone
+            simulator.plan(poses)  # before the first ping, so that none depends on those before it
         dump = Dump(simulator, artist, folder, o.formats, noise, o.seed, o.labels, o.fps, shown)
         click.echo(dump.write(poses, times_s))
 
@@ -150,31 +119,44 @@ def _check_together(o, given: set[str]):
                 option = "--" + name.replace("_", "-")
                 raise Error(f"{option} must stand with --style {style} (got --style {o.style})")
     films = [f for f in ("gif", "mp4") if f in o.formats]
-    if o.pose is not None and o.poses is not None:
-        raise Error("--pose and --poses must not stand together (the file of --poses holds every pose)")
     if films and o.poses is None:
         raise Error(f"--format {films[0]} must stand with --poses (a film needs a sequence of poses)")
     if "fps" in given and not films:
         raise Error("--fps must stand with --format gif or --format mp4 (nothing else has frames)")
 
 
-def _poses(o, scene):
-    """(times or None, poses) as the options and the scene have them."""
-    from sonar_gl.poses import read_poses
-    from sonar_gl.scene import pose
-    from sonar_gl.types import Error
+PLAN_EPILOG = """\b
+Examples:
+  sonar-gl plan pylon
+  sonar-gl plan pylon --poses dive.csv --tolerance 0.02 --json
 
-    if o.poses is not None:
-        return read_poses(o.poses)
-    if o.pose is not None:
-        values = numbers("--pose", o.pose, "x y z roll pitch yaw")
-        try:
-            return None, [pose(*values)]
-        except Error as why:
-            raise Error(f"--pose {o.pose!r}: {why}") from None
-    if scene.sonar_pose is None:
-        raise Error(f"scene {scene.name!r} has no sonar in it; give its place with --pose {POSE}")
-    return None, [scene.sonar_pose]
+\b
+Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command line or the scene.
+"""
+
+
+@main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance asks for, and their cost.")
+@_judged(poses={})
+@click.pass_context
+def plan(ctx, scene, **options):
+    """Choose samples for a tolerance by what the sonar sees in SCENE, and say why and at what cost.
+
+    The same is done for half the tolerance and for twice of it. Errors are those that pings are thought to
+    have, without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses two dozen
+    are tried, as by `sonar-gl render`.
+    """
+    o = SimpleNamespace(**options)
+
+    import json
+
+    from sonar_gl.acoustics import Acoustics
+    from sonar_gl.load import load_scene
+
+    sonar, acoustics = _sonar(o), getattr(Acoustics, o.profile)()
+    scene = load_scene(scene, o.resource_path, o.skip_missing)
+    found = cost_plans(scene, sonar, acoustics, _poses(o, scene)[1], o.tolerance)
+    click.echo(json.dumps(found) if o.json else plan_text(found))
+    ctx.exit(0 if found["met"] else 1)
 
 
 @main.command(epilog="Example: sonar-gl scenes")

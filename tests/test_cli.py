@@ -260,6 +260,7 @@ def test_sequence_is_numbered_and_each_ping_is_that_of_its_pose():
     times_s, poses = read_poses("dive.csv")
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+        simulator.plan(poses)
         for n in range(3):
             got = ping(f"tank_{n:04d}.npz")
             wanted = simulator.ping(poses[n], noise=sg.Noise.physical(), seed=5, ping_number=n)
