@@ -17,9 +17,11 @@ from sonar_gl.types import Error, frozen_array
 
 # A perspective view samples its edges 1/cos² of the half-width more densely than its middle.
 MAX_SECTOR_RAD = math.radians(60.0)
-# Columns of a smooth beam pattern, to a beam spacing
-COLUMNS_PER_SPACING = 2
-MAX_COLUMNS_PER_BEAM = 1024
+# A column is heard with the mean of a smooth beam pattern over it: it is as wide as a sample, but no wider
+# than half a beam spacing, and no narrower than the reach of the pattern (some four beam widths) over this.
+COLUMNS_PER_REACH = 128
+MAX_COLUMNS_PER_BEAM, MAX_ROWS = 1024, 16_000
+MIN_COLUMNS, MIN_ROWS = 24, 16  # of what is chosen for a tolerance
 REDUCERS = ("footprint", "point")
 
 
@@ -44,40 +46,19 @@ class Sampling:
             and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM
         ):
             raise Error(f"columns_per_beam must be a number in 0..1024 (got {self.columns_per_beam!r})")
-        if not (isinstance(self.rows, (int, np.integer)) and 1 <= self.rows <= 16000):
+        if not (isinstance(self.rows, (int, np.integer)) and 1 <= self.rows <= MAX_ROWS):
             raise Error(f"rows must be a whole number in 1..16000 (got {self.rows!r})")
         if self.reducer not in REDUCERS:
             raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {self.reducer!r})")
 
 
-# tolerance; samples across a beam (as if 0.5 to 1.5 degrees wide, and three at least); rows a degree
-TABLE = (
-    (0.05, 3.0, 1.6),
-    (0.02, 6.0, 3.2),
-    (0.01, 12.0, 5.0),
-    (0.005, 20.0, 9.0),
-    (0.002, 32.0, 18.0),
-)
-
-
-def choose_sampling(sonar: Sonar, tolerance: float) -> Sampling:
-    """The samples for a tolerance, the share of the echo that may lie in wrong bins, from a fixed table.
-
-    Raises
-    ------
-    Error
-        if the tolerance lies outside 0.001..0.5.
-    """
-    if not (isinstance(tolerance, (int, float, np.number)) and 0.001 <= tolerance <= 0.5):
-        raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
-    _, across, per_degree = next((row for row in TABLE if row[0] <= tolerance), TABLE[-1])
-    sample_deg = min(float(np.clip(sonar.beam_width_deg, 0.5, 1.5)) / across, sonar.beam_width_deg / 3)
+def rung_sampling(sonar: Sonar, sample_deg: float) -> Sampling:
+    """Samples about so many degrees wide and high on the boresight: as wide as high errs least."""
+    columns = max(MIN_COLUMNS, sonar.azimuth_fov_deg / sample_deg)
     # rows are even in tan φ: as dense on the boresight as asked for, denser above and below
     aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
-    spacing_deg = sonar.azimuth_fov_deg / sonar.n_beams
-    return Sampling(
-        min(spacing_deg / sample_deg, MAX_COLUMNS_PER_BEAM), max(16, math.ceil(per_degree * aperture_deg))
-    )
+    rows = max(MIN_ROWS, math.ceil(aperture_deg / sample_deg))
+    return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +91,7 @@ def make_fan(
     ----------
     reach_rad : how far from their axes the beams hear
     box : the beams are boxes of that half-width: columns end where beams end
-    shear : of the lattice, in samples across the view
+    shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - reach_rad, azimuths[-1] + reach_rad
@@ -133,9 +114,9 @@ def make_fan(
         if span > 2 * math.pi - 1e-9:
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
-        # a smooth pattern changes little over half a spacing
         spacing = np.diff(azimuths).min(initial=span)
-        ends = np.linspace(start, stop, 1 + math.ceil(COLUMNS_PER_SPACING * span / spacing - 1e-6))
+        width = max(min(span / n_samples, spacing / 2), reach_rad / COLUMNS_PER_REACH)
+        ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = distinct(np.clip(np.concatenate([ends, seams]), start, stop))
     sectors = tuple(replace(sector, parts=make_parts(sector, edges)) for sector in sectors)

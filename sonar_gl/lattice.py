@@ -12,17 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Rows look SHEAR samples apart from bottom to top, and columns of samples SHEAR_ROWS of the aperture apart
-# from side to side, so that nothing upright or level falls between the grid's lines as a whole.
-SHEAR = 16.0
-SHEAR_ROWS = 0.25
+# Each row looks SHEAR samples beside the one below, 1/(3 + 1/golden ratio), a number badly approached by
+# fractions; columns of samples rise by SHEAR_ROWS of the aperture from side to side. So nothing upright,
+# level or aslant falls between the lattice's lines as a whole.
+SHEAR = 0.2764
+SHEAR_ROWS = 0.18
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
     """The upright strips that a sector's samples stand for: P of them, by rising azimuth.
 
-    A strip ends where one of the fan's columns does and is no wider than a sample, give or take a half. In
+    A strip ends where one of the fan's columns does and is no wider than a sample, give or take a tenth. In
     each row the nearest ray stands for it.
 
     Attributes
@@ -105,11 +106,11 @@ def make_sector(azimuth, half_width, n_samples, rows, tan_elevation, shear) -> S
     tan_width = math.tan(half_width)
     du, dv = 2 * tan_width / n_samples, 2 * tan_elevation / rows
     top = tan_elevation / math.cos(half_width)  # where the aperture's curved edge is highest
-    shear_u = min(shear, n_samples / 4)
     shear_v = min(SHEAR_ROWS * rows, n_samples) if shear else 0.0
-    C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
     R = 2 * math.ceil((2 * top / dv + shear_v) / 2)
-    step_u, step_v = shear_u / R * du, shear_v / C * dv
+    shear_u = min(abs(shear) * R, n_samples / 4)
+    C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
+    step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(shear_v / C * dv, shear)
     u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])
     v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
     return Sector(azimuth, half_width, R, C, u, v, tan_elevation)
@@ -120,7 +121,8 @@ def make_parts(sector: Sector, column_edges_rad) -> Parts:
     low, high = sector.azimuth_rad - sector.half_width_rad, sector.azimuth_rad + sector.half_width_rad
     inside = (column_edges_rad > low) & (column_edges_rad < high)
     edges = -np.tan(distinct(np.concatenate([[low], column_edges_rad[inside], [high]])) - sector.azimuth_rad)
-    pieces = np.maximum(np.rint((edges[:-1] - edges[1:]) / sector.u[1]), 1).astype(int)
+    # hardly wider than a sample: a ray that is the nearest to no strip's middle would be lost
+    pieces = np.maximum(np.ceil((edges[:-1] - edges[1:]) / sector.u[1] - 0.1), 1).astype(int)
     edges = np.concatenate(
         [np.linspace(edges[k], edges[k + 1], n, endpoint=False) for k, n in enumerate(pieces)] + [edges[-1:]]
     )

@@ -8,7 +8,8 @@ from threading import Thread
 import numpy as np
 
 from sonar_gl.fan import Fan
-from sonar_gl.footprint import accumulate, bin_tables, weigh_columns
+from sonar_gl.footprint import bin_tables
+from sonar_gl.sums import accumulate, weigh_columns
 
 
 def _serve(todo: SimpleQueue, done: SimpleQueue):
@@ -57,20 +58,23 @@ class Reducer:
         """(B, K) float32 echo before the gain, from the samples of all sectors."""
         return self._beams(self._accumulate(views))
 
-    def labels(self, views) -> tuple[np.ndarray, np.ndarray]:
-        """The body of the strongest echo, (B, K) uint16, and its mean elevation, (B, K) float32, radians."""
+    def labels(self, views, gain, n_bodies: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The body of the strongest echo, (B, K) uint16; its mean elevation, (B, K) float32, radians; and
+        the sum of each body's echo times the (K,) gain, (n_bodies + 1,) float64."""
         shape = (len(self.first), self.fan.sonar.n_bins)
         strongest, body_id = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
         elevation = np.full(shape, np.nan, np.float32)
+        body_echo = np.zeros(n_bodies + 1)
         seen = [np.unique(bodies[plane_echo[..., 3] > 0]) for _, plane_echo, bodies in views]
         for body in np.unique(np.concatenate(seen)).tolist():
             echo = self._beams(self._accumulate(views, body))
+            body_echo[body] = (echo @ gain.astype(np.float64)).sum()
             moment = self._beams(self._accumulate(views, body, moment=True))
             stronger = echo > strongest
             strongest[stronger] = echo[stronger]
             body_id[stronger] = body
             elevation[stronger] = moment[stronger] / echo[stronger]
-        return body_id, elevation
+        return body_id, elevation, body_echo
 
     def close(self):
         """End the other thread."""

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sonar_gl.footprint import bin_tables, spread_footprint, weigh_columns
+from sonar_gl.footprint import bin_tables, spread_footprint
+from sonar_gl.sums import weigh_columns
 
 EDGES = np.linspace(0.5, 30.5, 301)
 

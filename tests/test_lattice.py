@@ -8,7 +8,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.fan import beam_weights, choose_sampling, make_fan
+from sonar_gl.fan import beam_weights, make_fan, rung_sampling
 
 
 def sonar(fov=45.0, beams=64, width=1.0, elevation=20.0, **more):
@@ -124,30 +124,30 @@ def test_box_beams_hear_whole_columns_only(name):
     assert ((np.abs(shares) < 1e-5) | (np.abs(shares - 1) < 1e-5)).all()
 
 
-def test_sampling_of_a_tolerance():
+def test_samples_of_a_rung():
     it = sg.load_sonar("p900-45")
-    counts = [
-        choose_sampling(it, tolerance).columns_per_beam * choose_sampling(it, tolerance).rows
-        for tolerance in (0.3, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-    ]
-    assert counts == sorted(counts)
-    assert choose_sampling(it, 0.01) == sg.Sampling(12 * 45 / 256, 102)
-    # narrow beams hold three samples at least
-    narrow = replace(it, beam_width_deg=0.17578125)
-    assert choose_sampling(narrow, 0.05).columns_per_beam == pytest.approx(3.0)
+    aperture_deg = math.degrees(2 * math.tan(math.radians(it.elevation_fov_deg) / 2))
+    assert rung_sampling(it, 0.2) == sg.Sampling(45 / 0.2 / it.n_beams, math.ceil(aperture_deg / 0.2))
+    # however coarse, some columns and rows; however fine, no more than a Sampling may have
+    assert rung_sampling(it, 90.0) == sg.Sampling(24 / it.n_beams, 16)
+    assert rung_sampling(replace(it, n_beams=1), 1e-4) == sg.Sampling(1024, 16000)
+
+
+@pytest.mark.parametrize("width, columns_per_spacing", [(0.05, 3.516), (0.5, 2), (90.0, 0.25)])
+def test_columns_of_a_smooth_pattern(width, columns_per_spacing):
+    """As wide as a sample, at most half a spacing; beams far wider than that need fewer."""
+    it = sonar(beams=256, width=width)
+    reach = Acoustics.physical().beam_reach_rad(it)
+    samples = {0.05: 3.516, 0.5: 1.0, 90.0: 4.0}[width]
+    fan = make_fan(it, sg.Sampling(samples, 16), reach, box=False)
+    edges = fan.column_edges_rad
+    per_spacing = math.radians(45 / 256) * fan.n_columns / (edges[-1] - edges[0])
+    assert per_spacing == pytest.approx(columns_per_spacing, rel=0.02)
 
 
 @pytest.mark.parametrize(
     "make, message",
     [
-        (
-            lambda: choose_sampling(sonar(), 0.0),
-            "tolerance must be a number in 0.001..0.5 (got 0.0; 0.01 is one per cent)",
-        ),
-        (
-            lambda: choose_sampling(sonar(), float("nan")),
-            "tolerance must be a number in 0.001..0.5 (got nan; 0.01 is one per cent)",
-        ),
         (lambda: sg.Sampling(0, 10), "columns_per_beam must be a number in 0..1024 (got 0)"),
         (lambda: sg.Sampling(2, 0), "rows must be a whole number in 1..16000 (got 0)"),
         (lambda: sg.Sampling(2, 10, "mean"), "reducer must be one of footprint, point (got 'mean')"),
