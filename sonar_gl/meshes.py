@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 SAGITTA_M = 5e-4  # most that a chord of a curved primitive leaves its arc: a fifth of the finest bins in use
+# Back faces of closed bodies are not drawn. Finding out whether a larger mesh is closed costs too much.
+MAX_CLOSED_FACES = 50_000
 INFINITE_M = 2000.0  # width that a plane without edges is drawn with
 
 
@@ -163,3 +165,27 @@ def _unit_or_zero(normals):
     out = np.zeros(normals.shape, np.float32)
     out[good] = normals[good] / length[good, None]
     return out
+
+
+def closedness(vertices, faces) -> int:
+    """+1 or −1 for a mesh whose every edge joins two faces of one orientation, by the sign of its volume."""
+    if len(faces) > MAX_CLOSED_FACES:
+        return 0
+    extent = np.ptp(vertices, axis=0).max()
+    # vertices that coincide count as one, for creases and seams duplicate them
+    keys = np.ascontiguousarray(np.round(vertices / (extent or 1.0) * 1e9).astype(np.int64))
+    _, same = np.unique(keys.view([("", np.int64)] * 3).ravel(), return_inverse=True)
+    triangles = same.ravel()[faces]
+    triangles = triangles[
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    ]
+    a, b = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    n = len(vertices)
+    forward, backward = np.sort(a * n + b), np.sort(b * n + a)
+    if len(forward) == 0 or (np.diff(forward) == 0).any() or not np.array_equal(forward, backward):
+        return 0
+    middle = vertices - vertices.mean(axis=0)
+    x, y, z = (middle[faces[:, k]] for k in range(3))
+    return int(np.sign(np.einsum("ij,ij->", x, np.cross(y, z))))

