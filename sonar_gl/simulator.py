@@ -15,12 +15,14 @@ import numpy as np
 from sonar_gl import gl
 from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.fan import Fan, Sampling, beam_weights, choose_sampling, make_fan
+from sonar_gl.fan import Fan, Sampling, make_fan
+from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.load import data_folder
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.nothing import why_nothing
-from sonar_gl.reduce import Reducer
-from sonar_gl.render import Renderer, SceneOnGpu
+from sonar_gl.passes import Fixed, Passes
+from sonar_gl.plan import Plan, Planner
+from sonar_gl.render import Renderer
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping
@@ -60,29 +62,24 @@ class Simulator:
             _check_kind(name, value, kind, cure)
         self.scene, self.sonar = scene, sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        self.sampling = sampling if sampling is not None else choose_sampling(sonar, tolerance)
         self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
-        reach = self.acoustics.beam_reach_rad(sonar)
-        pattern = self.acoustics.beam_pattern_function(sonar)
-        self.fan: Fan = make_fan(sonar, self.sampling, reach, box=pattern is None)
-        self._reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
         self._azimuth_rad, self._range_m = sonar.azimuth_rad, sonar.range_m
         for array in (self._azimuth_rad, self._range_m):
             array.setflags(write=False)  # all pings share them
-        self._gain = self.acoustics.gain(sonar.range_m, sonar).astype(np.float32)
         self._context = gl.create_context()
         with self._context:
             self.gl_info = gl.describe(self._context)
             gpu = SceneOnGpu(self._context, scene, data_folder("shaders"))
-            self._renderer = Renderer(self._context, gpu, self.fan)
-            # shaders and sums are compiled when first used: now, so that all pings cost alike
-            self._renderer.render(np.eye(4))
-        self._reducer.intensity(list(self._renderer.views()))
+            self._passes = Passes(gpu, sonar, self.acoustics)
+            self._samples = (
+                Planner(self._passes, scene, tolerance) if sampling is None else Fixed(self._passes, sampling)
+            )
+            self._passes.warm()
         meta = {
             "sonar": asdict(sonar),
             "acoustics": self.acoustics.meta(),
             "profile": self.acoustics.profile,
-            "sampling": asdict(self.sampling),
+            "tolerance": self._samples.tolerance,
             "bin_size_m": sonar.bin_size_m,
             "scene": scene.name,
             "bodies": [body.name for body in scene.bodies],
@@ -90,6 +87,42 @@ class Simulator:
             "gl_renderer": self.gl_info["renderer"],
         }
         self._meta = pickle.dumps(meta)  # each ping gets its own copy, ten times quicker than by deepcopy
+
+    @property
+    def sampling(self) -> Sampling:
+        """The samples of the last ping, or of the first to come; a tolerance may ask for others later."""
+        return self._samples.now.sampling
+
+    @property
+    def fan(self) -> Fan:
+        """The fan with these samples."""
+        return self._samples.now.fan
+
+    def plan(self, poses) -> Plan | None:
+        """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
+
+        Without this a tolerance is looked after ping by ping, and the samples of one depend on those before.
+
+        Parameters
+        ----------
+        poses : sequence of (4, 4) world_from_sonar
+
+        Returns
+        -------
+        Plan, or None if the samples were given to begin with
+        """
+        poses = [check_pose(pose) for pose in poses]
+        if not poses:
+            raise Error("poses must hold at least one pose (got none)")
+        with self._drawing():
+            plan = self._samples.fix(poses)
+        self._warn()
+        return plan
+
+    def _warn(self):
+        if self._samples.warning:
+            warnings.warn(self._samples.warning, stacklevel=3)
+            self._samples.warning = None
 
     def ping(
         self, pose, noise: Noise | None = None, seed: int = 0, labels: bool = False, ping_number: int = 0
@@ -110,18 +143,17 @@ class Simulator:
         """
         pose, seed = check_pose(pose), check_seed(seed)
         _check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        body_id = elevation_rad = None
+        body_id = elevation_rad = body_echo = None
         with self._drawing():
-            self._renderer.render(pose, labels)
-            views = list(self._renderer.views())
-            intensity = self._reducer.intensity(views)
+            views, intensity = self._samples.sense(pose, labels)
             if labels:
-                body_id, elevation_rad = self._reducer.labels(views)
+                now, n_bodies = self._samples.now, len(self.scene.bodies)
+                body_id, elevation_rad, body_echo = now.reducer.labels(views, now.gain, n_bodies)
             has_echo = bool(intensity.max() > 0)
             if not has_echo:
                 warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
-        intensity *= self._gain
-        for array in (intensity, body_id, elevation_rad):
+        self._warn()
+        for array in (intensity, body_id, elevation_rad, body_echo):
             if array is not None:
                 array.setflags(write=False)
         ping = Ping(
@@ -131,15 +163,22 @@ class Simulator:
             body_id,
             elevation_rad,
             pose,
-            {**pickle.loads(self._meta), "seed": seed, "has_echo": has_echo},
+            {
+                **pickle.loads(self._meta),
+                "sampling": asdict(self.sampling),
+                "seed": seed,
+                "has_echo": has_echo,
+            },
+            body_echo,
+            None if self._samples.plan is None else self._samples.plan.error_estimate,
         )
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
     def gbuffers(self, pose) -> list[GBuffer]:
         """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
         with self._drawing():
-            self._renderer.render(check_pose(pose), labels=True)
-            return self._renderer.gbuffers()
+            self._samples.now.views(check_pose(pose), labels=True, whole=True)
+            return self._samples.now.renderer.gbuffers()
 
     def point_cloud(self, pose, columns: int, rows: int):
         """Points of a plain grid of rays over the field of view, as a ray sensor would give them.
@@ -155,8 +194,8 @@ class Simulator:
         reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
         fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
         with self._drawing() as context:
-            renderer = Renderer(context, self._renderer.gpu, fan)
-            renderer.render(check_pose(pose))
+            renderer = Renderer(context, self._passes.gpu, fan)
+            renderer.render(check_pose(pose), whole=True)
         points, echoes = [], []
         for sector, plane_echo, _ in renderer.views():
             u, v = sector.rays()
@@ -191,9 +230,9 @@ class Simulator:
         with self._lock:
             context, self._context = self._context, None
             if context is not None:
-                self._reducer.close()
+                self._passes.close()
                 with context:
-                    self._renderer = None
+                    self._passes = self._samples = None
                     context.gc()
                 context.release()
         gl.release_discarded()

@@ -61,7 +61,7 @@ class Stopwatch:
     """Adds up the seconds that some methods of a simulator take, in STAGES' order."""
 
     def __init__(self, simulator):
-        renderer, reducer = simulator._renderer, simulator._reducer
+        renderer, reducer = simulator._samples.now.renderer, simulator._samples.now.reducer
         self.seconds = [0.0] * len(STAGES)
         for stage, (owner, name) in enumerate(
             ((renderer, "render"), (reducer, "_accumulate"), (reducer, "_beams"))
@@ -115,8 +115,8 @@ def measure(scene, repeats: int):
             pictures.append(picture(finished, pose, number + WARM_UP))
         about = {
             name: {
-                "columns": simulator._renderer.size[0],
-                "rows": simulator._renderer.size[1],
+                "columns": simulator._samples.now.renderer.size[0],
+                "rows": simulator._samples.now.renderer.size[1],
                 "sampling": asdict(simulator.sampling),
             }
             for name, simulator in ladder.items()

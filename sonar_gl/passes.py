@@ -1,0 +1,104 @@
+"""A scene drawn and summed with one sampling, and the samplings of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonar_gl.acoustics import Acoustics
+from sonar_gl.fan import Fan, Sampling, beam_weights, make_fan, rung_sampling
+from sonar_gl.gpu import SceneOnGpu
+from sonar_gl.lattice import SHEAR
+from sonar_gl.reduce import Reducer
+from sonar_gl.render import Renderer
+from sonar_gl.sonar import Sonar
+
+KEPT = 6  # what is in use, the half of it, and what a search for others tries
+
+
+class Pass:
+    """The depth + normal pass of a fan and the sums over its samples; owns what both use again.
+
+    Attributes
+    ----------
+    sampling, fan, renderer, reducer
+
+    Raises
+    ------
+    Error
+        if the samples do not fit the driver's limits.
+    """
+
+    def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear=SHEAR):
+        reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
+        self.sampling = sampling
+        self.fan: Fan = make_fan(sonar, sampling, reach, pattern is None, shear)
+        self.renderer = Renderer(gpu.context, gpu, self.fan)
+        self.reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
+        self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
+
+    def views(self, pose, labels: bool = False, whole: bool = False) -> list:
+        """Draw from `pose`: (sector, (R, C, 4) plane and echo, (R, C) body) of each; see `Renderer`."""
+        self.renderer.render(pose, labels, whole)
+        return list(self.renderer.views())
+
+    def intensity(self, views) -> np.ndarray:
+        """(B, K) float32, with the gain."""
+        out = self.reducer.intensity(views)
+        out *= self.gain
+        return out
+
+
+class Passes:
+    """The passes of a run by their sampling: the last few are kept.
+
+    Parameters
+    ----------
+    gpu, sonar, acoustics : as for `Pass`
+    """
+
+    def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics):
+        self.gpu, self.sonar, self.acoustics = gpu, sonar, acoustics
+        self.kept: dict[tuple, Pass] = {}
+
+    def of(self, sampling: Sampling, shear: float = SHEAR) -> Pass:
+        """The pass of a sampling and a shear; its context must be current."""
+        key = sampling, shear
+        found = self.kept.pop(key, None) or Pass(self.gpu, self.sonar, self.acoustics, sampling, shear)
+        self.kept[key] = found  # the last one used is last
+        while len(self.kept) > KEPT:
+            self.kept.pop(next(iter(self.kept))).reducer.close()
+        return found
+
+    def warm(self):
+        """Have shaders and sums compiled, which happens when first used, so that all pings cost alike."""
+        few = Pass(self.gpu, self.sonar, self.acoustics, rung_sampling(self.sonar, 180.0))
+        few.intensity(few.views(np.eye(4), whole=True))
+        few.reducer.close()
+
+    def close(self):
+        """End the reducers' threads."""
+        for one in self.kept.values():
+            one.reducer.close()
+
+
+class Fixed:
+    """Samples that were given: nothing to choose, nothing promised.
+
+    Attributes
+    ----------
+    now : the Pass that made the last ping, or will make the next
+    plan, tolerance : None
+    """
+
+    plan = tolerance = warning = None
+
+    def __init__(self, passes: Passes, sampling: Sampling):
+        self.now = passes.of(sampling)
+
+    def sense(self, pose, labels: bool):
+        """(views, intensity) of a ping."""
+        views = self.now.views(pose, labels)
+        return views, self.now.intensity(views)
+
+    def fix(self, poses):
+        """Nothing: they are."""

@@ -1,0 +1,235 @@
+"""The promise of a tolerance: the cheapest samples that keep it, here and as the sonar moves.
+
+A ping is compared with one of half the samples. The difference of the two falls as the error does, and ERROR
+times it is more than the error, nearly always. A small body's own echo is known as well as it has samples,
+LUCK / samples^0.75, the law of stratified sampling in two dimensions, and no better than the two agree on it.
+These constants, and the rates at which errors fall, are those of random worlds (`tools/promise.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.census import Extent, census, in_plain_sight
+from sonar_gl.fan import Sampling, rung_sampling
+from sonar_gl.lattice import SHEAR
+from sonar_gl.passes import Passes
+from sonar_gl.scene import Scene
+from sonar_gl.types import Error
+
+COARSEST_DEG, STEPS_PER_HALF = 1.0, 4  # of the ladder: so many rungs halve a sample's width
+FINEST_RUNG = 40  # or where the driver's limits are
+ERROR = 0.9
+ERROR_RATE = 1.3  # the error falls as the width of samples to this power
+LUCK, LUCK_RATE = 2.5, 0.75
+WORST_BODY = 5.0  # times the tolerance, of a body's own echo
+COUNTS = 5e-4  # of the echo: bodies that return less are let go; half of what is promised
+FEW = 8  # samples on a body, below which its echo is held to be unknown
+APART = 0.8  # of the difference that two lattices make to a body's own echo
+MOST_STEPS = 8  # at a time: estimates from very few samples are rough
+CHECK_EVERY = 16  # pings
+CHECK_MOVE = 0.1  # of range_max_m
+CHECK_TURN_DEG = 30.0  # or half the field of view, or the aperture in elevation
+POSES = 24  # of a sequence are tried
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was chosen for a tolerance.
+
+    Attributes
+    ----------
+    sampling : Sampling
+    rung : on the ladder of samplings
+    error_estimate : the error stays below, in 95 of 100 cases
+    worst_body_estimate : the relative error of any body's own echo likewise
+    worst_body : number of that body, 0 for none
+    met : whether the tolerance is met
+    """
+
+    sampling: Sampling
+    rung: int
+    error_estimate: float
+    worst_body_estimate: float
+    worst_body: int
+    met: bool
+
+
+def check_tolerance(tolerance) -> float:
+    """The tolerance.
+
+    Raises
+    ------
+    Error
+        if it lies outside 0.001..0.5.
+    """
+    number = isinstance(tolerance, (int, float, np.number)) and not isinstance(tolerance, bool)
+    if not (number and 0.001 <= tolerance <= 0.5):
+        raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
+    return float(tolerance)
+
+
+def sampling_of(sonar, rung: int) -> Sampling:
+    """The ladder's rung."""
+    return rung_sampling(sonar, COARSEST_DEG * 2 ** (-rung / STEPS_PER_HALF))
+
+
+def half_of(sampling: Sampling) -> Sampling:
+    """Half the samples."""
+    return Sampling(
+        sampling.columns_per_beam / math.sqrt(2),
+        max(1, round(sampling.rows / math.sqrt(2))),
+        sampling.reducer,
+    )
+
+
+class Planner:
+    """Chooses among samplings by what they see, and looks again as the sonar moves.
+
+    Parameters
+    ----------
+    passes : Passes
+    scene, tolerance : as for `Simulator`
+
+    Attributes
+    ----------
+    now : the Pass that made the last ping, or will make the next
+    plan : the Plan that it follows, None before the first ping
+    warning : None, or a sentence that the user has not been told yet
+    """
+
+    def __init__(self, passes: Passes, scene: Scene, tolerance: float):
+        self.tolerance = check_tolerance(tolerance)
+        self.passes, self.sonar, self.scene = passes, passes.sonar, scene
+        self.extent = Extent(scene)
+        self.reach_rad = passes.acoustics.beam_reach_rad(self.sonar)
+        self.finest = FINEST_RUNG
+        # a guess: what most scenes need
+        guess = COARSEST_DEG / 0.2 * (0.02 / self.tolerance) ** (1 / ERROR_RATE)
+        self.rung = min(max(0, round(STEPS_PER_HALF * math.log2(guess))), self.finest)
+        self.now = passes.of(sampling_of(self.sonar, self.rung))
+        self.plan = self.warning = None
+        self._fixed, self._checked, self._since, self._told = False, None, 0, False
+
+    def sense(self, pose, labels: bool):
+        """(views, intensity) of a ping, with samples that keep the tolerance."""
+        look = not self._fixed and self._due(pose)
+        if look and self.plan is None:
+            self._choose(pose)
+            look = False
+        views = self.now.views(pose, labels or look)
+        intensity = self.now.intensity(views)
+        if look:
+            self._checked, self._since = pose, 0
+            self.plan, steps = self._judge(pose, self.rung, (views, intensity))
+            if (steps > 0 and self.rung < self.finest) or steps <= -STEPS_PER_HALF:
+                self._choose(pose)
+                views = self.now.views(pose, labels)
+                intensity = self.now.intensity(views)
+        self._tell()
+        return views, intensity
+
+    def fix(self, poses) -> Plan:
+        """Choose for all of some poses (for POSES of many), and stay with it."""
+        picked = np.unique(np.linspace(0, len(poses) - 1, POSES).round().astype(int))
+        plans = [self._choose(poses[k]) for k in picked]
+        self.plan = max(plans, key=lambda plan: plan.rung)
+        error = max(plan.error_estimate for plan in plans if plan.rung == self.plan.rung)
+        self.plan = replace(self.plan, error_estimate=error, met=all(plan.met for plan in plans))
+        self.rung, self._fixed = self.plan.rung, True
+        self.now = self.passes.of(self.plan.sampling)
+        self._tell()
+        return self.plan
+
+    def _due(self, pose) -> bool:
+        """Whether to look at a ping from `pose`: the sonar has moved far, or a little for long."""
+        self._since += 1
+        if self._checked is None:
+            return True
+        moved = float(np.linalg.norm(pose[:3, 3] - self._checked[:3, 3]))
+        turned = np.trace(self._checked[:3, :3].T @ pose[:3, :3])
+        turned = math.acos(min(1.0, max(-1.0, (turned - 1) / 2)))
+        if moved <= 0.0 and turned < 1e-6:
+            return False
+        half_view, view = self.sonar.azimuth_fov_deg / 2, self.sonar.elevation_fov_deg
+        limit = math.radians(min(CHECK_TURN_DEG, half_view, view))
+        return self._since >= CHECK_EVERY or moved > CHECK_MOVE * self.sonar.range_max_m or turned > limit
+
+    def _choose(self, pose) -> Plan:
+        """The coarsest rung that keeps the tolerance at `pose`, or the finest there is."""
+        self._checked, self._since = pose, 0
+        failed, kept, rung, found = -1, self.finest + 1, self.rung, {}
+        while rung not in found:
+            try:
+                found[rung], steps = self._judge(pose, rung)
+            except Error:  # beyond the driver's limits
+                if rung == 0:
+                    raise
+                self.finest = rung - 1
+                kept = min(kept, rung)
+                rung = max(rung - 1, failed)
+                continue
+            if steps > 0:
+                failed = max(failed, rung)
+            else:
+                kept = min(kept, rung)
+            if -2 < steps <= 0:  # nothing to be gained by another look
+                break
+            rung = min(max(rung + steps, failed + 1), kept - 1)
+            if rung <= failed:
+                rung = min(kept, self.finest)
+        self.plan, self.rung = found[rung], rung
+        self.now = self.passes.of(self.plan.sampling)
+        return self.plan
+
+    def _judge(self, pose, rung: int, made=None) -> tuple[Plan, int]:
+        """What a rung is worth at `pose`, and how many steps finer (or coarser, if negative) would do.
+
+        made : (views, intensity) with labels, if they are there already
+        """
+        sampling = sampling_of(self.sonar, rung)
+        # in the mirror image of the lattice a rod that runs along its rows does not
+        fine, coarse = self.passes.of(sampling), self.passes.of(half_of(sampling), -SHEAR)
+        if made is None:
+            views = fine.views(pose, labels=True)
+            made = views, fine.intensity(views)
+        views, intensity = made
+        hits, echo = census(views, len(self.scene.bodies), self.sonar, fine.gain)
+        views = coarse.views(pose, labels=True)
+        difference = np.abs(intensity - coarse.intensity(views)).sum(dtype=np.float64)
+        _, other = census(views, len(self.scene.bodies), self.sonar, fine.gain)
+        whole, total = intensity.sum(dtype=np.float64), echo.sum()
+        error = ERROR * float(difference / whole) if whole > 0 else 0.0
+        steps = math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE
+
+        # A body's own echo: by the samples that met it, and by what the two lattices make of it. Of one that
+        # few met the echo is not known: it counts if it could be strong, unless it is hidden.
+        strength = self.extent.solid_angle(pose, self.sonar, self.reach_rad) * self.extent.reflectivity
+        heard = echo > COUNTS * total
+        for body in np.flatnonzero(~heard & (hits < FEW) & (strength * fine.gain.max() > COUNTS * total)):
+            heard[body] = in_plain_sight(made[0], self.scene.bodies[body - 1], pose, self.sonar)
+        apart = APART * np.abs(echo - other) / np.maximum(echo, 1e-30)
+        luck = np.maximum(LUCK / np.maximum(hits, 1.0) ** LUCK_RATE, np.minimum(apart, 1.0)) * heard
+        worst = int(luck.argmax())
+        if heard.any():
+            finer = (luck[worst] / (WORST_BODY * self.tolerance)) ** (1 / LUCK_RATE)
+            steps = max(steps, STEPS_PER_HALF / 2 * math.log2(finer))
+        steps = min(math.ceil(steps), MOST_STEPS)
+        return Plan(sampling, rung, error, float(luck[worst]), worst if heard.any() else 0, steps <= 0), steps
+
+    def _tell(self):
+        """Have the user warned of a tolerance that cannot be kept, once until it can."""
+        plan = self.plan
+        if not plan.met and not self._told:
+            columns = plan.sampling.columns_per_beam * self.sonar.n_beams
+            name = f" ({self.scene.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
+            self.warning = (
+                f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
+                f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
+                f"{plan.worst_body_estimate:.2g} for the worst body{name}; go nearer, narrow the fan, or ask "
+                "for a larger tolerance"
+            )
+        self._told = not plan.met
