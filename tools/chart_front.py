@@ -1,0 +1,124 @@
+"""What the chart's points say: fronts, times at an error, ratios, aims, and whether ours keeps to the front.
+
+A point is (milliseconds, error). Nothing is extrapolated: where a method's ladder ends before an error, a
+mark says on which side the truth lies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+OURS, OUR_RAYS, JITTERED = "ours", "rays_footprints", "rays_jittered"
+JUDGED = (0.01, 0.003)  # errors at which times are told
+AIMS = {  # at 1 %: how many times the rival's time is of ours
+    JITTERED: {"pylon": 15.0, "diver": 10.0, "ocean_floor": 8.0},
+    OUR_RAYS: {"pylon": 1.5, "diver": 1.5, "ocean_floor": 1.0},
+}
+BAND = np.geomspace(0.03, 0.005, 8)  # errors at which `violations` looks
+NOISE = 1.25  # a rival must be this much quicker to count
+ALLOWED = {OUR_RAYS: 2.0}  # the strongest rival's
+UNJUDGED = (OURS, "slices")  # slices are for scenes of few faces, and told only
+
+
+def envelope(points) -> np.ndarray:
+    """(N, 2) points that no other is both quicker and more exact than, by rising time."""
+    front = []
+    for ms, error in sorted(points):
+        if not front or error < front[-1][1]:
+            front.append((ms, error))
+    return np.array(front)
+
+
+def time_at(points, error: float) -> tuple[float, str]:
+    """Milliseconds for an error, log-log between the points of the envelope, and a mark.
+
+    The mark is ">" where the slowest point still errs more, "<" where the quickest errs less, with its time;
+    else "".
+    """
+    front = envelope(points)
+    if error < front[-1, 1]:
+        return float(front[-1, 0]), ">"
+    if error > front[0, 1]:
+        return float(front[0, 0]), "<"
+    ms, errors = np.log(front[::-1]).T
+    return float(np.exp(np.interp(np.log(error), errors, ms))), ""
+
+
+def ratio_at(rival, ours, error: float) -> tuple[float, str]:
+    """The rival's time over ours, marked ">" (at least), "<" (at most), "?" (not known) or ""."""
+    (theirs, mark), (own, own_mark) = time_at(rival, error), time_at(ours, error)
+    if own_mark and mark == own_mark:
+        return theirs / own, "?"
+    return theirs / own, mark or {">": "<", "<": ">", "": ""}[own_mark]
+
+
+def aim_met(scene: str, method: str, ratios) -> str:
+    """Whether ours is as far ahead at 1 % as AIMS say, and further at 0.3 %; ratios : of `ratio_at`."""
+    if scene not in AIMS.get(method, {}):
+        return ""
+    (first, mark), (second, second_mark) = ratios
+    at_one = _passes(first, mark, AIMS[method][scene])
+    further = "open" if mark else _passes(second, second_mark, first)
+    return f"{at_one} at 1 %, {further} at 0.3 %"
+
+
+def _passes(ratio: float, mark: str, aim: float) -> str:
+    if mark == "?" or (mark == ">" and ratio < aim) or (mark == "<" and ratio >= aim):
+        return "open"
+    return "met" if ratio >= aim else "missed"
+
+
+def table(charts) -> list[dict]:
+    """Rows of times and ratios; charts: {(scene, beams): {method: points}}."""
+    rows = []
+    for (scene, beams), methods in charts.items():
+        for method, points in methods.items():
+            row = {"scene": scene, "beams": beams, "method": method}
+            ratios = [ratio_at(points, methods[OURS], error) for error in JUDGED]
+            for error, (ratio, mark) in zip(JUDGED, ratios, strict=True):
+                ms, side = time_at(points, error)
+                row[f"ms_at_{error:g}"] = f"{side}{ms:.3g}"
+                row[f"ratio_at_{error:g}"] = f"{mark}{ratio:.3g}"
+            rows.append({**row, "aim": aim_met(scene, method, ratios)})
+    return rows
+
+
+def violations(charts) -> list[str]:
+    """Where a rival is quicker than ours by more than noise at the same error, within BAND: one line each."""
+    out = []
+    for (scene, beams), methods in charts.items():
+        for method, points in methods.items():
+            if method in UNJUDGED:
+                continue
+            allowed = ALLOWED.get(method, NOISE)
+            worst = None
+            for error in BAND:
+                ratio, mark = ratio_at(points, methods[OURS], error)
+                # a lower bound proves nothing against ours; neither does "not known"
+                if ratio * allowed < 1 and mark in ("", "<") and (worst is None or ratio < worst[0]):
+                    worst = ratio, error
+            if worst:
+                out.append(
+                    f"{scene}, {beams} beams: {method} takes {worst[0]:.2f} of our time "
+                    f"at {worst[1]:.2%} error"
+                )
+    return out
+
+
+def false_change(methods) -> tuple[float, str]:
+    """Ours' largest share of a rival's error at the same time, within both ladders, and that rival's name.
+
+    methods : {method: points} of the shimmer
+    """
+    worst = 0.0, ""
+    own = envelope(methods[OURS])
+    for method, points in methods.items():
+        if method == OURS:
+            continue
+        front = envelope(points)
+        times = np.geomspace(max(own[0, 0], front[0, 0]), min(own[-1, 0], front[-1, 0]), 30)
+        ours, theirs = (np.interp(np.log(times), *np.log(f).T) for f in (own, front))
+        share = float(np.exp(ours - theirs).max())
+        if share > worst[0]:
+            worst = share, method
+    return worst
