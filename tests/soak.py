@@ -1,0 +1,55 @@
+"""Many pings of a small scene, and what is left of them: memory and GL objects."""
+
+import ctypes
+import os
+
+import numpy as np
+import trimesh
+
+import sonar_gl as sg
+
+SONAR = sg.Sonar("soak", 900e3, 128, 200, 60.0, 20.0, 1.0, 0.5, 20.0)
+POSES = 997  # then again
+
+
+def make_simulator():
+    """A floor and two bodies; 256 by 40 samples."""
+    bodies = [
+        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.3),
+        sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(7, 2, -1), 0.8),
+        sg.Body("box", trimesh.creation.box((1, 1, 2)), sg.pose(9, -2, -1.5), 0.8),
+    ]
+    return sg.Simulator(sg.Scene(bodies), SONAR, sampling=sg.Sampling(2, 40))
+
+
+def pose_of(k):
+    """Of ping k: about the origin, looking ahead."""
+    x, y, z, roll, pitch, yaw = np.random.default_rng(k % POSES).uniform(-1, 1, 6)
+    return sg.pose(x, y, z, 0.2 * roll, 0.2 * pitch, 0.2 * yaw)
+
+
+def run(simulator, n_pings):
+    """So many pings, some with labels or noise, and some point clouds and G-buffers."""
+    noise = sg.Noise.physical()
+    for k in range(n_pings):
+        simulator.ping(pose_of(k), noise if k % 5 == 0 else None, k, labels=k % 10 == 0)
+        if k % 100 == 0:
+            simulator.point_cloud(pose_of(k), 40, 10)
+            simulator.gbuffers(pose_of(k))
+
+
+def resident_bytes():
+    """Memory of this process that is in use now (Linux)."""
+    with open("/proc/self/statm") as numbers:
+        return int(numbers.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def gl_objects(simulator):
+    """How many OpenGL objects of each kind a simulator's context holds, by name."""
+    library = ctypes.CDLL("libGL.so.1")
+    with simulator._drawing() as context:
+        context.gc()
+        return {
+            kind: sum(bool(getattr(library, f"glIs{kind}")(name)) for name in range(1, 100_000))
+            for kind in ("Buffer", "Texture", "Framebuffer", "Renderbuffer", "Program")
+        }

@@ -1,0 +1,215 @@
+#!/usr/bin/env python
+"""What the naive ways make of the regimes where methods fail, and what sonar_gl makes of them.
+
+    python tools/failures.py                  # a table; some minutes
+    python tools/failures.py --markdown       # the table of docs/failures.md
+    python tools/failures.py --soak 100000    # only many pings: memory, GL objects, time
+    python tools/failures.py --triangles 10   # only a mesh of so many million triangles
+
+The measures are those of the tests: tests/regimes.py, oddities.py, rods.py, soak.py. Embree is needed for one
+of them (the extra `reference`).
+"""
+
+import argparse
+import math
+import sys
+import warnings
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import trimesh
+
+import sonar_gl as sg
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import naive
+import oddities
+import regimes
+import rods
+import soak
+
+PART = "{:.2g}".format
+
+
+def per_cent(share):
+    """As text, of two digits or whole."""
+    if math.isinf(share):
+        return "no picture"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+
+
+def pair(measure, form=PART):
+    """Naive's and ours, as text."""
+    return tuple(form(number) for number in measure)
+
+
+def rows():
+    """(regime, what is measured, naive, ours, where its tests are), one by one."""
+    for fov in (120.0, 130.0, 179.0, 180.0, 360.0):
+        yield (
+            f"fan of {fov:g}°",
+            "worst beam inside a ball",
+            *pair(regimes.wide_fan(fov), per_cent),
+            "wide_fans",
+        )
+    level, rolled = {}, {"roll": 0.3, "pitch": 0.1, "yaw": 0.7}
+    for lowest, turn, how in ((1.0, level, ""), (0.5, level, ""), (1.0, rolled, ", sonar rolled")):
+        got = regimes.grazing_floor(3.0, 0.05, lowest, **turn)
+        plain = f"{per_cent(got['empty'])} of bins empty, rms {per_cent(got['naive'])}"
+        ours = f"rms {per_cent(got['ours'])}, worst {per_cent(got['worst'])}"
+        yield f"floor to {lowest:g}° of grazing{how}", "error of bins", plain, ours, "grazing_floors"
+    got = regimes.grazing_floor(3.0, 0.05, roll=math.pi / 2, bins=200, nodes=2000)
+    its = per_cent(got["naive_wrong"]), per_cent(got["wrong"])
+    yield "floor, sonar on its side", "echo in wrong bins", *its, "on_its_side"
+    for tolerance in (0.05, 0.01):
+        plain, ours, empty, worst = regimes.fine_bins(tolerance)
+        yield (
+            f"bins of 2.5 mm, tolerance {tolerance:g}",
+            "echo in wrong bins",
+            f"{per_cent(plain)}, {per_cent(empty)} of bins empty",
+            f"{per_cent(ours)}, worst bin {per_cent(worst)}",
+            "fine_bins",
+        )
+    for name, bodies in (("no bodies", []), ("nothing in range", [regimes.plate("wall", 30, 10)])):
+        (_, plain), (_, ours) = regimes.nothing(bodies)
+        words = (f"“{text[0]}”" if text else "black, without a word" for text in (plain, ours))
+        yield name, "what is said", *words, "empty_scenes"
+    for distance in (100.0, 1000.0):
+        millimetres = pair(regimes.far_wall(distance), lambda m: f"{1000 * m:.2g} mm")
+        yield f"wall at {distance:g} m", "error of range", *millimetres, "far_walls"
+    leaks = "echo that leaks through"
+    yield "hand nearer than range_min", leaks, *pair(regimes.hand_before_the_sonar(), per_cent), "nearer_than"
+    yield "inside a closed body", "echo over the truth", *pair(regimes.inside_a_body(), per_cent), "inside_a"
+    for name, place in (("face", (0.3, 0.2, 0)), ("edge", (2, 0.5, 0)), ("corner", (2, 2, 0))):
+        measured = "rays that meet it; ours: echo in wrong bins"
+        yield f"sonar on its {name}", measured, *pair(oddities.on_a_body(*place), per_cent), "on_a_face"
+    wrong = "echo in wrong bins"
+    yield "ball, 2 samples a beam", wrong, *pair(regimes.silhouette(), per_cent), "silhouettes"
+    for distance in (10.0, 100.0):
+        got = pair(regimes.paint_before_a_wall(distance), per_cent)
+        yield f"faces 5 mm apart at {distance:g} m", leaks, *got, "close_one_behind"
+    yield "coplanar faces", "echo over one's", *pair(oddities.coplanar((1.0, 1.0))), "coplanar"
+    yield "open sheet from behind", "echo over the front's", *pair(regimes.sheet_from_behind()), "from_behind"
+    changes = {"reversed": lambda n: -n, "ten times too long": lambda n: 10 * n, "missing": lambda n: 0 * n}
+    for name, change in changes.items():
+        yield (
+            f"normals {name}",
+            "echo over sound ones'",
+            *pair(oddities.shading_normals(change)),
+            "odd_normals",
+        )
+    measured = "normals that are NaN; ours: echo in wrong bins"
+    yield "degenerate and double triangles", measured, *pair(oddities.broken_triangles()), "degenerate"
+    yield "UTM coordinates", wrong, *pair(regimes.far_from_the_origin(), per_cent), "far_from_the_origin"
+    measured = "turned by Euler angles; ours: echo in wrong bins"
+    turned, ours = oddities.attitude(0.3, math.pi / 2, 1.0)
+    yield "looking straight down", measured, f"{turned:.0f}°", per_cent(ours), "straight_down"
+    measured = "share of NaN; ours: steps of float32 above 1"
+    yield "cos θ a hair above 1", measured, *pair(oddities.cosine_above_one()), "hair_above"
+    measured = "bins of walls before and behind range_min, range_max; of 12"
+    yield "ends of the bins", measured, *map(str, oddities.bin_ends()), "ends_of_the_bins"
+    for beams, bins in ((1, 1), (255, 8191), (4096, 512)):
+        got = pair(oddities.many_beams_and_bins(beams, bins), per_cent)
+        yield f"beams, bins: {beams}, {bins}", "worst beam inside a ball", *got, "odd_counts"
+    yield "millions of echoes in a bin", "error", *pair(oddities.long_sums(), per_cent), "saturation"
+    measured = "sums that differ when done again"
+    yield "same seed", measured, *pair(oddities.order_of_sums(), per_cent), "test_stability.py"
+    yield from rod_rows()
+
+
+def rod_rows():
+    """Rods and cables, upright, level and any: pings that lose them, and the worst spread of their echo."""
+    normal, fine = sg.Sampling(1.5, 62), sg.Sampling(4, 130)
+    for settings, plain, lengths, askew, text in (
+        ({"sampling": fine}, fine, (2.0, 4.0), 45, "2 to 4 m, 1024 x 130 samples"),
+        (
+            {"tolerance": 0.05},
+            normal,
+            (0.3, 3.0),
+            0,
+            "0.3 to 3 m; naive 384 x 62 samples, ours tolerance 0.05",
+        ),
+    ):
+        for diameter, range_m in rods.RODS + rods.CABLES:
+            sonar, seen, ours = rods.rod_sonar(range_max_m=60.0), [], []
+            for k in range(9):
+                rng = rods.rng_of(diameter, range_m, k)
+                rod = rods.random_rod(rng, diameter, range_m, rods.KINDS[k % 3], lengths, askew)
+                places = rods.shifts(rng)[::4]
+                ours.append(rods.echo_ratios(rod, sonar, places, **settings))
+                with naive.plain_grid():
+                    seen.append(rods.echo_ratios(rod, sonar, places, sampling=naive.in_points(plain)))
+            regime = f"rod of {1000 * diameter:g} mm at {range_m:g} m"
+            yield regime, text, *map(kept, (seen, ours)), "test_rods.py"
+
+
+def kept(ratios):
+    """How many of some rods' pings lose them, and the worst of their spreads, as text."""
+    lost = (np.concatenate(ratios) < 0.01).mean()
+    return f"lost in {per_cent(lost)}, spread {max(map(rods.spread, ratios)):.2f}"
+
+
+def print_table(markdown):
+    """All rows, as they come."""
+    if markdown:
+        print("| regime | what is measured | naive | ours | test |\n|---|---|---|---|---|")
+    for row in rows():
+        print("| " + " | ".join(row) + " |" if markdown else "   ".join(row), flush=True)
+
+
+def print_soak(n_pings):
+    """Growth of memory and of GL objects over so many pings."""
+    with soak.make_simulator() as simulator:
+        soak.run(simulator, 500)
+        before, objects, start = soak.resident_bytes(), soak.gl_objects(simulator), perf_counter()
+        soak.run(simulator, n_pings)
+        seconds = perf_counter() - start
+        growth = soak.resident_bytes() - before
+        print(f"{n_pings} pings, {seconds:.0f} s, {1000 * seconds / n_pings:.2f} ms a ping")
+        print(f"memory {before / 1e6:.0f} MB, grown by {growth / 1e6:.2f} MB")
+        print(f"GL objects before {objects}\nGL objects after  {soak.gl_objects(simulator)}")
+
+
+def print_triangles(millions):
+    """A ping of one rough floor of so many triangles."""
+    side = round(math.sqrt(millions * 1e6 / 2))
+    x, y = np.meshgrid(np.linspace(0, 40, side + 1), np.linspace(-20, 20, side + 1), indexing="ij")
+    vertices = np.stack([x, y, 0.1 * np.sin(7 * x) * np.sin(5 * y) - 3], axis=-1).reshape(-1, 3)
+    corner = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()[:, None]
+    faces = np.concatenate(
+        [corner + np.array(three) for three in ((0, side + 1, side + 2), (0, side + 2, 1))]
+    )
+    start = perf_counter()
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    with regimes.simulate([sg.Body("floor", mesh)]) as simulator:
+        made = perf_counter()
+        total = simulator.ping(np.eye(4)).intensity.sum()
+        done = perf_counter()
+        simulator.ping(np.eye(4))
+        print(f"{len(faces)} triangles, made in {made - start:.1f} s")
+        print(f"memory {soak.resident_bytes() / 1e9:.1f} GB")
+        print(f"first ping {done - made:.2f} s, next {perf_counter() - done:.2f} s, echo {total:.4g}")
+
+
+def main():
+    """Print what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--markdown", action="store_true", help="the table of docs/failures.md")
+    parser.add_argument("--soak", type=int, metavar="N", help="only so many pings")
+    parser.add_argument(
+        "--triangles", type=float, metavar="M", help="only a mesh of so many million triangles"
+    )
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")  # that nothing came back, which is measured
+    if options.soak:
+        print_soak(options.soak)
+    if options.triangles:
+        print_triangles(options.triangles)
+    if not (options.soak or options.triangles):
+        print_table(options.markdown)
+
+
+if __name__ == "__main__":
+    main()
