@@ -1,0 +1,288 @@
+"""`sonar-gl plan`: the samples of a tolerance, why, and what others would cost."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import sonar_gl as sg
+from sonar_gl import checks, cli
+from sonar_gl.plan import ERROR_RATE, LUCK_RATE, STEPS_PER_HALF, WORST_BODY, Plan
+from sonar_gl.poses import read_poses
+
+BODY = """<model name="{0}"><static>true</static><pose>{1} 0 0 0</pose><link name="link"><collision name="c">
+<geometry><box><size>{2}</size></box></geometry><laser_retro>255</laser_retro></collision></link></model>
+"""
+WALL, BOX = BODY.format("wall", "5.5 0 0", "1 20 20"), BODY.format("box", "3 0.5 0", "0.2 0.2 0.2")
+SCENE = '<sdf version="1.9"><world name="any">{}</world></sdf>'
+SENSOR = '<model name="sonar"><link name="link"><sensor name="imaging_sonar" type="custom"/></link></model>'
+SONAR = """frequency_hz = 900e3
+n_beams = 24
+n_bins = 80
+azimuth_fov_deg = 40.0
+elevation_fov_deg = 10.0
+beam_width_deg = 2.0
+range_min_m = 0.5
+range_max_m = 8.5
+"""
+POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0.7\n0.5,-2,0,0,0,0,0\n1.0,1,0,0,0,0,0.1\n"
+QUICK = ("--sonar", "small.toml", "--tolerance", 0.05)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A folder with small scenes, a small sonar and three poses, which is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(SCENE.format(WALL + BOX + SENSOR))
+    Path("wall.sdf").write_text(SCENE.format(WALL + SENSOR))
+    Path("empty.sdf").write_text(SCENE.format(SENSOR))
+    Path("mute.sdf").write_text(SCENE.format(WALL))
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSES)
+
+
+def run(*arguments):
+    """(exit status, stdout, stderr) of `sonar-gl plan`."""
+    try:
+        runner = CliRunner(mix_stderr=False)
+    except TypeError:  # click 8.2 keeps them apart of itself
+        runner = CliRunner()
+    result = runner.invoke(cli.main, ["plan", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def plan(*arguments, scene="tank.sdf"):
+    """What a plan finds, of one that does without a word on stderr."""
+    status, out, err = run(scene, *QUICK, "--json", *arguments)
+    assert err == "" and status == (0 if json.loads(out)["met"] else 1)
+    return json.loads(out)
+
+
+def table(out):
+    """Tolerance in per cent -> the other cells of its row."""
+    rows = out.partition("tolerance   samples    error  worst body        ms  ratio\n")[2].splitlines()
+    return {float(row.split()[0]): re.split(r"\s{2,}", row.strip())[1:] for row in rows if row[0] == " "}
+
+
+def test_the_command_says_what_was_chosen_why_and_what_else_there_is():
+    status, out, err = run("tank.sdf", *QUICK)
+    assert (status, err) == (0, "")
+    found = dict(re.findall(r"^(\w[\w ]*?)  +(.*)$", out.partition("\n\n")[0], re.MULTILINE))
+    assert list(found) == [
+        "scene", "sonar", "profile", "tolerance", "samples", "error", "worst body", "bound by", "ping",
+    ]  # fmt: skip
+    assert (found["scene"], found["sonar"]) == ("tank", "small, 24 beams x 80 bins")
+    assert (found["profile"], found["tolerance"]) == ("physical", "5 % can be met")
+    per_beam, rows, samples = re.fullmatch(
+        r"([\d.]+) columns per beam x (\d+) rows = (\d+)", found["samples"]
+    ).groups()
+    assert int(samples) == round(24 * float(per_beam)) * int(rows)
+    assert re.fullmatch(r"[\d.]+ % of the echo, estimated", found["error"])
+    assert re.fullmatch(r"'(box|wall)', its own echo, off by [\d.]+ %, estimated", found["worst body"])
+    assert found["bound by"] in checks.BOUND_BY.values()
+    assert re.fullmatch(r"\d+\.\d\d ms on .+", found["ping"])
+    others = table(out)
+    assert list(others) == [2.5, 5, 10]
+    assert [int(row[0]) for row in others.values()] == sorted(int(row[0]) for row in others.values())[::-1]
+    assert others[5][0] == samples and others[5][-1] == "1.00"
+    assert all(len(row) == 5 and row[1].endswith(" %") and row[2].endswith(" %") for row in others.values())
+
+
+def test_json_holds_what_the_simulator_plans():
+    found = plan("--profile", "ideal", "--bins", 40, "--pose", "0 0.2 0 0 0 0.1")
+    assert (found["scene"], found["sonar"], found["profile"]) == ("tank", "small", "ideal")
+    assert (found["beams"], found["bins"], found["poses"]) == (24, 40, 1)
+    assert found["met"] is found["has_echo"] is True
+    scene, sonar = sg.load_scene("tank.sdf"), replace(sg.load_sonar("small.toml"), n_bins=40)
+    pose = sg.pose(0, 0.2, yaw=0.1)
+    for cost, tolerance in ((found, 0.05), (found["halved"], 0.025), (found["doubled"], 0.1)):
+        with sg.Simulator(scene, sonar, sg.Acoustics.ideal(), tolerance=tolerance) as simulator:
+            wanted = simulator.plan([pose])
+        assert cost["tolerance"] == tolerance and cost["rung"] == wanted.rung
+        assert cost["sampling"]["rows"] == wanted.sampling.rows
+        assert cost["sampling"]["columns_per_beam"] == wanted.sampling.columns_per_beam
+        assert cost["error_estimate"] == wanted.error_estimate <= tolerance
+        assert cost["worst_body_estimate"] == wanted.worst_body_estimate <= 5 * tolerance
+        assert cost["worst_body"] == ["", "wall", "box"][wanted.worst_body]
+        assert cost["time_ms"] > 0
+        assert cost["time_ratio"] == cost["time_ms"] / found["time_ms"]
+
+
+def test_a_sequence_takes_the_samples_that_render_gives_it():
+    found = plan("--poses", "dive.csv")
+    assert found["poses"] == 3
+    render = ["render", "tank.sdf", *map(str, QUICK), "--poses", "dive.csv", "--format", "npz"]
+    assert CliRunner().invoke(cli.main, render).exit_code == 0
+    for number in range(3):
+        assert sg.load_npz(f"tank_{number:04d}.npz").meta["sampling"] == found["sampling"]
+    with sg.Simulator(sg.load_scene("tank.sdf"), sg.load_sonar("small.toml"), tolerance=0.05) as simulator:
+        assert simulator.plan(read_poses("dive.csv")[1]).rung == found["rung"]
+    assert "poses       3\n" in run("tank.sdf", *QUICK, "--poses", "dive.csv")[1]
+
+
+def test_a_flat_wall_asks_for_nothing():
+    found = plan(scene="wall.sdf")
+    assert (found["rung"], found["bound_by"]) == (0, "nothing")
+
+
+def cost_of(error, body, met=True, rung=5):
+    """What `_cost` makes of a plan with such estimates, of a tolerance of 0.01."""
+    made = Plan(sg.Sampling(2, 10), rung, error, body, 1, met)
+    scene, sonar = sg.load_scene("wall.sdf"), sg.load_sonar("small.toml")
+    return checks._cost(made, 0.01, scene, sonar)["bound_by"]
+
+
+def test_the_nearer_of_two_estimates_binds():
+    assert cost_of(0.009, 0.04) == "error" and cost_of(0.008, 0.045) == "worst body"
+    assert cost_of(0.02, 1.0, met=False) == "worst body" and cost_of(0.3, 1.0, met=False) == "error"
+    # a coarser rung would have kept both, and was left all the same
+    assert cost_of(0.005, 0.02) == "finding"
+    assert cost_of(0.005, 0.02, rung=0) == "nothing" and cost_of(0.009, 0.02, rung=0) == "error"
+    assert set(checks.BOUND_BY) == {"error", "worst body", "finding", "nothing"}
+
+
+def test_one_rung_changes_estimates_by_so_much():
+    """Of a plan that keeps the tolerance two rungs at most are to be gained, or it would have moved on."""
+    rates = (ERROR_RATE, 2 * LUCK_RATE)  # hits are as many as the square of the width
+    assert min(2 ** (-2 * rate / STEPS_PER_HALF) for rate in rates) >= checks.TWO_RUNGS
+    assert checks.FIVE == WORST_BODY
+
+
+@pytest.mark.parametrize("tolerance, left", [(0.001, "halved"), (0.5, "doubled")])
+def test_tolerances_out_of_bounds_are_left_out(tolerance, left):
+    status, out, _ = run("wall.sdf", "--sonar", "small.toml", "--tolerance", tolerance)
+    assert status == 0
+    assert out.endswith(f"\n{left}, it would lie outside 0.1 % to 50 %\n")
+    assert len(table(out)) == 2
+    found = plan("--tolerance", tolerance, scene="wall.sdf")
+    assert [name for name in ("halved", "doubled") if found[name] is None] == [left]
+
+
+def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
+    monkeypatch.setattr("sonar_gl.plan.FINEST_RUNG", 6)
+    status, out, err = run("tank.sdf", "--sonar", "small.toml", "--tolerance", 0.0015)
+    assert (status, err) == (1, "")
+    assert (
+        "tolerance   0.15 % can NOT be met: these are the most samples that fit; go nearer, narrow the fan, "
+        "or ask for a larger one\n"
+    ) in out
+    assert table(out)[0.15][-1] == "not met"
+    assert plan("--tolerance", 0.0015)["met"] is False  # and status 1
+
+
+def test_where_half_of_it_is_out_of_reach_the_table_says_so(monkeypatch):
+    found = plan()
+    monkeypatch.setattr("sonar_gl.plan.FINEST_RUNG", found["rung"])
+    status, out, err = run("tank.sdf", *QUICK)
+    assert (status, err) == (0, "")
+    assert next(row[-1] for row in table(out).values()) == "not met"
+    assert "NOT" not in out
+
+
+@pytest.mark.parametrize(
+    "scene, pose, why",
+    [
+        ("empty.sdf", "0 0 0 0 0 0", "the scene has no bodies"),
+        ("tank.sdf", "0 0 0 0 1.5 0", "no surface lies"),
+    ],
+)
+def test_where_nothing_comes_back_it_says_so(scene, pose, why):
+    status, out, err = run(scene, *QUICK, "--pose", pose)
+    assert status == 0
+    assert "error       nothing comes back from here, and there is nothing to err about\n" in out
+    assert "worst body  '" not in out and "bound by" not in out
+    assert err.startswith("warning: no echo came back: ") and why in err and err.count("\n") == 1
+    found = json.loads(run(scene, *QUICK, "--pose", pose, "--json")[1])
+    assert (found["has_echo"], found["error_estimate"]) == (False, 0)
+
+
+SIX = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["nowhere.sdf"], "nowhere.sdf: there is no such file (bundled scenes are named without an ending)"),
+        (
+            ["mute.sdf"],
+            "scene 'mute' has no sonar in it; give its place with --pose "
+            '"x y z roll pitch yaw", metres and radians',
+        ),
+        (["tank.sdf", "--pose", "1 2 3"], f"{SIX} (got 3: '1 2 3')"),
+        (
+            ["tank.sdf", "--pose", "0 0 0 0 0 0", "--poses", "dive.csv"],
+            "--pose and --poses must not stand together (the file of --poses holds every pose)",
+        ),
+        (
+            ["tank.sdf", "--poses", "none.csv"],
+            "none.csv: the file of poses must be readable (no such file or directory)",
+        ),
+        (["tank.sdf", "--range", 0.2], "sonar 'small': the range must exceed range_min_m = 0.5 m (got 0.2)"),
+        (["tank.sdf", "--bins", 0], "sonar 'small': n_bins must be a whole number in 1..65536 (got 0)"),
+        (
+            ["tank.sdf", "--tolerance", 0.0001],
+            "tolerance must be a number in 0.001..0.5 (got 0.0001; 0.01 is one per cent)",
+        ),
+        (
+            ["tank.sdf", "--resource-path", "nowhere"],
+            "resource path 'nowhere' must be a folder (there is none of that name)",
+        ),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(arguments, message):
+    assert run("--sonar", "small.toml", *arguments) == (2, "", f"error: {message}\n")
+
+
+def test_help_says_what_the_exit_status_means():
+    out = run("--help")[1]
+    assert "Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake" in " ".join(out.split())
+
+
+def test_frames_do_not_depend_on_those_before_them():
+    """A sequence and the reversed one have the same files; looked after ping by ping they would not."""
+    header, *rows = POSES.splitlines()
+    rows += [row.replace(",", f"{n},", 1) for n, row in enumerate(rows)]
+    files = {}
+    for name, lines in (("there", rows), ("back", rows[::-1])):
+        Path(f"{name}.csv").write_text("\n".join([header, *lines]))
+        render = [
+            "render",
+            "tank.sdf",
+            *map(str, QUICK),
+            "--height",
+            "60",
+            "--poses",
+            f"{name}.csv",
+            "--out",
+            name,
+        ]
+        assert CliRunner().invoke(cli.main, render).exit_code == 0
+        files[name] = [
+            [Path(name, f"tank_{n:04d}.{f}").read_bytes() for f in ("png", "npz")] for n in range(6)
+        ]
+    assert files["there"] == files["back"][::-1]
+    assert len({png for png, _ in files["there"]}) == 3
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    looked_after = {}
+    for name in files:
+        with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+            looked_after[name] = [simulator.ping(p).intensity.tobytes() for p in read_poses(f"{name}.csv")[1]]
+    assert looked_after["there"] != looked_after["back"][::-1]
+
+
+@pytest.mark.parametrize(
+    "options, planned",
+    [([], True), (["--style", "demarco2015"], True), (["--style", "demarco2015", "--format", "png"], False)],
+)
+def test_only_the_papers_picture_alone_is_not_planned(monkeypatch, options, planned):
+    """It is made of points, of which there are as many as the paper says."""
+    asked = []
+    monkeypatch.setattr(sg.Simulator, "plan", lambda _, poses: asked.append(len(poses)))
+    render = ["render", "tank.sdf", *map(str, QUICK), "--height", "40", "--poses", "dive.csv", *options]
+    assert CliRunner().invoke(cli.main, render).exit_code == 0
+    assert asked == ([3] if planned else [])
