@@ -16,7 +16,7 @@ from sonar_gl.noise import check_seed
 from sonar_gl.rays import Target, hear, land, shoot
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
-from sonar_gl.types import Error, Ping
+from sonar_gl.types import Error, Ping, check_kind
 
 NEAR_M = 1e-3  # what is nearer is seen through, as in the fast ping
 AGREEMENT = 10  # the two seeds must differ so many times less than the error that is to be judged
@@ -139,9 +139,7 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
         ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
         ("acoustics", acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()"),
     ):
-        if not isinstance(value, kind):
-            article = "an" if kind is Acoustics else "a"
-            raise Error(f"{name} must be {article} {kind.__name__} (got {type(value).__name__}; {cure})")
+        check_kind(name, value, kind, cure)
     for name, value, low, high in (("error", error, 1e-4, 0.5), ("max_rays", max_rays, 1e6, 2**33)):
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
             raise Error(f"{name} of a reference must be a number (got {value!r})")

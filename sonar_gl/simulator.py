@@ -25,7 +25,7 @@ from sonar_gl.plan import Plan, Planner
 from sonar_gl.render import Renderer
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
-from sonar_gl.types import Error, GBuffer, Ping
+from sonar_gl.types import Error, GBuffer, Ping, check_kind
 
 
 class Simulator:
@@ -59,7 +59,7 @@ class Simulator:
             ("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()"),
             ("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)"),
         ):
-            _check_kind(name, value, kind, cure)
+            check_kind(name, value, kind, cure)
         self.scene, self.sonar = scene, sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
         self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
@@ -142,7 +142,7 @@ class Simulator:
             if nothing came back, saying what was nearest and why.
         """
         pose, seed = check_pose(pose), check_seed(seed)
-        _check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
+        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         body_id = elevation_rad = body_echo = None
         with self._drawing():
             views, intensity = self._samples.sense(pose, labels)
@@ -246,10 +246,3 @@ class Simulator:
     def __del__(self):
         if getattr(self, "_context", None) is not None and os.getpid() == self._process:
             gl.discard(self._context)
-
-
-def _check_kind(name: str, value, kind, cure: str):
-    if not isinstance(value, kind):
-        wanted = getattr(kind, "__name__", str(kind).split(" ")[0].split(".")[-1])
-        article = "an" if wanted[0] in "AEIOU" else "a"
-        raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")

@@ -46,6 +46,14 @@ def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
     return out
 
 
+def check_kind(name: str, value, kind, cure: str):
+    """Raise an Error if an argument is not of its kind, a class or a union of one and None."""
+    if not isinstance(value, kind):
+        wanted = getattr(kind, "__name__", str(kind).split(" ")[0].split(".")[-1])
+        article = "an" if wanted[0] in "AEIOU" else "a"
+        raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
+
+
 @dataclass(frozen=True, eq=False)
 class GBuffer:
     """One sector's samples: what the depth + normal pass saw. R rows (elevation), C columns (azimuth).

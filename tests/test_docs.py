@@ -186,6 +186,15 @@ def test_names_of_the_package_exist(page):
         assert (ROOT / path).exists(), path
 
 
+def test_constants_of_the_method_exist():
+    modules = [
+        importlib.import_module(f"sonar_gl.{path.stem}") for path in (ROOT / "sonar_gl").glob("[a-z]*.py")
+    ]
+    named = set(re.findall(r"`([A-Z][A-Z_]{2,})`", text_of(ROOT / "docs" / "method.md")))
+    assert len(named) > 5
+    assert {name for name in named if not any(hasattr(module, name) for module in modules)} == set()
+
+
 @pytest.mark.parametrize("text", list(blocks("xml")))
 def test_scenes_load_and_echo(text):
     Path("tank.sdf").write_text(text)

@@ -30,9 +30,14 @@ SPREAD, BIAS = 0.25, 0.1  # rms of what the rod's echo differs from the truth, o
 COMBINED = list(product(RODS, (WIDE_BEAMS_DEG, NARROW_BEAMS_DEG)))
 CASES = [(*rod, beams, kind) for (rod, beams), kind in zip(COMBINED, cycle(KINDS))]
 NUMBERED = [(*rod, beams, k) for k, (rod, beams) in enumerate(COMBINED)]
-# found among 240 alone and 144 before a floor, all others of which held
-LOST = pytest.mark.xfail(strict=True, reason="a rod that no sample meets is held to be hidden")
-ALIGNED = pytest.mark.xfail(strict=True, reason="a rod along the lattice is known worse than its samples say")
+UPRIGHT = pytest.mark.xfail(strict=True, reason="1 cm upright at 15 m in 1 degree beams: a spread of 0.27")
+# that a plan by counts of samples alone once lost: they run along the lattice
+HARD_ALONE = [(0.010, 30.0, WIDE_BEAMS_DEG, 5), (0.010, 6.0, WIDE_BEAMS_DEG, 16)]
+HARD_BEFORE_A_FLOOR = [
+    (0.010, 6.0, WIDE_BEAMS_DEG, 10),
+    (0.010, 15.0, WIDE_BEAMS_DEG, 17),
+    (0.004, 6.0, NARROW_BEAMS_DEG, 3),
+]
 
 
 def test_the_truth_of_a_rod_is_the_reference_s():
@@ -69,12 +74,11 @@ def test_a_plain_grid_loses_rods_that_the_lattice_keeps(diameter, range_m, along
 
 @pytest.mark.parametrize("diameter, range_m, beam_width, kind", CASES)
 def test_rods_keep_their_echo_at_fixed_samples(diameter, range_m, beam_width, kind):
-    """Of 2 m and longer, some ten samples on each, lost in none of 200 shifts of 1 mm."""
+    """Of 2 m and longer, some ten samples on each, lost in none of 100 shifts of 2 mm."""
     rng, sonar = rng_of(diameter, range_m, beam_width), rod_sonar(beam_width)
     rod = random_rod(rng, diameter, range_m, kind, (2.0, 4.0), 45)
     sampling = sg.Sampling(6, 200) if range_m > 20 else sg.Sampling(4, 130)
-    ratios = echo_ratios(rod, sonar, shifts(rng), sampling=sampling)
-    assert len(ratios) == 200
+    ratios = echo_ratios(rod, sonar, shifts(rng)[::2], sampling=sampling)
     assert ratios.min() > 0.3
     assert spread(ratios) < SPREAD
 
@@ -90,8 +94,7 @@ def check(ratios):
     [
         *NUMBERED,
         (0.050, 50.0, WIDE_BEAMS_DEG, 8),
-        pytest.param(0.010, 30.0, WIDE_BEAMS_DEG, 5, marks=LOST),
-        pytest.param(0.010, 6.0, WIDE_BEAMS_DEG, 16, marks=LOST),
+        *HARD_ALONE,
     ],
 )
 def test_rods_alone_keep_their_echo_by_tolerance(diameter, range_m, beam_width, number):
@@ -107,10 +110,8 @@ def test_rods_alone_keep_their_echo_by_tolerance(diameter, range_m, beam_width, 
     [
         *(case for case in NUMBERED if case[1:] != (30.0, WIDE_BEAMS_DEG, 4)),
         (0.010, 30.0, WIDE_BEAMS_DEG, 7),  # for number 4, which is end on and too faint
-        pytest.param(0.010, 30.0, WIDE_BEAMS_DEG, 5, marks=LOST),
-        pytest.param(0.010, 6.0, WIDE_BEAMS_DEG, 10, marks=LOST),
-        pytest.param(0.010, 15.0, WIDE_BEAMS_DEG, 17, marks=ALIGNED),
-        pytest.param(0.004, 6.0, NARROW_BEAMS_DEG, 3, marks=ALIGNED),
+        *HARD_BEFORE_A_FLOOR,
+        pytest.param(0.010, 15.0, WIDE_BEAMS_DEG, 9, marks=UPRIGHT),
     ],
 )
 def test_rods_before_a_floor_keep_their_echo_by_tolerance(diameter, range_m, beam_width, number):
