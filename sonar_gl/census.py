@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sonar_gl.footprint import compiled
+from sonar_gl.compiled import compiled
 from sonar_gl.scene import Scene
 from sonar_gl.sonar import Sonar
 

@@ -22,6 +22,9 @@ MAX_SECTOR_RAD = math.radians(60.0)
 COLUMNS_PER_REACH = 128
 MAX_COLUMNS_PER_BEAM, MAX_ROWS = 1024, 16_000
 MIN_COLUMNS, MIN_ROWS = 24, 16  # of what is chosen for a tolerance
+# Nor are rows higher than this: where two rows meet on a floor at grazing incidence a bin may come short, by
+# some per cent where they are a degree high, by less than one where half of that.
+MAX_ROW_DEG = 0.5
 REDUCERS = ("footprint", "point")
 
 
@@ -53,11 +56,11 @@ class Sampling:
 
 
 def rung_sampling(sonar: Sonar, sample_deg: float) -> Sampling:
-    """Samples about so many degrees wide and high on the boresight: as wide as high errs least."""
+    """Samples about so many degrees wide and, up to MAX_ROW_DEG, as high, which errs least."""
     columns = max(MIN_COLUMNS, sonar.azimuth_fov_deg / sample_deg)
     # rows are even in tan φ: as dense on the boresight as asked for, denser above and below
     aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
-    rows = max(MIN_ROWS, math.ceil(aperture_deg / sample_deg))
+    rows = max(MIN_ROWS, math.ceil(aperture_deg / min(sample_deg, MAX_ROW_DEG)))
     return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
 
 

@@ -22,13 +22,14 @@ from sonar_gl.types import Error
 
 COARSEST_DEG, STEPS_PER_HALF = 1.0, 4  # of the ladder: so many rungs halve a sample's width
 FINEST_RUNG = 40  # or where the driver's limits are
-ERROR = 0.9
+ERROR = 1.0
 ERROR_RATE = 1.3  # the error falls as the width of samples to this power
-LUCK, LUCK_RATE = 2.5, 0.75
+LUCK, LUCK_RATE = 1.8, 0.75
 WORST_BODY = 5.0  # times the tolerance, of a body's own echo
 COUNTS = 5e-4  # of the echo: bodies that return less are let go; half of what is promised
 FEW = 8  # samples on a body, below which its echo is held to be unknown
-APART = 0.8  # of the difference that two lattices make to a body's own echo
+APART = 0.7  # of the difference that two lattices make to a body's own echo
+SOME = 300  # samples on a body: of more, whole ones at the ends of range and aperture spoil the difference
 MOST_STEPS = 8  # at a time: estimates from very few samples are rough
 CHECK_EVERY = 24  # pings: a look costs about one and a half
 CHECK_MOVE = 0.1  # of range_max_m
@@ -72,6 +73,12 @@ def check_tolerance(tolerance) -> float:
     return float(tolerance)
 
 
+def _luck(hits):
+    """The relative error that a body's own echo may have, by the samples that met it."""
+    # where there are few they may all lie along a thin thing, or beside it
+    return LUCK * (1 + FEW / hits) / hits**LUCK_RATE
+
+
 def sampling_of(sonar, rung: int) -> Sampling:
     """The ladder's rung."""
     return rung_sampling(sonar, COARSEST_DEG * 2 ** (-rung / STEPS_PER_HALF))
@@ -109,7 +116,8 @@ class Planner:
         self.finest = FINEST_RUNG
         # a guess: what most scenes need
         guess = COARSEST_DEG / 0.2 * (0.02 / self.tolerance) ** (1 / ERROR_RATE)
-        self.rung = min(max(0, round(STEPS_PER_HALF * math.log2(guess))), self.finest)
+        self._guess = min(max(0, round(STEPS_PER_HALF * math.log2(guess))), self.finest)
+        self.rung = self._guess
         self.now = passes.of(sampling_of(self.sonar, self.rung))
         self.plan = self.warning = None
         self._fixed, self._checked, self._since, self._told = False, None, 0, False
@@ -135,11 +143,17 @@ class Planner:
     def fix(self, poses) -> Plan:
         """Choose for all of some poses (for POSES of many), and stay with it."""
         picked = np.unique(np.linspace(0, len(poses) - 1, POSES).round().astype(int))
-        plans = [self._choose(poses[k]) for k in picked]
-        self.plan = max(plans, key=lambda plan: plan.rung)
-        error = max(plan.error_estimate for plan in plans if plan.rung == self.plan.rung)
-        self.plan = replace(self.plan, error_estimate=error, met=all(plan.met for plan in plans))
-        self.rung, self._fixed = self.plan.rung, True
+        plans, guess = [], self._guess
+        for k in picked:
+            self.rung = guess  # each as if it came first: the order does not count
+            plans.append(self._choose(poses[k]))
+        self.rung, self._fixed = max(plan.rung for plan in plans), True
+        finest = [plan for plan in plans if plan.rung == self.rung]
+        self.plan = replace(
+            max(finest, key=lambda plan: plan.worst_body_estimate),
+            error_estimate=max(plan.error_estimate for plan in finest),
+            met=all(plan.met for plan in plans),
+        )
         self.now = self.passes.of(self.plan.sampling)
         self._tell()
         return self.plan
@@ -211,8 +225,8 @@ class Planner:
         heard = echo > COUNTS * total
         for body in np.flatnonzero(~heard & (hits < FEW) & (strength * fine.gain.max() > COUNTS * total)):
             heard[body] = in_plain_sight(made[0], self.scene.bodies[body - 1], pose, self.sonar)
-        apart = APART * np.abs(echo - other) / np.maximum(echo, 1e-30)
-        luck = np.maximum(LUCK / np.maximum(hits, 1.0) ** LUCK_RATE, np.minimum(apart, 1.0)) * heard
+        apart = np.where(hits < SOME, APART * np.abs(echo - other) / np.maximum(echo, 1e-30), 0.0)
+        luck = np.maximum(_luck(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * heard
         worst = int(luck.argmax())
         if heard.any():
             finer = (luck[worst] / (WORST_BODY * self.tolerance)) ** (1 / LUCK_RATE)

@@ -5,17 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, uint32
+from numba import uint32
 
+from sonar_gl.compiled import compiled
 from sonar_gl.types import Error
-
-
-def compiled(function):
-    """Numba's njit without the GIL; its machine code is kept on disk where there is a place for it."""
-    try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # "cannot cache function": no folder that can be written
-        return njit(nogil=True, error_model="numpy")(function)
 
 
 class Target:

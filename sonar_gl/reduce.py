@@ -6,10 +6,41 @@ from queue import SimpleQueue
 from threading import Thread
 
 import numpy as np
+from numba import uint64
 
+from sonar_gl.compiled import compiled
 from sonar_gl.fan import Fan
-from sonar_gl.footprint import bin_tables
-from sonar_gl.sums import accumulate, weigh_columns
+from sonar_gl.footprint import accumulate
+
+
+def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3, K + 1): s = 1/r at the edges of bins, their integrals of s ds and s² ds; the former in float32."""
+    s = 1.0 / np.maximum(bin_edges_m, 1e-6)
+    out = np.zeros((3, len(s)))
+    out[0] = s
+    out[1, :-1] = (s[:-1] ** 2 - s[1:] ** 2) / 2
+    out[2, :-1] = (s[:-1] ** 3 - s[1:] ** 3) / 3
+    return out, out[1].astype(np.float32)
+
+
+@compiled
+def weigh_columns(echo_sum, first, weights, out):
+    """Beams as weighted sums of columns.
+
+    echo_sum : (columns, K); first : (B,); weights : (B, W), of `fan.beam_weights`; out : (B, K), overwritten
+    """
+    n_columns, K = echo_sum.shape
+    for b in range(out.shape[0]):
+        row = uint64(b)
+        for k in range(uint64(K)):
+            out[row, k] = 0.0
+        for w in range(weights.shape[1]):
+            weight = weights[b, w]
+            if weight == 0.0:
+                continue
+            column = uint64((first[b] + w) % n_columns)
+            for k in range(uint64(K)):
+                out[row, k] += weight * echo_sum[column, k]
 
 
 def _serve(todo: SimpleQueue, done: SimpleQueue):

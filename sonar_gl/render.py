@@ -8,8 +8,8 @@ import moderngl
 import numpy as np
 
 from sonar_gl.fan import Fan
+from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.gpu import NEAR_M, SceneOnGpu
-from sonar_gl.sums import FAR_FACTOR
 from sonar_gl.types import Error, GBuffer
 from sonar_gl.window import window
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sonar_gl.footprint import compiled
+from sonar_gl.compiled import compiled
 from sonar_gl.lattice import Sector
 
 MARGIN = 2  # samples about what is seen, so that the outermost of a window meet nothing

@@ -32,34 +32,34 @@ def test_wide_fans(fov):
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.05])
 @pytest.mark.parametrize(
-    "floor, worst",
+    "floor",
     [
-        ({"height_m": 0.3}, 0.04),
-        ({"height_m": 3.0}, 0.04),
-        ({"height_m": 20.0}, 0.04),
-        ({"height_m": 3.0, "lowest_deg": 0.5}, 0.06),
-        ({"height_m": 3.0, "width_deg": 0.2}, 0.04),
-        ({"height_m": 3.0, "roll": 0.3, "pitch": 0.1, "yaw": 0.7}, 0.15),
-        ({"height_m": 3.0, "roll": -0.3, "yaw": 3.0}, 0.1),
-        ({"height_m": 3.0, "roll": math.pi, "pitch": 0.05}, 0.06),
-        ({"height_m": 3.0, "roll": 1.2}, 0.04),
+        {"height_m": 0.3},
+        {"height_m": 3.0},
+        {"height_m": 20.0},
+        {"height_m": 3.0, "lowest_deg": 0.5},
+        {"height_m": 3.0, "width_deg": 0.2},
+        {"height_m": 3.0, "roll": 0.3, "pitch": 0.1, "yaw": 0.7},
+        {"height_m": 3.0, "roll": -0.3, "yaw": 3.0},
+        {"height_m": 3.0, "roll": math.pi, "pitch": 0.05},
+        {"height_m": 3.0, "roll": 1.2},
     ],
     ids=str,
 )
-def test_grazing_floors(floor, worst, tolerance):
+def test_grazing_floors(floor, tolerance):
     got = regimes.grazing_floor(tolerance=tolerance, **floor)
     assert got["bins"] > 4500  # of 9 beams of 1000 bins
     # rows a third of a degree apart, of bins 1000 to 20 degrees: most bins get no sample
     assert got["empty"] > 0.5
     assert got["naive"] > 5.0
-    assert got["naive_wrong"] > 1.2
+    assert got["naive_wrong"] > 0.9
     # footprints are planes' own; what is left is the length of the ray, taken as constant over one, and the
     # ends of those that the aperture cuts aslant
     assert got["wrong"] < 0.003
     assert got["ours"] < 0.006
     # where the footprints of two rows meet in one bin, constant lengths leave a gap or lie double there
-    assert got["off"] < 0.005
-    assert got["worst"] < worst
+    assert got["off"] < 0.001
+    assert got["worst"] < 0.02
 
 
 @pytest.mark.parametrize("turn", [{"roll": HALF}, {"roll": -HALF, "pitch": 0.1}], ids=str)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sonar_gl.footprint import bin_tables, spread_footprint
-from sonar_gl.sums import weigh_columns
+from sonar_gl.footprint import spread_footprint
+from sonar_gl.reduce import bin_tables, weigh_columns
 
 EDGES = np.linspace(0.5, 30.5, 301)
 

@@ -129,7 +129,7 @@ def test_samples_of_a_rung():
     aperture_deg = math.degrees(2 * math.tan(math.radians(it.elevation_fov_deg) / 2))
     assert rung_sampling(it, 0.2) == sg.Sampling(45 / 0.2 / it.n_beams, math.ceil(aperture_deg / 0.2))
     # however coarse, some columns and rows; however fine, no more than a Sampling may have
-    assert rung_sampling(it, 90.0) == sg.Sampling(24 / it.n_beams, 16)
+    assert rung_sampling(it, 90.0) == sg.Sampling(24 / it.n_beams, math.ceil(aperture_deg / 0.5))
     assert rung_sampling(replace(it, n_beams=1), 1e-4) == sg.Sampling(1024, 16000)
 
 

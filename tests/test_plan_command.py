@@ -176,9 +176,9 @@ def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
 
 
 def test_where_half_of_it_is_out_of_reach_the_table_says_so(monkeypatch):
-    found = plan()
-    monkeypatch.setattr("sonar_gl.plan.FINEST_RUNG", found["rung"])
-    status, out, err = run("tank.sdf", *QUICK)
+    fine = "--tolerance", 0.004
+    monkeypatch.setattr("sonar_gl.plan.FINEST_RUNG", plan(*fine)["rung"])
+    status, out, err = run("tank.sdf", "--sonar", "small.toml", *fine)
     assert (status, err) == (0, "")
     assert next(row[-1] for row in table(out).values()) == "not met"
     assert "NOT" not in out

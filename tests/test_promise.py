@@ -19,7 +19,7 @@ WORLDS, LEAST = range(700, 708), 14
 def outcomes():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        # truths five times as rough as the tool's: halves differ by 1 %, their mean errs by about half of that
+        # truths some times as rough as the tool: halves differ by 1 %, their mean errs by about half of that
         tried = [promise.try_world(seed, (0.05, 0.02), 0.1, costs=False) for seed in WORLDS]
     return [outcome for one in tried for outcome in one]
 

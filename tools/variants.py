@@ -29,7 +29,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl import fan, footprint, lattice, sums
+from sonar_gl import fan, footprint, lattice
 from sonar_gl.fan import rung_sampling
 from sonar_gl.passes import Pass
 from sonar_gl.verify import ping_error, worst_body
@@ -50,11 +50,10 @@ def kernel(old: str, new: str):
 @cache
 def changed_kernel(old: str, new: str):
     """Compile it."""
-    source = inspect.getsource(footprint) + inspect.getsource(sums)
+    source = inspect.getsource(footprint)
     assert old in source, old
-    lines = [line for line in source.replace(old, new).splitlines() if "import annotations" not in line]
     space = {}
-    exec("\n".join(line for line in lines if "from sonar_gl" not in line), space)
+    exec(source.replace(old, new).replace("from __future__ import annotations", ""), space)
     return space["accumulate"]
 
 
@@ -100,7 +99,7 @@ def same(sampling):
 
 
 ROOT2 = math.sqrt(2)
-EDGES = "if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > SAME * q0:"
+EDGES = "if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > noise:"
 HORIZON = "if rest + along * v_empty < q_unseen:"
 TRAPEZOID = "if 2 * thin * per_metre >= s * s and 4 * thin >= wide:"
 VARIANTS = {  # what a row is called: (what to patch, what to make of a sampling)

@@ -17,7 +17,7 @@ import llvmlite.binding
 import numpy as np
 from numba import types
 
-from sonar_gl.footprint import compiled
+from sonar_gl.compiled import compiled
 
 PACKET = 8
 _WORDS = 21 * PACKET  # of RTCRayHit8: twelve fields of a ray, nine of a hit

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from rivals.common import Rival
-from sonar_gl.footprint import compiled
+from sonar_gl.compiled import compiled
 
 MOST = 4096  # lines in a slice
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from sonar_gl.footprint import compiled, spread_footprint
+from sonar_gl.compiled import compiled
+from sonar_gl.footprint import spread_footprint
 
 
 @compiled
