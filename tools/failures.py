@@ -11,6 +11,7 @@ of them (the extra `reference`).
 """
 
 import argparse
+import itertools
 import math
 import sys
 import warnings
@@ -47,7 +48,7 @@ def pair(measure, form=PART):
 
 def rows():
     """(regime, what is measured, naive, ours, where its tests are), one by one."""
-    for fov in (120.0, 130.0, 179.0, 180.0, 360.0):
+    for fov in (120.0, 130.0, 179.0, 180.0, 270.0, 360.0):
         yield (
             f"fan of {fov:g}°",
             "worst beam inside a ball",
@@ -193,6 +194,33 @@ def print_triangles(millions):
         print(f"first ping {done - made:.2f} s, next {perf_counter() - done:.2f} s, echo {total:.4g}")
 
 
+def print_rods(count):
+    """How `tolerance=0.05` keeps the echo of so many random rods of each kind, alone and before a floor."""
+    for place in ("alone", "before a floor"):
+        spreads, least, faint, start = [], [], 0, perf_counter()
+        for (diameter, range_m), width, k in itertools.product(
+            rods.RODS, (rods.WIDE_BEAMS_DEG, rods.NARROW_BEAMS_DEG), range(count)
+        ):
+            rod, rng = rods.rod_of(diameter, range_m, width, k)
+            sonar, places = rods.rod_sonar(width), rods.shifts(rng)[::20]
+            if place == "alone":
+                ratios = rods.echo_ratios(rod, sonar, places, tolerance=0.05)
+            else:
+                below_m = rng.uniform(2, 3)
+                ratios, shares = rods.echo_ratios_before_a_floor(rod, below_m, sonar, places, tolerance=0.05)
+                if shares.min() < 1e-3:  # nothing is promised
+                    faint += 1
+                    continue
+            spreads.append(rods.spread(ratios))
+            least.append(ratios.min())
+        spreads = np.array(spreads)
+        print(
+            f"{len(spreads)} rods {place} ({faint} too faint): spread median {np.median(spreads):.2f}, "
+            f"worst {spreads.max():.2f}, above 0.25 {(spreads > 0.25).sum()}; "
+            f"least echo {min(least):.2f} of the truth; {perf_counter() - start:.0f} s"
+        )
+
+
 def main():
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -201,13 +229,16 @@ def main():
     parser.add_argument(
         "--triangles", type=float, metavar="M", help="only a mesh of so many million triangles"
     )
+    parser.add_argument("--rods", type=int, metavar="N", help="only so many rods of each kind, by tolerance")
     options = parser.parse_args()
     warnings.simplefilter("ignore")  # that nothing came back, which is measured
     if options.soak:
         print_soak(options.soak)
     if options.triangles:
         print_triangles(options.triangles)
-    if not (options.soak or options.triangles):
+    if options.rods:
+        print_rods(options.rods)
+    if not (options.soak or options.triangles or options.rods):
         print_table(options.markdown)
 
 

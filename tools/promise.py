@@ -14,6 +14,7 @@ coarsest rung of the ladder of samplings that would have kept it, in the same ru
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import warnings
 from dataclasses import dataclass
@@ -152,7 +153,7 @@ def main():
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
     options = parser.parse_args()
     outcomes, seed, first = [], options.first, options.first
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # which tells of those so far
         warnings.simplefilter("ignore", UserWarning)
         while len({o.seed for o in outcomes}) < options.worlds:
             outcomes += try_world(seed)

@@ -101,7 +101,7 @@ def same(sampling):
 ROOT2 = math.sqrt(2)
 EDGES = "if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > noise:"
 HORIZON = "if rest + along * v_empty < q_unseen:"
-TRAPEZOID = "if 2 * thin * per_metre >= s * s and 4 * thin >= wide:"
+TRAPEZOID = "if 8 * thin * per_metre >= s * s:"
 VARIANTS = {  # what a row is called: (what to patch, what to make of a sampling)
     "ours": (contextlib.nullcontext, same),
     "no shear": (lambda: sheared(lambda _: 0.0, 0.0), same),
@@ -115,7 +115,6 @@ VARIANTS = {  # what a row is called: (what to patch, what to make of a sampling
     "edges half way between rays": (lambda: kernel(EDGES, "if False:"), same),
     "horizons half way between rays": (lambda: kernel(HORIZON, "if False:"), same),
     "boxes only, no trapezoids": (lambda: kernel(TRAPEZOID, "if False:"), same),
-    "trapezoids always": (lambda: kernel(TRAPEZOID, "if thin > 1e-6 * s:"), same),
     "slopes from neighbours": (neighbours, same),
     "point bins": (contextlib.nullcontext, scaled(1, 1, "point")),
 }
