@@ -64,6 +64,15 @@ def rung_sampling(sonar: Sonar, sample_deg: float) -> Sampling:
     return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
 
 
+def half_of(sampling: Sampling) -> Sampling:
+    """Half the samples."""
+    return Sampling(
+        sampling.columns_per_beam / math.sqrt(2),
+        max(1, round(sampling.rows / math.sqrt(2))),
+        sampling.reducer,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Fan:
     """All that the samples of a sonar need, fixed once per run.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.census import Extent, census, in_plain_sight
-from sonar_gl.fan import Sampling, rung_sampling
+from sonar_gl.fan import Sampling, half_of, rung_sampling
 from sonar_gl.lattice import SHEAR
 from sonar_gl.passes import Passes
 from sonar_gl.scene import Scene
@@ -32,8 +32,8 @@ APART = 0.7  # of the difference that two lattices make to a body's own echo
 SOME = 300  # samples on a body: of more, whole ones at the ends of range and aperture spoil the difference
 MOST_STEPS = 8  # at a time: estimates from very few samples are rough
 CHECK_EVERY = 24  # pings: a look costs about one and a half
-CHECK_MOVE = 0.1  # of range_max_m
-CHECK_TURN_DEG = 30.0  # or half the field of view, or the aperture in elevation
+CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
+CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 POSES = 24  # of a sequence are tried
 
 
@@ -74,23 +74,13 @@ def check_tolerance(tolerance) -> float:
 
 
 def _luck(hits):
-    """The relative error that a body's own echo may have, by the samples that met it."""
-    # where there are few they may all lie along a thin thing, or beside it
+    """Of a body's own echo by its samples: few may all lie along a thin thing, or beside it."""
     return LUCK * (1 + FEW / hits) / hits**LUCK_RATE
 
 
 def sampling_of(sonar, rung: int) -> Sampling:
     """The ladder's rung."""
     return rung_sampling(sonar, COARSEST_DEG * 2 ** (-rung / STEPS_PER_HALF))
-
-
-def half_of(sampling: Sampling) -> Sampling:
-    """Half the samples."""
-    return Sampling(
-        sampling.columns_per_beam / math.sqrt(2),
-        max(1, round(sampling.rows / math.sqrt(2))),
-        sampling.reducer,
-    )
 
 
 class Planner:
@@ -121,6 +111,7 @@ class Planner:
         self.now = passes.of(sampling_of(self.sonar, self.rung))
         self.plan = self.warning = None
         self._fixed, self._checked, self._since, self._told = False, None, 0, False
+        self._whole, self._planned = 0.0, set()
 
     def sense(self, pose, labels: bool):
         """(views, intensity) of a ping, with samples that keep the tolerance."""
@@ -130,8 +121,11 @@ class Planner:
             look = False
         views = self.now.views(pose, labels or look)
         intensity = self.now.intensity(views)
+        whole = float(intensity.sum(dtype=np.float64))
+        if not (look or self._fixed) and abs(whole - self._whole) > CHECK_CHANGE * self._whole:
+            look, views = True, self.now.views(pose, labels=True)  # something came into view, or left
         if look:
-            self._checked, self._since = pose, 0
+            self._checked, self._since, self._whole = pose, 0, whole
             self.plan, steps = self._judge(pose, self.rung, (views, intensity))
             if (steps > 0 and self.rung < self.finest) or steps <= -STEPS_PER_HALF:
                 self._choose(pose)
@@ -154,9 +148,13 @@ class Planner:
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        self.now = self.passes.of(self.plan.sampling)
+        self.now, self._planned = self.passes.of(self.plan.sampling), {pose.tobytes() for pose in poses}
         self._tell()
         return self.plan
+
+    def estimate(self, pose) -> float | None:
+        """Of the error of a ping from `pose`; None where the samples were fixed for other poses."""
+        return None if self._fixed and pose.tobytes() not in self._planned else self.plan.error_estimate
 
     def _due(self, pose) -> bool:
         """Whether to look at a ping from `pose`: the sonar has moved far, or a little for long."""
@@ -168,13 +166,13 @@ class Planner:
         turned = math.acos(min(1.0, max(-1.0, (turned - 1) / 2)))
         if moved <= 0.0 and turned < 1e-6:
             return False
-        half_view, view = self.sonar.azimuth_fov_deg / 2, self.sonar.elevation_fov_deg
-        limit = math.radians(min(CHECK_TURN_DEG, half_view, view))
+        views_deg = self.sonar.azimuth_fov_deg / 4, self.sonar.elevation_fov_deg / 2
+        limit = math.radians(min(CHECK_TURN_DEG, *views_deg))
         return self._since >= CHECK_EVERY or moved > CHECK_MOVE * self.sonar.range_max_m or turned > limit
 
     def _choose(self, pose) -> Plan:
         """The coarsest rung that keeps the tolerance at `pose`, or the finest there is."""
-        self._checked, self._since = pose, 0
+        self._checked, self._since, self._whole = pose, 0, 0.0
         failed, kept, rung, found = -1, self.finest + 1, self.rung, {}
         while rung not in found:
             try:
@@ -215,10 +213,13 @@ class Planner:
         views = coarse.views(pose, labels=True)
         difference = np.abs(intensity - coarse.intensity(views)).sum(dtype=np.float64)
         _, other = census(views, len(self.scene.bodies), self.sonar, fine.gain)
-        whole, total = intensity.sum(dtype=np.float64), echo.sum()
+        self._whole = whole = float(intensity.sum(dtype=np.float64))
+        total = echo.sum()
         error = ERROR * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE
 
+        if whole <= 0:
+            steps = 0.0  # nothing to judge by, and none the wiser for coarser samples
         # A body's own echo: by the samples that met it, and by what the two lattices make of it. Of one that
         # few met the echo is not known: it counts if it could be strong, unless it is hidden.
         strength = self.extent.solid_angle(pose, self.sonar, self.reach_rad) * self.extent.reflectivity

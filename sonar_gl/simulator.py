@@ -7,6 +7,7 @@ import os
 import pickle
 import threading
 import warnings
+from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 
@@ -64,8 +65,8 @@ class Simulator:
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
         self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
         self._azimuth_rad, self._range_m = sonar.azimuth_rad, sonar.range_m
-        for array in (self._azimuth_rad, self._range_m):
-            array.setflags(write=False)  # all pings share them
+        self._azimuth_rad.setflags(write=False)  # all pings share them
+        self._range_m.setflags(write=False)
         self._context = gl.create_context()
         with self._context:
             self.gl_info = gl.describe(self._context)
@@ -90,7 +91,7 @@ class Simulator:
 
     @property
     def sampling(self) -> Sampling:
-        """The samples of the last ping, or of the first to come; a tolerance may ask for others later."""
+        """The samples of the last ping, or of the first to come."""
         return self._samples.now.sampling
 
     @property
@@ -111,8 +112,9 @@ class Simulator:
         -------
         Plan, or None if the samples were given to begin with
         """
-        poses = [check_pose(pose) for pose in poses]
-        if not poses:
+        if not isinstance(poses, Iterable) or np.ndim(poses) == 2:
+            raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
+        if not (poses := [check_pose(pose) for pose in poses]):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
             plan = self._samples.fix(poses)
@@ -170,7 +172,7 @@ class Simulator:
                 "has_echo": has_echo,
             },
             body_echo,
-            None if self._samples.plan is None else self._samples.plan.error_estimate,
+            self._samples.estimate(pose),
         )
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 

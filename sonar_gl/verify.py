@@ -15,6 +15,7 @@ from sonar_gl.reference import AGREEMENT, reference_ping
 from sonar_gl.simulator import Simulator
 from sonar_gl.types import Ping
 
+WORST_BODY = 5  # times the tolerance, of a body's own echo
 HEARD = 1e-3  # of the whole echo: bodies that return less are not judged by themselves
 TIMED = 9  # pings, of which the median is given
 FIRST_ERROR = 0.05  # judged first; the error found then says how exact the truth must be
@@ -76,8 +77,8 @@ class Verification:
 
     @property
     def kept(self) -> bool:
-        """Whether the error is within the tolerance."""
-        return self.error <= self.tolerance
+        """Whether the error is within the tolerance, and the worst body's within five times it."""
+        return self.error <= self.tolerance and self.worst_body_error <= WORST_BODY * self.tolerance
 
     @property
     def difference(self) -> float:

@@ -129,6 +129,25 @@ class TestMoving:
         looks = self.looks(poses, monkeypatch)
         assert [look for look, _ in looks] == [True, False, True, False, True, False]
 
+    @pytest.mark.parametrize(
+        "first, second",
+        [
+            (sg.pose(x=-12.6), sg.pose(x=-11.8)),
+            (sg.pose(yaw=0.5), sg.pose(yaw=0.35)),
+        ],
+        ids=["ahead", "yaw"],
+    )
+    def test_what_comes_into_view_is_looked_at_however_little_the_sonar_moved(self, first, second):
+        """The first ping sees nothing; a plan that was content with that is not for the second."""
+        scene = sg.Scene([ball(x=8.0, radius=0.3)])
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+            with pytest.warns(UserWarning, match="no echo came back"):
+                simulator.ping(first)
+            ping = simulator.ping(second)
+        truth = sg.reference_ping(scene, SONAR, second, IDEAL, error=0.05)
+        assert truth.intensity.any()
+        assert ping.error_estimate > 0 and ping_error(ping, truth) < 0.02
+
     def test_the_same_pings_the_same_bytes(self):
         poses = [sg.pose(0.2 * k, yaw=0.05 * k) for k in range(20)]
         runs = []
@@ -162,6 +181,8 @@ class TestPlan:
             backward = [simulator.ping(pose).intensity.tobytes() for pose in poses[::-1]]
             assert simulator.ping(poses[3]).error_estimate == plan.error_estimate
             assert simulator.sampling == plan.sampling and plan.met
+            # elsewhere nothing is promised
+            assert simulator.ping(sg.pose(x=-1)).error_estimate is None
         assert forward == backward[::-1]
         with sg.Simulator(scene, SONAR, IDEAL) as simulator:
             alone = [simulator.plan([pose]).rung for pose in poses]
@@ -186,11 +207,18 @@ class TestPlan:
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
 
-    @pytest.mark.parametrize("poses", [[], ()])
-    def test_no_poses(self, poses):
+    @pytest.mark.parametrize(
+        "poses, message",
+        [
+            ([], "poses must hold at least one pose (got none)"),
+            (None, "poses must be several poses (got NoneType; make [pose] of one)"),
+            (np.eye(4), "poses must be several poses (got ndarray; make [pose] of one)"),
+        ],
+    )
+    def test_poses_that_make_no_sense(self, poses, message):
         with sg.Simulator(sg.Scene([]), SONAR) as simulator, pytest.raises(sg.Error) as caught:
             simulator.plan(poses)
-        assert str(caught.value) == "poses must hold at least one pose (got none)"
+        assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.9, float("nan"), "fine", None, True])
