@@ -21,6 +21,7 @@ class Pass:
     Attributes
     ----------
     sampling, fan, renderer, reducer
+    gain : (K,) float32, of each bin
 
     Raises
     ------

@@ -2,7 +2,8 @@
 
 A ping is compared with one of half the samples. The difference of the two falls as the error does, and ERROR
 times it is more than the error, nearly always. A small body's own echo is known as well as it has samples,
-LUCK / samples^0.75, the law of stratified sampling in two dimensions, and no better than the two agree on it.
+LUCK / samples^0.75, the law of stratified sampling in two dimensions, worse where they are few, and no better
+than the two agree on it.
 These constants, and the rates at which errors fall, are those of random worlds (`tools/promise.py`).
 """
 
@@ -121,11 +122,9 @@ class Planner:
             look = False
         views = self.now.views(pose, labels or look)
         intensity = self.now.intensity(views)
-        whole = float(intensity.sum(dtype=np.float64))
-        if not (look or self._fixed) and abs(whole - self._whole) > CHECK_CHANGE * self._whole:
+        if not (look or self._fixed) and abs(intensity.sum() - self._whole) > CHECK_CHANGE * self._whole:
             look, views = True, self.now.views(pose, labels=True)  # something came into view, or left
         if look:
-            self._checked, self._since, self._whole = pose, 0, whole
             self.plan, steps = self._judge(pose, self.rung, (views, intensity))
             if (steps > 0 and self.rung < self.finest) or steps <= -STEPS_PER_HALF:
                 self._choose(pose)
@@ -159,7 +158,7 @@ class Planner:
     def _due(self, pose) -> bool:
         """Whether to look at a ping from `pose`: the sonar has moved far, or a little for long."""
         self._since += 1
-        if self._checked is None:
+        if self.plan is None:
             return True
         moved = float(np.linalg.norm(pose[:3, 3] - self._checked[:3, 3]))
         turned = np.trace(self._checked[:3, :3].T @ pose[:3, :3])
@@ -172,7 +171,6 @@ class Planner:
 
     def _choose(self, pose) -> Plan:
         """The coarsest rung that keeps the tolerance at `pose`, or the finest there is."""
-        self._checked, self._since, self._whole = pose, 0, 0.0
         failed, kept, rung, found = -1, self.finest + 1, self.rung, {}
         while rung not in found:
             try:
@@ -213,8 +211,8 @@ class Planner:
         views = coarse.views(pose, labels=True)
         difference = np.abs(intensity - coarse.intensity(views)).sum(dtype=np.float64)
         _, other = census(views, len(self.scene.bodies), self.sonar, fine.gain)
-        self._whole = whole = float(intensity.sum(dtype=np.float64))
-        total = echo.sum()
+        whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
+        self._checked, self._since, self._whole = pose, 0, whole
         error = ERROR * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE
 

@@ -11,12 +11,10 @@ import numpy as np
 
 from sonar_gl.axes import draw_axes
 from sonar_gl.image import colorize, fan_image
-from sonar_gl.reference import AGREEMENT, reference_ping
+from sonar_gl.reference import AGREEMENT, HEARD, WORST_BODY, reference_ping
 from sonar_gl.simulator import Simulator
 from sonar_gl.types import Ping
 
-WORST_BODY = 5  # times the tolerance, of a body's own echo
-HEARD = 1e-3  # of the whole echo: bodies that return less are not judged by themselves
 TIMED = 9  # pings, of which the median is given
 FIRST_ERROR = 0.05  # judged first; the error found then says how exact the truth must be
 MARGIN = 0.8

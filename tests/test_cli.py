@@ -15,28 +15,14 @@ import cv2
 import moderngl
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import BODY, BOX, SENSOR, SONAR, WALL, run
 from PIL import Image
 
 import sonar_gl as sg
 from sonar_gl import acoustics, cli, export, gl
 from sonar_gl.poses import read_poses
 
-BODY = """<model name="{}"><static>true</static><pose>{} 0 0 0</pose><link name="link"><collision name="c">
-<geometry><box><size>{}</size></box></geometry><laser_retro>255</laser_retro></collision></link></model>
-"""
-WALL, BOX = BODY.format("wall", "5.5 0 0", "1 20 20"), BODY.format("box", "3 0.5 0", "0.2 0.2 0.2")
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
-SENSOR = '<model name="sonar"><link name="link"><sensor name="imaging_sonar" type="custom"/></link></model>'
-SONAR = """frequency_hz = 900e3
-n_beams = 24
-n_bins = 80
-azimuth_fov_deg = 40.0
-elevation_fov_deg = 10.0
-beam_width_deg = 2.0
-range_min_m = 0.5
-range_max_m = 8.5
-"""
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n0.5,0.5,0,0,0,0,0\n1.0,1,0,0,0,0,0.1\n"
 
 
@@ -49,18 +35,6 @@ def folder(tmp_path, monkeypatch):
     Path("small.toml").write_text(SONAR)
     Path("dive.csv").write_text(POSES)
     return tmp_path
-
-
-def run(*arguments):
-    """(exit status, stdout, stderr) of a command line."""
-    try:
-        runner = CliRunner(mix_stderr=False)
-    except TypeError:  # click 8.2 keeps them apart of itself
-        runner = CliRunner()
-    result = runner.invoke(cli.main, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def render(

@@ -124,6 +124,24 @@ class TestMoving:
         looks = self.looks([sg.pose(0.001 * k) for k in range(1 + 3 * CHECK_EVERY)], monkeypatch)
         assert [k for k, (look, _) in enumerate(looks) if look] == [k * CHECK_EVERY for k in range(4)]
 
+    def test_after_a_choice_that_was_broken_off_it_is_made_anew(self, monkeypatch):
+        """A pass that was let go of meanwhile has no thread any more: its ping would never end."""
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            samples, judge, left = simulator._samples, simulator._samples._judge, [2]
+
+            def broken_off(*arguments):
+                left[0] -= 1
+                if left[0] == 0:
+                    raise KeyboardInterrupt
+                out = judge(*arguments)
+                return out[0], 8  # and finer yet
+
+            monkeypatch.setattr(samples, "_judge", broken_off)
+            with pytest.raises(KeyboardInterrupt):
+                simulator.ping(np.eye(4))
+            monkeypatch.setattr(samples, "_judge", judge)
+            assert simulator.ping(np.eye(4)).error_estimate <= 0.01
+
     def test_a_leap_or_a_turn_at_once(self, monkeypatch):
         poses = [sg.pose(), sg.pose(), sg.pose(3), sg.pose(3), sg.pose(3, yaw=1.0), sg.pose(3, yaw=1.0)]
         looks = self.looks(poses, monkeypatch)

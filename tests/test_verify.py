@@ -9,32 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import command_line
 import cv2
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
+from command_line import BOX, SENSOR, SONAR, WALL
 
 import sonar_gl as sg
-from sonar_gl import cli
 from sonar_gl import verify as judge
 from sonar_gl.types import Ping
 
-BODY = """<model name="{0}"><static>true</static><pose>{1} 0 0 0</pose><link name="link"><collision name="c">
-<geometry><box><size>{2}</size></box></geometry><laser_retro>255</laser_retro></collision></link></model>
-"""
-WALL, BOX = BODY.format("wall", "5.5 0 0", "1 20 20"), BODY.format("box", "3 0.5 0", "0.2 0.2 0.2")
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
-SENSOR = '<model name="sonar"><link name="link"><sensor name="imaging_sonar" type="custom"/></link></model>'
-SONAR = """frequency_hz = 900e3
-n_beams = 24
-n_bins = 80
-azimuth_fov_deg = 40.0
-elevation_fov_deg = 10.0
-beam_width_deg = 2.0
-range_min_m = 0.5
-range_max_m = 8.5
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -60,14 +46,7 @@ def tank():
 
 def run(*arguments):
     """(exit status, stdout, stderr) of `sonar-gl verify`."""
-    try:
-        runner = CliRunner(mix_stderr=False)
-    except TypeError:  # click 8.2 keeps them apart of itself
-        runner = CliRunner()
-    result = runner.invoke(cli.main, ["verify", *map(str, arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
+    return command_line.run("verify", *arguments)
 
 
 def ping(intensity, body_echo=None):
@@ -140,6 +119,8 @@ def test_kept_is_told_from_not_kept(tank, tolerance, kept):
     from dataclasses import replace
 
     assert replace(tank, tolerance=tolerance).kept is kept
+    # five times the tolerance is the worst body's
+    assert replace(tank, tolerance=tolerance, worst_body_error=5.01 * tolerance).kept is False
 
 
 # --- picture
