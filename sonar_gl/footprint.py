@@ -14,114 +14,191 @@ from sonar_gl.compiled import compiled
 FAR_FACTOR = 8.0
 SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well below what matters
 
+# Loops over a strip's samples have no branches, so that the compiler makes vectors of them; what they find
+# stands in rows of `work`. Indices are unsigned: one that may be negative keeps vectors from being used.
+# Of each sample: 1/x on its ray, 0 where that met nothing; its plane in the strip's middle, 1/x at v = 0 and
+# slopes along v and u; v of the ray; echo; where it begins. Then what `spread_footprints` takes; and what it
+# makes of that: both ends, half the height, and the bins of both ends.
+Q, REST, ALONG_V, ALONG_U, V_RAY, ECHO, BORDER = range(7)
+ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, FIRST, LAST = range(7, 16)
+
 
 @compiled
-def _integral(c0, c1, low, high):
-    """Of (c0 + c1 s) s ds over [low, high]."""
-    return (high - low) * (c0 * (high + low) / 2 + c1 * (high * high + high * low + low * low) / 3)
+def _ramp(s, start):
+    """Of (s - start) s ds from start on."""
+    t = max(s - start, 0.0)
+    return t * t * (t / 3 + start / 2)
 
 
 @compiled
-def _spread(sums, c, tables, flat, r_first, per_metre, c0, c1, low, high):
-    """Add the density (c0 + c1 s) s ds of s = 1/r in [low, high] to a row of bins."""
+def _below(s, middle, wide, thin):
+    """The energy up to s of two boxes on ±wide and ±thin convolved, over 4 wide thin."""
+    rise = _ramp(s, middle - wide - thin) - _ramp(s, middle - wide + thin)
+    return rise - (_ramp(s, middle + wide - thin) - _ramp(s, middle + wide + thin))
+
+
+@compiled
+def _spread_trapezoid(sums, c, tables, r_first, per_metre, energy, s, wide, thin):
+    """Add a footprint whose ramps count to a row of bins; the first and the last of these."""
     K = sums.shape[1]
-    low, high = max(low, tables[0, K]), min(high, tables[0, 0])
+    low, high = max(s - wide - thin, tables[0, K]), min(s + wide + thin, tables[0, 0])
     if high <= low:
-        return
-    near = min(int((1.0 / high - r_first) * per_metre), K - 1)
-    far = min(int((1.0 / low - r_first) * per_metre), K - 1)
-    if near >= far:
-        sums[c, near] += _integral(c0, c1, low, high)
-        return
-    sums[c, near] += _integral(c0, c1, tables[0, near + 1], high)
-    sums[c, far] += _integral(c0, c1, low, tables[0, far])
-    # unsigned: an index that may be negative keeps the compiler from using vectors, six times slower
-    row, first, last = uint64(c), uint64(near + 1), uint64(far)
-    if c1 == 0.0:
-        height = np.float32(c0)
-        for k in range(first, last):
-            sums[row, k] += height * flat[k]
-    else:
-        for k in range(first, last):
-            sums[row, k] += c0 * tables[1, k] + c1 * tables[2, k]
+        return uint64(K), uint64(0)
+    scale = energy / (4 * wide * thin)
+    if s < wide + thin:  # a plane seen past its horizon: what the middle saw is spread over the part in view
+        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
+    row, first = uint64(c), uint64(int((1.0 / high - r_first) * per_metre))
+    last = uint64(min(int((1.0 / low - r_first) * per_metre), K - 1))
+    nearer = _below(high, s, wide, thin)
+    for k in range(first, last):
+        further = _below(tables[0, uint64(k + 1)], s, wide, thin)
+        sums[row, k] += np.float32(scale * (nearer - further))
+        nearer = further
+    sums[row, last] += np.float32(scale * (nearer - _below(low, s, wide, thin)))
+    return first, last
 
 
 @compiled
-def _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide, thin):
-    """The same where the ramps count, or the footprint reaches past a plane's horizon."""
-    near, far = s + wide + thin, s - wide - thin
-    low, high = s - wide + thin, s + wide - thin
-    height, slope = energy / (2 * wide), energy / (4 * wide * thin)
-    if far < 0.0:  # a plane seen past its horizon: what the middle saw is spread over the part in view
-        seen = _integral(slope * near, -slope, max(high, 0.0), near)
-        if high > 0.0:
-            seen += _integral(height, 0.0, max(low, 0.0), high)
-        if low > 0.0:
-            seen += _integral(-slope * far, slope, 0.0, low)
-        height, slope = height * energy * s / seen, slope * energy * s / seen
-    _spread(sums, c, tables, flat, r_first, per_metre, slope * near, -slope, high, near)
-    _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, low, high)
-    _spread(sums, c, tables, flat, r_first, per_metre, -slope * far, slope, far, low)
+def _find_boxes(work, first, last, s_first, s_last, r_first, per_metre):
+    """Footprints of samples from `first` to before `last`, without their ramps, as far as there are bins."""
+    energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
+    for m in range(uint64(first), uint64(last)):
+        wide = max(a[m], b[m], 1e-9 * s[m])
+        near, far = s[m] + wide, s[m] - wide
+        past = far < 0.0  # the horizon, as above
+        half_height = energy[m] * (s[m] if past else 0.25) / (near * near if past else wide)
+        near, far = min(near, s_first), max(far, s_last)
+        inverse = 1.0 / (near * far)  # one division for both ranges
+        work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m] = near, far, half_height
+        work[FIRST, m] = (far * inverse - r_first) * per_metre
+        work[LAST, m] = (near * inverse - r_first) * per_metre
 
 
 @compiled
-def spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b):
+def spread_footprints(work, start, stop, sums, spans, c, tables, flat, r_first, per_metre):
     """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
 
     On a plane the cosine of incidence is proportional to s, and so is the energy's density.
+
+    Parameters
+    ----------
+    work : (LAST + 1, n) of which the rows ENERGY, S, A and B, from `start` to before `stop`, are read
+    spans : (columns, 2), of rows of sums: stretched over the bins that are added to, first and past last
     """
     K = sums.shape[1]
-    wide, thin = max(a, b), min(a, b)
-    # short ramps are not worth drawing: those of neighbouring samples overlap and add up to the same
-    if 8 * thin * per_metre >= s * s:
-        if s + wide + thin > tables[0, K] and s - wide - thin < tables[0, 0]:
-            _spread_trapezoid(sums, c, tables, flat, r_first, per_metre, energy, s, wide, thin)
-        return
-    near, far = s + wide, s - wide
-    if far <= tables[0, K] or near >= tables[0, 0]:  # it reaches past the first or the last bin
-        if near <= tables[0, K] or far >= tables[0, 0]:
-            return
-        height = energy / (2 * wide)
-        if far < 0.0:
-            height *= 2 * wide * s / (near * near / 2)
-            far = 0.0
-        _spread(sums, c, tables, flat, r_first, per_metre, height, 0.0, far, near)
-        return
-    # nearly all samples come here: one division gives both ends' ranges and the height
-    wide = max(wide, 1e-12 * s)
-    product = near * far
-    inverse = 1.0 / (product * wide)
-    first = int((far * inverse * wide - r_first) * per_metre)
-    last = min(int((near * inverse * wide - r_first) * per_metre), K - 1)
-    if first >= last:
-        sums[c, last] += energy * s
-        return
-    height = energy * product * inverse / 2
-    sums[c, first] += height * (near * near - tables[0, first + 1] ** 2) / 2
-    sums[c, last] += height * (tables[0, last] ** 2 - far * far) / 2
-    row, height = uint64(c), np.float32(height)
-    for k in range(uint64(first + 1), uint64(last)):
-        sums[row, k] += height * flat[k]
+    _find_boxes(work, start, stop, tables[0, 0], tables[0, K], r_first, per_metre)
+    row, lowest, highest = uint64(c), uint64(K), uint64(0)
+    for m in range(uint64(start), uint64(stop)):
+        energy, s = work[ENERGY, m], work[S, m]
+        if energy == 0.0 or s <= 0.0:
+            continue
+        wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
+        # short ramps are not worth drawing: those of neighbouring samples overlap and add up to the same
+        if 8 * thin * per_metre >= s * s:
+            first, last = _spread_trapezoid(sums, c, tables, r_first, per_metre, energy, s, wide, thin)
+            lowest, highest = min(lowest, first), max(highest, last)
+            continue
+        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
+        if near <= far:  # out of the bins
+            continue
+        # written out here: a call for each sample takes as long as all the rest
+        first, last = uint64(np.int32(work[FIRST, m])), uint64(min(np.int32(work[LAST, m]), K - 1))
+        lowest, highest = min(lowest, first), max(highest, last)
+        if first >= last:
+            sums[row, last] += np.float32(half_height * (near - far) * (near + far))
+            continue
+        sums[row, first] += np.float32(half_height * (near * near - tables[0, uint64(first + 1)] ** 2))
+        sums[row, last] += np.float32(half_height * (tables[0, last] ** 2 - far * far))
+        height = np.float32(2 * half_height)
+        for k in range(uint64(first + 1), last):
+            sums[row, k] += height * flat[k]
+    if lowest <= highest:
+        spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
+
+
+@compiled
+def _look(work, plane_echo, body_id, body, u, v, uc, nearest, step, first, n):
+    """Gather the samples of a strip from the row `first` on; the first and the last of them with an echo."""
+    q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
+    v_ray, echo = work[V_RAY], work[ECHO]
+    lowest, highest = 0, -1
+    for m in range(n):
+        j = first + m
+        i = int(nearest - step * j)
+        v_ray[m] = v[0] + v[1] * i + v[2] * j
+        q[m] = rest[m] = along_v[m] = along_u[m] = echo[m] = 0.0
+        if 0 <= i < plane_echo.shape[1] and plane_echo[j, i, 0] > 0:
+            q[m], along_u[m], along_v[m] = plane_echo[j, i, 0], plane_echo[j, i, 1], plane_echo[j, i, 2]
+            rest[m] = q[m] + along_u[m] * (uc - u[0] - u[1] * i - u[2] * j) - along_v[m] * v_ray[m]
+            if plane_echo[j, i, 3] > 0 and (body == 0 or body_id[j, i] == body):
+                echo[m] = plane_echo[j, i, 3]
+                lowest, highest = m if highest < 0 else lowest, m
+    return lowest, highest
+
+
+@compiled
+def _find_borders(work, first, last, q_unseen, v_limit):
+    """Where each of a strip's samples begins, from `first` to before `last`."""
+    q, rest, along_v, v_ray, border = work[Q], work[REST], work[ALONG_V], work[V_RAY], work[BORDER]
+    for m in range(uint64(first), uint64(last)):
+        below = uint64(m - 1)
+        low, high = v_ray[below], v_ray[m]
+        met_low, met_high = q[below] > 0.0, q[m] > 0.0
+        border_here = (low + high) / 2
+        # two planes that meet between their rays make an edge there, else it is half way;
+        # nearer than SAME they are one plane, and where they meet is noise
+        turn = along_v[below] - along_v[m]
+        meet = (rest[m] - rest[below]) / turn
+        noise = SAME * (max(q[below], q[m]) + abs(along_v[below]))  # of a plane and of its slope
+        is_clear = abs((meet - border_here) * turn) > noise
+        is_edge = met_low & met_high & (low < meet) & (meet < high) & is_clear
+        # a plane that is out of sight where the other ray looks goes on to there or its horizon
+        along = along_v[below] if met_low else along_v[m]
+        plane = rest[below] if met_low else rest[m]
+        is_lost = (met_low != met_high) & (plane + along * (high if met_low else low) < q_unseen)
+        border_here = meet if is_edge else border_here
+        border_here = min(max(-plane / along, low), high) if is_lost else border_here
+        border[m] = min(max(border_here, -v_limit), v_limit)
+
+
+@compiled
+def _find_shapes(work, first, last, uc, width, moment):
+    """What `spread_footprints` takes, of a strip's samples from `first` to before `last`."""
+    rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
+    u2 = 1.0 + uc * uc
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, height = (low + high) / 2, max(high - low, 0.0)
+        one_over_L2 = 1.0 / (u2 + vc * vc)
+        one_over_L = math.sqrt(one_over_L2)
+        at = rest[m] + along_v[m] * vc
+        work[ENERGY, m] = echo[m] * width * height * one_over_L * one_over_L2
+        work[S, m] = at * one_over_L
+        work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * width / 2
+        work[B, m] = abs(along_v[m] - at * vc * one_over_L2) * one_over_L * height / 2
+    if moment:
+        for m in range(first, last):
+            work[ENERGY, m] *= math.atan2((border[m] + border[m + 1]) / 2, math.sqrt(u2))
+
+
+@compiled
+def _drop(work, sums, spans, c, u, nearest, step, bottom_row, first, last, r_first, per_metre):
+    """Drop a strip's samples whole into the bins of their rays' own ranges."""
+    for m in range(first, last):
+        j = bottom_row + m
+        u_ray, v_ray = u[0] + u[1] * int(nearest - step * j) + u[2] * j, work[V_RAY, m]
+        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
+        k = (1.0 / s - r_first) * per_metre
+        if 0.0 <= k < sums.shape[1]:
+            sums[c, int(k)] += work[ENERGY, m] * s
+            spans[c, 0], spans[c, 1] = min(spans[c, 0], int(k)), max(spans[c, 1], int(k) + 1)
 
 
 @compiled
 def accumulate(
-    plane_echo,
-    body_id,
-    u,
-    v,
-    tan_elevation,
-    part_column,
-    part_u,
-    part_width,
-    bin_edges_m,
-    tables,
-    flat,
-    footprint,
-    body,
-    moment,
-    sums,
-):
+    plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width,
+    bin_edges_m, tables, flat, footprint, body, moment, sums, spans,
+):  # fmt: skip
     """Sum some of one sector's samples into columns.
 
     A sample stands for a rectangle of an upright strip of the view's image plane, which its ray need not meet
@@ -137,91 +214,37 @@ def accumulate(
     part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
     footprint : False drops a part of a sample whole into the bin of the hit point
-    body : 0 for all, or the number of the one body to add
-    moment : sum the echo times its elevation, in radians, instead of the echo
+    body : 0 for all, or the number of the one body to add; moment : sum the echo times its elevation, radians
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
+    spans : (columns, 2) int64, first bin and past the last beyond which a row of sums is zero; overwritten
     """
     K = sums.shape[1]
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
-    R, C = plane_echo.shape[:2]
-    q_unseen = 1.0 / (FAR_FACTOR * r_last)
+    R = plane_echo.shape[0]
+    work = np.empty((LAST + 1, R + 1))
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
         if p == 0 or part_column[p - 1] != c:
             row = uint64(c)
-            for k in range(uint64(K)):
+            for k in range(uint64(spans[c, 0]), uint64(spans[c, 1])):
                 sums[row, k] = 0.0
+            spans[c, 0], spans[c, 1] = K, 0
         u2 = 1.0 + uc * uc
         v_limit = tan_elevation * math.sqrt(u2)
         nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
         # the rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
-        first = max(int((-v_limit - bottom) / rise) - 2, 0)
-        last = min(int((v_limit - bottom) / rise) + 3, R - 1)
-        i, u0, v0, q, q0, along_v = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(first, last + 2):
-            # the next sample up, in the row j, and the one below it, which is done when j is known
-            i_here, u_here, v_here, q_here, q_ray, along_here = i, u0, v0, q, q0, along_v
-            if j <= last:
-                i = int(nearest - step * j)
-                u0 = u[0] + u[1] * i + u[2] * j
-                v0 = v[0] + v[1] * i + v[2] * j
-                q0 = 0.0
-                if 0 <= i < C:
-                    q0, along_v = float(plane_echo[j, i, 0]), float(plane_echo[j, i, 2])
-                    q = q0 + float(plane_echo[j, i, 1]) * (uc - u0)
-            if j == first:
-                high = -v_limit
-                continue
-            low, high = high, v_limit
-            if j <= last:
-                high = (v_here + v0) / 2
-                if q_ray > 0.0 and q0 > 0.0:
-                    # two planes that meet between their rays make an edge there, else it is half way;
-                    # nearer than SAME they are one plane, and where they meet is noise
-                    turn = along_here - along_v
-                    noise = SAME * (max(q_ray, q0) + abs(along_here))  # of a plane and of its slope
-                    meet = q - q_here + along_here * v_here - along_v * v0
-                    if turn < 0.0:
-                        turn, meet = -turn, -meet
-                    if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > noise:
-                        high = meet / turn
-                elif q_ray > 0.0 or q0 > 0.0:
-                    # a plane that is out of sight where the other ray looks goes on to there or its horizon
-                    along, rest, v_empty = along_here, q_here - along_here * v_here, v0
-                    if q_ray <= 0.0:
-                        along, rest, v_empty = along_v, q - along_v * v0, v_here
-                    if rest + along * v_empty < q_unseen:
-                        high = -rest / along
-                        high = min(max(high, v_here), v0)
-            v_low, v_high = max(low, -v_limit), min(high, v_limit)
-            if v_high <= v_low or q_ray <= 0.0:
-                continue
-            strength = float(plane_echo[j - 1, i_here, 3])
-            if strength <= 0.0:
-                continue
-            if body != 0 and body_id[j - 1, i_here] != body:
-                continue
-            vc = (v_low + v_high) / 2
-            one_over_L2 = 1.0 / (u2 + vc * vc)
-            one_over_L = math.sqrt(one_over_L2)
-            energy = strength * part_width[p] * (v_high - v_low) * one_over_L * one_over_L2
-            if moment:
-                energy *= math.atan2(vc, math.sqrt(u2))
-            if not footprint:
-                r0 = math.sqrt(1.0 + u_here * u_here + v_here * v_here) / q_ray
-                energy /= r0
-                if r_first <= r0 < r_last:
-                    k = min(int((r0 - r_first) * per_metre), K - 1)
-                    sums[c, k] += energy
-                continue
-            at = q_here + along_here * (vc - v_here)
-            if at <= 0.0:
-                continue
-            s = at * one_over_L
-            a = abs(float(plane_echo[j - 1, i_here, 1]) - at * uc * one_over_L2)
-            b = abs(along_here - at * vc * one_over_L2)
-            a *= one_over_L * part_width[p] / 2
-            b *= one_over_L * (v_high - v_low) / 2
-            spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, s, a, b)
+        bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
+        n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
+        first, last = _look(work, plane_echo, body_id, body, u, v, uc, nearest, step, bottom_row, n)
+        if first > last:
+            continue
+        last += 1
+        work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
+        _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
+        _find_shapes(work, first, last, uc, part_width[p], moment)
+        if footprint:
+            spread_footprints(work, first, last, sums, spans, c, tables, flat, r_first, per_metre)
+        else:
+            _drop(work, sums, spans, c, u, nearest, step, bottom_row, first, last, r_first, per_metre)

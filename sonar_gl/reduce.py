@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from queue import SimpleQueue
-from threading import Thread
+from dataclasses import replace
 
 import numpy as np
 from numba import uint64
@@ -11,6 +10,11 @@ from numba import uint64
 from sonar_gl.compiled import compiled
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import accumulate
+from sonar_gl.pair import Pair
+
+# Handing half of the work to the other thread takes as long as so many rows of strips, or products of a
+# column's bin with its weight: less is done in one thread.
+FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
 
 
 def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -24,33 +28,39 @@ def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def weigh_columns(echo_sum, first, weights, out):
+def weigh_columns(echo_sum, spans, first, weights, out):
     """Beams as weighted sums of columns.
 
-    echo_sum : (columns, K); first : (B,); weights : (B, W), of `fan.beam_weights`; out : (B, K), overwritten
+    echo_sum : (columns, K), zero outside of spans, (columns, 2); first : (B,); weights : (B, W), of
+    `fan.beam_weights`, W a multiple of 4; out : (B, K), overwritten
     """
     n_columns, K = echo_sum.shape
     for b in range(out.shape[0]):
         row = uint64(b)
         for k in range(uint64(K)):
             out[row, k] = 0.0
-        for w in range(weights.shape[1]):
-            weight = weights[b, w]
-            if weight == 0.0:
-                continue
-            column = uint64((first[b] + w) % n_columns)
-            for k in range(uint64(K)):
-                out[row, k] += weight * echo_sum[column, k]
+        for w in range(0, weights.shape[1], 4):  # four at a time: a beam is read and written less often
+            w0, w1, w2, w3 = weights[b, w], weights[b, w + 1], weights[b, w + 2], weights[b, w + 3]
+            c0, c1 = uint64((first[b] + w) % n_columns), uint64((first[b] + w + 1) % n_columns)
+            c2, c3 = uint64((first[b] + w + 2) % n_columns), uint64((first[b] + w + 3) % n_columns)
+            low = min(spans[c0, 0], spans[c1, 0], spans[c2, 0], spans[c3, 0])
+            high = max(spans[c0, 1], spans[c1, 1], spans[c2, 1], spans[c3, 1])
+            for k in range(uint64(low), uint64(max(low, high))):
+                near = w0 * echo_sum[c0, k] + w1 * echo_sum[c1, k]
+                out[row, k] += near + (w2 * echo_sum[c2, k] + w3 * echo_sum[c3, k])
 
 
-def _serve(todo: SimpleQueue, done: SimpleQueue):
-    """Do the second halves of work, until there is None."""
-    while (work := todo.get()) is not None:
-        try:
-            done.put(work(1))
-        except BaseException as why:
-            done.put(why)
-        work = None  # it holds its reducer, which must be free to go
+def _about(view, body: int):
+    """The part of a view that holds a body's samples, and the neighbours that bound them."""
+    sector, plane_echo, bodies = view
+    met = bodies == body
+    (first, last), (left, right) = (
+        (max(at[0] - 1, 0), at[-1] + 2) if len(at := np.flatnonzero(met.any(axis=axis))) else (0, 0)
+        for axis in (1, 0)
+    )
+    u, v = (np.array([w[0] + w[1] * left + w[2] * first, w[1], w[2]]) for w in (sector.u, sector.v))
+    here = slice(first, last), slice(left, right)
+    return replace(sector, u=u, v=v), plane_echo[here], bodies[here]
 
 
 class Reducer:
@@ -66,13 +76,13 @@ class Reducer:
     """
 
     def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray):
-        # two queues and a thread hand over in half the time that an executor takes
-        self._todo, self._done = SimpleQueue(), SimpleQueue()
-        Thread(target=_serve, args=(self._todo, self._done), daemon=True).start()
-        self.fan, self.first, self.weights = fan, first, weights
+        self._pair = Pair()
+        self.fan, self.first = fan, first
+        self.weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
         self.edges = fan.sonar.bin_edges_m
         self.tables, self.flat = bin_tables(self.edges)
         self.sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
+        self.spans = np.tile([0, fan.sonar.n_bins], (fan.n_columns, 1))  # bins where these may differ from 0
         self.footprint = fan.sampling.reducer == "footprint"
         heard = np.zeros(fan.n_columns, bool)
         for w in range(weights.shape[1]):
@@ -98,9 +108,10 @@ class Reducer:
         body_echo = np.zeros(n_bodies + 1)
         seen = [np.unique(bodies[plane_echo[..., 3] > 0]) for _, plane_echo, bodies in views]
         for body in np.unique(np.concatenate(seen)).tolist():
-            echo = self._beams(self._accumulate(views, body))
+            about = [_about(view, body) for view in views]
+            echo = self._beams(self._accumulate(about, body))
             body_echo[body] = (echo @ gain.astype(np.float64)).sum()
-            moment = self._beams(self._accumulate(views, body, moment=True))
+            moment = self._beams(self._accumulate(about, body, moment=True))
             stronger = echo > strongest
             strongest[stronger] = echo[stronger]
             body_id[stronger] = body
@@ -109,20 +120,15 @@ class Reducer:
 
     def close(self):
         """End the other thread."""
-        self._todo.put(None)
+        self._pair.close()
 
-    def __del__(self):
-        self.close()
-
-    def _both(self, work):
-        """Call work(0) and work(1), one of them in the other thread."""
-        self._todo.put(work)
-        try:
+    def _both(self, work, alone: bool = False):
+        """Run work(0) and work(1), one of them in the other thread unless this one can do both alone."""
+        if alone:
             work(0)
-        finally:
-            failure = self._done.get()
-        if failure is not None:
-            raise failure
+            work(1)
+        else:
+            self._pair.run(work)
 
     def _accumulate(self, views, body=0, moment=False) -> np.ndarray:
         """Fill the columns' sums, with one body's echo or all, or its moment; see `accumulate`."""
@@ -146,9 +152,11 @@ class Reducer:
                     body,
                     moment,
                     self.sums,
+                    self.spans,
                 )
 
-        self._both(work)
+        rows = sum(len(sector.parts.u) * len(plane_echo) for sector, plane_echo, _ in views)
+        self._both(work, rows < FEW_ROWS)
         return self.sums
 
     def _beams(self, sums) -> np.ndarray:
@@ -158,7 +166,7 @@ class Reducer:
         def work(half):
             if len(halves[half]):
                 mine = slice(halves[half][0], halves[half][-1] + 1)
-                weigh_columns(sums, self.first[mine], self.weights[mine], out[mine])
+                weigh_columns(sums, self.spans, self.first[mine], self.weights[mine], out[mine])
 
-        self._both(work)
+        self._both(work, self.weights.size * sums.shape[1] < FEW_PRODUCTS)
         return out

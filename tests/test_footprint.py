@@ -1,21 +1,30 @@
 """The compiled sums against plain NumPy: the distribution of 1/r over a rectangle, cut into bins."""
 
+import math
+
 import numpy as np
 import pytest
 
-from sonar_gl.footprint import spread_footprint
-from sonar_gl.reduce import bin_tables, weigh_columns
+import sonar_gl as sg
+from sonar_gl.fan import beam_weights, make_fan
+from sonar_gl.footprint import ENERGY, LAST, A, B, S, spread_footprints
+from sonar_gl.reduce import FEW_ROWS, Reducer, bin_tables, weigh_columns
 
 EDGES = np.linspace(0.5, 30.5, 301)
 
 
 def spread(s, a, b, energy=1.0, edges=EDGES):
-    sums = np.zeros((3, len(edges) - 1), np.float32)
+    """Bins of one footprint, or of as many as there are numbers in s, a and b."""
+    s, a, b = np.broadcast_arrays(np.atleast_1d(s), a, b)
+    sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
     tables, flat = bin_tables(edges)
-    per_metre = (len(edges) - 1) / (edges[-1] - edges[0])
-    spread_footprint(sums, 1, tables, flat, edges[0], per_metre, energy, s, a, b)
-    assert not sums[0].any()
-    assert not sums[2].any()
+    per_metre, spans = K / (edges[-1] - edges[0]), np.tile([K, 0], (3, 1))
+    work = np.full((LAST + 1, len(s) + 2), np.nan)  # the first and the last are not asked for
+    work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
+    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, tables, flat, edges[0], per_metre)
+    assert not sums[[0, 2]].any()
+    assert (spans[[0, 2]] == [K, 0]).all()
+    assert not np.delete(sums[1], slice(*spans[1])).any()  # what is told to be empty is
     return sums[1].astype(float)
 
 
@@ -83,14 +92,95 @@ def test_neighbouring_rows_leave_neither_gap_nor_ring():
     np.testing.assert_allclose(total[inner], want[inner], rtol=1e-4)
 
 
-def test_weigh_columns_is_a_matrix_product_round_the_circle():
+def test_many_footprints_are_the_sum_of_each():
+    """Samples done together, boxes and trapezoids mixed, in view or not."""
+    rng = np.random.default_rng(3)
+    s = 1 / rng.uniform(0.3, 60, 41)
+    a, b = s * rng.random((2, 41)) ** 4
+    want = sum(spread(*one) for one in zip(s, a, b, strict=True))
+    np.testing.assert_allclose(spread(s, a, b), want, rtol=1e-5, atol=1e-7 * want.max())  # float32 sums
+
+
+@pytest.mark.parametrize("n_weights", [4, 8])
+def test_weigh_columns_is_a_matrix_product_round_the_circle(n_weights):
     rng = np.random.default_rng(1)
     sums = rng.random((7, 11), np.float32)
-    first, weights = np.array([-2, 0, 5]), rng.random((3, 4), np.float32)
-    out = np.empty((3, 11), np.float32)
-    weigh_columns(sums, first, weights, out)
+    spans = np.array([[0, 11], [11, 0], [3, 4], [0, 5], [6, 11], [11, 0], [2, 9]])
+    for row, span in zip(sums, spans, strict=True):
+        row[: span[0]], row[span[1] :] = 0, 0
+    first, weights = np.array([-2, 0, 5]), rng.random((3, n_weights), np.float32)
+    out = np.full((3, 11), np.nan, np.float32)
+    weigh_columns(sums, spans, first, weights, out)
     dense = np.zeros((3, 7))
     for b in range(3):
-        for w in range(4):
+        for w in range(n_weights):
             dense[b, (first[b] + w) % 7] += weights[b, w]
     np.testing.assert_allclose(out, dense @ sums, rtol=1e-5)
+
+
+def fan_and_views(reducer="footprint", rows=60):
+    """A small fan of two sectors, and made-up samples of it: planes with gaps, two bodies."""
+    sonar = sg.Sonar("test", 900e3, 40, 200, 90.0, 20.0, 3.0, 0.5, 20.0)
+    fan = make_fan(sonar, sg.Sampling(1, rows, reducer), math.radians(1.5))
+    rng, views = np.random.default_rng(rows), []
+    for sector in fan.sectors:
+        u, v = sector.rays()
+        plane_echo = np.zeros((*u.shape, 4), np.float32)
+        bodies = rng.integers(1, 3, u.shape).astype(np.uint16)
+        slope_u, slope_v = rng.normal(0, 0.1, (2, *u.shape))
+        q = 0.12 + slope_u * u + slope_v * v
+        plane_echo[..., 0], plane_echo[..., 1], plane_echo[..., 2] = q, slope_u, slope_v
+        plane_echo[..., 3] = rng.random(u.shape)
+        plane_echo[(q <= 0) | (rng.random(u.shape) < 0.3)] = 0
+        views.append((sector, plane_echo, bodies))
+    return fan, views
+
+
+@pytest.mark.parametrize("reducer", ["footprint", "point"])
+def test_a_ping_knows_nothing_of_the_one_before(reducer):
+    fan, views = fan_and_views(reducer)
+    weights = beam_weights(fan, None, math.radians(1.5))
+    used, fresh = Reducer(fan, *weights), Reducer(fan, *weights)
+    before = used.intensity(views)
+    kept = before.copy()
+    few = [(sector, np.where(np.arange(len(p))[:, None, None] == 30, p, 0), b) for sector, p, b in views]
+    nothing = [(sector, 0 * p, b) for sector, p, b in views]
+    for now in (few, nothing, views):
+        np.testing.assert_array_equal(used.intensity(now), fresh.intensity(now))
+        fresh = Reducer(fan, *weights)
+    assert not used.intensity(nothing).any()
+    np.testing.assert_array_equal(before, kept)  # what was returned is the caller's
+    assert before.any()
+
+
+def test_the_echo_is_that_of_its_bodies():
+    """Each body by itself, whose empty strips are skipped, and one thread or two: the same sums."""
+    fan, views = fan_and_views()
+    weights = beam_weights(fan, None, math.radians(1.5))
+    reducer = Reducer(fan, *weights)
+    assert sum(len(sector.parts.u) * len(p) for sector, p, _ in views) > FEW_ROWS  # in two threads
+    whole = reducer.intensity(views)
+    parts = [reducer._beams(reducer._accumulate(views, body)) for body in (1, 2)]
+    assert all(part.any() for part in parts)
+    np.testing.assert_allclose(sum(parts), whole, rtol=1e-5, atol=1e-6 * whole.max())  # float32 sums
+    reducer._both = lambda work, alone=False: [work(0), work(1)]
+    np.testing.assert_array_equal(reducer.intensity(views), whole)
+
+
+def test_labels_look_only_about_a_body():
+    """A body's echo is the same whether all of a view or the part about its samples is looked at."""
+    fan, views = fan_and_views()
+    for k, (_, plane_echo, bodies) in enumerate(views):
+        bodies[:] = 1
+        bodies[20:41, 10:31] = 2  # in the midst of body 1
+        bodies[30, 25] = 3 if k == 0 else 1  # one sample, in one view
+        plane_echo[20:41, 10:31] = plane_echo[30, 12]  # a plane, whose samples bound each other
+    reducer = Reducer(fan, *beam_weights(fan, None, math.radians(1.5)))
+    gain = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32)
+    body_id, _, body_echo = reducer.labels(views, gain, 4)
+    echoes = [reducer._beams(reducer._accumulate(views, body)) for body in (1, 2, 3)]
+    # rays are counted from another corner: rounding of their u, v
+    np.testing.assert_allclose(body_echo[1:4], [(e @ gain).sum() for e in echoes], rtol=1e-5)
+    assert (body_echo[1:4] > 0).all()
+    assert body_echo[[0, 4]].tolist() == [0, 0]
+    np.testing.assert_array_equal(body_id, np.argmax([0 * echoes[0], *echoes], axis=0))

@@ -99,8 +99,8 @@ def same(sampling):
 
 
 ROOT2 = math.sqrt(2)
-EDGES = "if v_here * turn < meet < v0 * turn and abs(meet - high * turn) > noise:"
-HORIZON = "if rest + along * v_empty < q_unseen:"
+EDGES = "meet if is_edge else border_here"
+HORIZON = "min(max(-plane / along, low), high) if is_lost else border_here"
 TRAPEZOID = "if 8 * thin * per_metre >= s * s:"
 VARIANTS = {  # what a row is called: (what to patch, what to make of a sampling)
     "ours": (contextlib.nullcontext, same),
@@ -112,8 +112,8 @@ VARIANTS = {  # what a row is called: (what to patch, what to make of a sampling
     "sectors of 30 degrees": (lambda: mock.patch.object(fan, "MAX_SECTOR_RAD", math.radians(30)), same),
     "samples twice as high as wide": (contextlib.nullcontext, scaled(ROOT2, 1 / ROOT2)),
     "samples twice as wide as high": (contextlib.nullcontext, scaled(1 / ROOT2, ROOT2)),
-    "edges half way between rays": (lambda: kernel(EDGES, "if False:"), same),
-    "horizons half way between rays": (lambda: kernel(HORIZON, "if False:"), same),
+    "edges half way between rays": (lambda: kernel(EDGES, "border_here"), same),
+    "horizons half way between rays": (lambda: kernel(HORIZON, "border_here"), same),
     "boxes only, no trapezoids": (lambda: kernel(TRAPEZOID, "if False:"), same),
     "slopes from neighbours": (neighbours, same),
     "point bins": (contextlib.nullcontext, scaled(1, 1, "point")),

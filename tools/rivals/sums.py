@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from sonar_gl.compiled import compiled
-from sonar_gl.footprint import spread_footprint
+from sonar_gl.footprint import ENERGY, LAST, A, B, S, spread_footprints
 
 
 @compiled
@@ -130,8 +132,9 @@ def tubes(
     """
     C, K = len(column), sums.shape[1]
     r_first, per_metre = edges[0], K / (edges[K] - edges[0])
+    work, spans = np.empty((LAST + 1, 4 * len(height))), np.zeros((sums.shape[0], 2), np.int64)
     for i in range(first, last):
-        c = column[i]
+        c, n = column[i], 0
         for j in range(len(height)):
             a = j * (C + 1) + i
             b, d = a + 1, a + C + 1
@@ -146,7 +149,8 @@ def tubes(
                 energy = (echo[a] + echo[b] + echo[d] + echo[e]) / 4 * solid / middle
                 across = abs(s[b] + s[e] - s[a] - s[d]) / 4
                 up = abs(s[d] + s[e] - s[a] - s[b]) / 4
-                spread_footprint(sums, c, tables, flat, r_first, per_metre, energy, middle, across, up)
+                work[ENERGY, n], work[S, n], work[A, n], work[B, n] = energy, middle, across, up
+                n += 1
                 continue
             for own, beside, above, joined_across, joined_up in (
                 (a, b, d, bottom, left),
@@ -164,9 +168,9 @@ def tubes(
                     up = (there - s[own]) / 4
                     middle = s[own] + across + up
                     energy = echo[own] * solid / 4 / middle
-                    spread_footprint(
-                        sums, c, tables, flat, r_first, per_metre, energy, middle, abs(across), abs(up)
-                    )
+                    work[ENERGY, n], work[S, n], work[A, n], work[B, n] = energy, middle, abs(across), abs(up)
+                    n += 1
+        spread_footprints(work, 0, n, sums, spans, c, tables, flat, r_first, per_metre)
 
 
 @compiled
