@@ -5,6 +5,8 @@ from __future__ import annotations
 import statistics
 import time
 import warnings
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +21,7 @@ from sonar_gl.paper import demarco_image
 from sonar_gl.simulator import Simulator
 
 STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
+WRITERS = 2  # threads: a PNG takes longer than a frame, and compression leaves Python's lock alone
 
 
 def fan_artist(height: int, scale: str, db_range, colormap: str, axes: bool):
@@ -41,6 +44,33 @@ def demarco_artist(height: int, form: str, join: str, noise: Noise, seed: int):
         return demarco_image(simulator, ping.pose, seed + number, noise, height, form, join)
 
     return picture
+
+
+class Behind:
+    """Calls functions in other threads while the next frames are made; a `with` block ends when all are done.
+
+    A call waits while there are enough under way, so that memory does not grow, and raises what one before
+    it raised. If the block is left by an error or Ctrl-C, what has begun is still done, so that no file is
+    half written, and what has not begun is left out.
+    """
+
+    def __init__(self):
+        self._threads, self._under_way = ThreadPoolExecutor(WRITERS, "writer"), deque()
+
+    def __call__(self, function, *arguments):
+        while len(self._under_way) > WRITERS or (self._under_way and self._under_way[0].done()):
+            self._under_way.popleft().result()
+        self._under_way.append(self._threads.submit(function, *arguments))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, _why, _where):
+        try:
+            while kind is None and self._under_way:
+                self._under_way.popleft().result()
+        finally:
+            self._threads.shutdown(cancel_futures=True)
 
 
 @dataclass
@@ -83,12 +113,13 @@ class Dump:
         names = [name] if times_s is None else [f"{name}_{n:0{width}d}" for n in range(len(poses))]
         films = [f for f in FILMS if f in self.formats]
         stills = [f for f in STILLS if f in self.formats]
-        for film in films:  # a second film draws all again: the same seed gives the same bytes
-            frames = self._frames(names, poses, times_s, stills if film == films[0] else ())
-            save_animation(self.folder / f"{name}.{film}", frames, self.fps)
-        if not films:
-            for _ in self._frames(names, poses, times_s, stills):
-                pass
+        with Behind() as behind:
+            for film in films:  # a second film draws all again: the same seed gives the same bytes
+                frames = self._frames(names, poses, times_s, stills if film == films[0] else (), behind)
+                save_animation(self.folder / f"{name}.{film}", frames, self.fps)
+            if not films:
+                for _ in self._frames(names, poses, times_s, stills, behind):
+                    pass
         several = name if times_s is None else f"{names[0]}..{last:0{width}d}"
         files = [f"{self.folder / several}.{f}" for f in stills]
         files += [f"{self.folder / name}.{f}" for f in films]
@@ -100,8 +131,8 @@ class Dump:
         renderer = self.simulator.gl_info["renderer"]
         return f"{', '.join(files)}: {beams} beams x {bins} bins, {strongest}{which}; {pace} on {renderer}"
 
-    def _frames(self, names, poses, times_s, stills):
-        """The pictures, one after the other; in passing, the still files."""
+    def _frames(self, names, poses, times_s, stills, behind):
+        """The pictures, one after the other; in passing, the still files, written `behind`."""
         with self.progress(range(len(poses))) as numbers:
             for number in numbers:
                 start = time.perf_counter()
@@ -113,9 +144,9 @@ class Dump:
                 drawn = set(self.formats) != {"npz"}
                 picture = self.artist(self.simulator, ping, number) if drawn else None
                 if "png" in stills:
-                    save_png(self.folder / f"{names[number]}.png", picture)
+                    behind(save_png, self.folder / f"{names[number]}.png", picture)
                 if "npz" in stills:
-                    save_npz(self.folder / f"{names[number]}.npz", ping)
+                    behind(save_npz, self.folder / f"{names[number]}.npz", ping)
                 yield picture
 
     def _find(self, ping) -> tuple[float, str]:

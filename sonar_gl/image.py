@@ -152,12 +152,15 @@ def fan_image(ping: Ping, height: int = 800, scale: str = "db", db_range=(-60.0,
     polar = np.ascontiguousarray(ping.intensity, np.float32)
     if polar.shape != (n_beams, n_bins):
         polar = cv2.resize(polar, (n_bins, n_beams), interpolation=cv2.INTER_AREA)
-    polar = _blur_beams(polar, bands, geometry.full_circle)
+    else:
+        polar = polar.copy()  # what follows happens in place
+    _blur_beams(polar, bands, geometry.full_circle)
     if scale == "db":
-        polar = cv2.log(cv2.max(polar, 10 ** (low_db / 10)))
+        cv2.max(polar, 10 ** (low_db / 10), dst=polar)
+        cv2.log(polar, dst=polar)
         polar *= 10 / math.log(10) / (high_db - low_db)
         polar -= low_db / (high_db - low_db)
-    polar = np.clip(polar, 0.0, 1.0, out=polar)
+    np.clip(polar, 0.0, 1.0, out=polar)
     if geometry.full_circle:  # one beam of the other end at each end; the map counts it
         polar = cv2.copyMakeBorder(polar, 1, 1, 0, 0, cv2.BORDER_WRAP)
     return cv2.remap(polar, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
@@ -200,28 +203,36 @@ def _plan(geometry: FanGeometry, shape: tuple[int, int], table: bytes):
     beam = beam + 1 if geometry.full_circle else beam.clip(0, n_beams - 1)
     bin_ = ((range_m - inner_m) / cell_m - 0.5).clip(0, n_bins - 1)
     maps = [np.where(inside, m, _OUTSIDE).astype(np.float32) for m in (bin_, beam)]
-    return (n_beams, n_bins), bands, cv2.convertMaps(*maps, cv2.CV_16SC2)
+    # places to 1/32, as all but new versions of OpenCV round them, in floats, which new ones are quicker with
+    maps = cv2.convertMaps(*cv2.convertMaps(*maps, cv2.CV_16SC2), cv2.CV_32FC1)
+    return (n_beams, n_bins), bands, maps
 
 
-def _blur_beams(polar: np.ndarray, bands, full_circle: bool) -> np.ndarray:
-    """Running mean over the beams that share a pixel: (first bin, last bin + 1, beams) per band."""
-    if not bands:
-        return polar
-    out = polar.copy()
+def _blur_beams(polar: np.ndarray, bands, full_circle: bool) -> None:
+    """Mean, in place, over the beams that share a pixel; bands are (first bin, last bin + 1, beams)."""
     for start, stop, width in bands:
         part = polar[:, start:stop]
         if full_circle:
             pad = width // 2
             part = cv2.copyMakeBorder(part, pad, pad, 0, 0, cv2.BORDER_WRAP)
-            out[:, start:stop] = cv2.blur(part, (1, width))[pad : pad + len(polar)]
+            polar[:, start:stop] = cv2.blur(part, (1, width))[pad : pad + len(polar)]
         else:
-            out[:, start:stop] = cv2.blur(part, (1, width), borderType=cv2.BORDER_REFLECT)
-    return out
+            polar[:, start:stop] = cv2.blur(part, (1, width), borderType=cv2.BORDER_REFLECT)
 
 
+@lru_cache(maxsize=1)
 def colormaps() -> tuple[str, ...]:
     """Names that `colorize` knows: "gray" and OpenCV's colour maps in lower case."""
     return ("gray", *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
+
+
+@lru_cache(maxsize=32)
+def _colours(name: str) -> np.ndarray:
+    """(256, 1, 3) uint8 RGB."""
+    table = np.arange(256, dtype=np.uint8)[:, None]
+    if name != "gray":
+        table = cv2.applyColorMap(table, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
+    return np.ascontiguousarray(np.broadcast_to(table.reshape(256, 1, -1), (256, 1, 3)))
 
 
 def colorize(image: np.ndarray, name: str = "jet") -> np.ndarray:
@@ -231,9 +242,5 @@ def colorize(image: np.ndarray, name: str = "jet") -> np.ndarray:
     image = np.asarray(image)
     if image.ndim != 2 or image.dtype.kind != "f":
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
-    table = np.arange(256, dtype=np.uint8)[:, None]
-    if name != "gray":
-        table = cv2.applyColorMap(table, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
-    table = np.ascontiguousarray(np.broadcast_to(table.reshape(256, 1, -1), (256, 1, 3)))
-    levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32), alpha=255)
-    return cv2.applyColorMap(levels, table)
+    levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32, copy=False), alpha=255)
+    return cv2.applyColorMap(levels, _colours(name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -15,8 +14,6 @@ STREAMS = {
     "salt_and_pepper": 3,
     "cloud": 4,
 }  # never renumber: bytes would change
-APERTURE = 0.885892941379  # −3 dB width of a uniform line array in λ/L, twice the x of sinc²(x) = 1/2
-BLOCK = 16  # bins of speckle drawn at a time; another number would change the bytes
 
 
 @dataclass(frozen=True)
@@ -139,74 +136,6 @@ def stream(seed: int, ping_number: int, term: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(check_seed(seed), spawn_key=key)))
 
 
-@lru_cache(maxsize=8)
-def _beams_from_elements(azimuths_rad: tuple[float, ...], beam_width_rad: float) -> np.ndarray | None:
-    """(B, M) float32 that turns M independent normals into B beams correlated as sinc(0.8859 D / width).
-
-    The rows are what a line array does: each of M elements adds a wave over azimuth, cos and sin of one
-    frequency, and the frequencies fill evenly the band that the aperture passes. Rows have unit power.
-    The sum repeats itself after a period, which must be longer than the fan by some widths; the whole
-    circle is its own period. None where no two beams overlap: independent draws do then, beams a width
-    apart share 2 % of their intensity's variance.
-    """
-    azimuth = np.asarray(azimuths_rad)
-    if len(azimuth) < 2 or np.diff(azimuth).min() >= 0.95 * beam_width_rad:
-        return None
-    period = min(2 * np.pi, 1.2 * (azimuth[-1] - azimuth[0]) + 12 * beam_width_rad)
-    elements = max(1, round(APERTURE * period / beam_width_rad))
-    if period < 2 * np.pi:
-        period = elements * beam_width_rad / APERTURE  # the width exact, the period nearly as asked
-    waves = (np.arange(elements) - (elements - 1) / 2) * (2 * np.pi / period)
-    phase = azimuth[:, None] * waves
-    # waves come in pairs ±f: cos for one of a pair, sin for the other, √2 each; the wave 0 stands alone
-    out = np.where(waves > 0, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase))
-    out[:, waves == 0] = 1.0
-    out = (out / np.sqrt(elements)).astype(np.float32)
-    out.setflags(write=False)
-    return out
-
-
-def speckle_field(azimuth_rad, n_bins: int, beam_width_rad: float | None, random) -> np.ndarray:
-    """|g|² of a circular complex Gaussian g of unit variance: fully developed speckle.
-
-    Parameters
-    ----------
-    azimuth_rad : (B,) beam centres, radians, rising
-    n_bins : K; bins are independent of one another
-    beam_width_rad : −3 dB width of a beam, radians; None = beams are independent
-    random : numpy.random.Generator
-
-    Returns
-    -------
-    (B, K) float32, exponential, mean 1, contrast 1, standard deviation 5.57 dB
-
-    Notes
-    -----
-    Beams D apart hear through one aperture: their fields correlate as sinc(0.8859 D / width), the
-    Fourier transform of a uniform line array, their intensities as its square [1]_.
-
-    References
-    ----------
-    .. [1] Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
-    """
-    factor = None
-    if beam_width_rad:
-        factor = _beams_from_elements(tuple(np.asarray(azimuth_rad, np.float64).tolist()), beam_width_rad)
-    B = len(azimuth_rad)
-    out = np.empty((B, n_bins), np.float32)
-    for k in range(0, n_bins, BLOCK):  # small products: BLAS threads stall on busy cores
-        block = out[:, k : k + BLOCK]
-        n = block.shape[1]
-        rows = B if factor is None else factor.shape[1]
-        parts = random.standard_normal((rows, 2 * n), dtype=np.float32)  # real parts, imaginary parts
-        if factor is not None:
-            parts = factor @ parts
-        np.square(parts, out=parts)
-        np.add(parts[:, :n], parts[:, n:], out=block)
-    out *= np.float32(0.5)
-    return out
-
-
 def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) -> Ping:
     """The ping with noise, and a record of it in `meta`; the ping itself where no term acts on it.
 
@@ -220,25 +149,26 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
     -------
     Ping with (B, K) float32 intensity, all 0 or more
     """
-    streams = {term: stream(seed, ping_number, term) for term in ("speckle", "gaussian", "salt_and_pepper")}
+    check_seed(seed), check_seed(ping_number, "ping_number")
     if noise is None or not (noise.speckle or noise.gaussian or noise.median or noise.salt_and_pepper):
         return ping
+    # compiled, so slow to import, and not asked for by who only names amounts
+    from sonar_gl.normals import add_normal
+    from sonar_gl.speckle import multiply_by_speckle
+
     out = np.array(ping.intensity, dtype=np.float32, order="C")
     if noise.speckle:
         width = ping.meta.get("sonar", {}).get("beam_width_deg")
         width = None if width is None else float(np.radians(width))
-        out *= speckle_field(ping.azimuth_rad, out.shape[1], width, streams["speckle"])
+        multiply_by_speckle(out, ping.azimuth_rad, width, stream(seed, ping_number, "speckle"))
     if noise.gaussian:
-        added = streams["gaussian"].standard_normal(out.shape, dtype=np.float32)
-        added *= np.float32(noise.gaussian)
-        out += added
-        np.maximum(out, 0, out=out)
+        add_normal(stream(seed, ping_number, "gaussian"), noise.gaussian, out)
     if noise.median:
         import cv2  # slow to import, and seldom asked for
 
         out = cv2.medianBlur(out, int(noise.median))
     if noise.salt_and_pepper:  # after the median, as in the founding paper: it would undo this
-        draw = streams["salt_and_pepper"].random(out.shape, dtype=np.float32)
+        draw = stream(seed, ping_number, "salt_and_pepper").random(out.shape, dtype=np.float32)
         out[draw < noise.salt_and_pepper / 2] = 0.0
         out[draw >= 1 - noise.salt_and_pepper / 2] = 1.0
     out.setflags(write=False)

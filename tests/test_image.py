@@ -228,6 +228,33 @@ def test_errors_of_fan_image():
     )
 
 
+@pytest.mark.parametrize("scale", ["db", "linear"])
+def test_the_ping_stays_as_it_is(scale):
+    """Few beams and bins: nothing is averaged before the scale is applied."""
+    ping = make_ping(n_beams=16, n_bins=20, range_m=(10.0, 20.0), fill=7.0)
+    ping.intensity.setflags(write=False)
+    image = fan_image(ping, 400, scale)
+    assert (ping.intensity == 7).all() and image.max() == 1
+
+
+def test_pictures_do_not_share_memory():
+    ping = make_ping(fill=0.1)
+    first, second = fan_image(ping, 100), fan_image(ping, 100)
+    assert not np.shares_memory(first, second) and first.flags.writeable
+    assert not np.shares_memory(colorize(first), colorize(first))
+
+
+def test_colours_of_what_lies_outside():
+    """Cut to 0..1, and turned or sliced pictures too."""
+    image = np.array([[-1.0, -0.001, 0.0, 0.5, 1.0, 1.2, 1e9]])
+    for kind in (np.float16, np.float32, np.float64):
+        with np.errstate(over="ignore"):  # 1e9 is infinite in 16 bits
+            given = image.astype(kind)
+        assert (colorize(given, "gray")[0, :, 0] == [0, 0, 0, 128, 255, 255, 255]).all()
+    turned = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4).T[::-1]
+    assert (colorize(turned, "jet") == colorize(turned.copy(), "jet")).all()
+
+
 def test_colours():
     assert colormaps()[0] == "gray" and {"jet", "inferno", "viridis", "twilight_shifted"} <= set(colormaps())
     ramp = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)

@@ -1,11 +1,18 @@
 """Statistics of each term of noise, its independence of the others, and the same bytes for the same seed."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sonar_gl.noise import APERTURE, Noise, _beams_from_elements, add_noise, speckle_field, stream
+import sonar_gl
+from sonar_gl.noise import Noise, add_noise, stream
+from sonar_gl.normals import standard_normal
+from sonar_gl.speckle import APERTURE, _beams_from_elements, _halves, multiply_by_speckle
 from sonar_gl.types import Error, Ping
 
 SIGMAS = 5.0  # a tolerance of so many standard errors is missed by chance once in 1.7 million
@@ -22,6 +29,12 @@ def uniform_ping(n_beams=256, n_bins=1102, fov_deg=45.0, beam_width_deg=1.0, lev
     meta = {} if beam_width_deg is None else {"sonar": {"beam_width_deg": beam_width_deg}}
     intensity = np.full((n_beams, n_bins), level, np.float32)
     return Ping(intensity, azimuth, 0.5 + 0.0254 * (np.arange(n_bins) + 0.5), meta=meta)
+
+
+def speckle_field(azimuth_rad, n_bins, beam_width_rad, random) -> np.ndarray:
+    out = np.ones((len(azimuth_rad), n_bins), np.float32)
+    multiply_by_speckle(out, azimuth_rad, beam_width_rad, random)
+    return out
 
 
 def correlation(a, b) -> float:
@@ -87,6 +100,35 @@ def test_correlation_holds_across_the_whole_fan(fov_deg):
     near = apart < np.radians(1.0)
     assert np.abs(found - expected)[near].max() < 1e-3
     assert np.abs(found**2 - expected**2).max() < 1.2e-3  # of the intensity's variance, all pairs
+
+
+@pytest.mark.parametrize("n_beams", [2, 7, 64])
+def test_mirrored_beams_are_sums_and_differences(n_beams):
+    """Half the beams and their mirror images are all the beams; so they are where the fan looks aside."""
+    for middle in (0.0, 0.4):
+        azimuths = tuple((middle + np.radians(0.3) * (np.arange(n_beams) - (n_beams - 1) / 2)).tolist())
+        whole = _beams_from_elements(azimuths, np.radians(1.0))
+        sines, cosines = _halves(azimuths, np.radians(1.0))
+        assert len(sines) == len(cosines) == (n_beams + 1) // 2
+        assert sines.shape[1] + cosines.shape[1] == whole.shape[1]
+        mirrored = np.column_stack([-sines, cosines])[::-1]
+        both = np.concatenate([np.column_stack([sines, cosines]), mirrored[n_beams % 2 :]])
+        np.testing.assert_allclose(both, whole, rtol=0, atol=1e-6)  # float32 of numbers below 1
+    uneven = (-0.02, 0.0, 0.01)
+    assert all(len(half) == 3 for half in _halves(uneven, np.radians(1.0)))
+
+
+def test_the_field_is_that_of_the_matrix():
+    """A fan with a mirror and one without; 8 bins are drawn at once."""
+    even = np.linspace(-0.2, 0.2, 41)
+    for azimuth in (even, even[:-1], even + 1e-3 * np.arange(41) ** 2):
+        field = speckle_field(azimuth, 8, np.radians(2.0), stream(8, 0, "speckle"))
+        factor = _beams_from_elements(tuple(azimuth.tolist()), np.radians(2.0))
+        real, imaginary = np.split(
+            factor @ standard_normal(stream(8, 0, "speckle"), (factor.shape[1], 16)), 2, 1
+        )
+        # float32 sums of some 40 numbers of about 0.2, in another order
+        np.testing.assert_allclose(field, (real**2 + imaginary**2) / 2, rtol=1e-5, atol=1e-5)
 
 
 def test_speckle_of_overlapping_beams_keeps_contrast():
@@ -179,6 +221,23 @@ def test_same_seed_same_bytes():
         add_noise(ping, noise, seed, number).intensity.tobytes() for seed in (9, 10) for number in (4, 5)
     }
     assert len(others) == 4 and same[0] in others
+
+
+def test_same_bytes_whatever_the_threads():
+    """BLAS takes as many threads as there are cores; no sum may depend on them."""
+    code = (
+        "import hashlib, sys, numpy as np; from sonar_gl.noise import Noise, add_noise; "
+        "from sonar_gl.types import Ping; a = np.linspace(-0.4, 0.4, 512); "
+        "p = Ping(np.ones((512, 700), np.float32), a, np.arange(700.0), "
+        "meta={'sonar': {'beam_width_deg': 1.0}}); "
+        "print(hashlib.sha256(add_noise(p, Noise.physical(), 3).intensity.tobytes()).hexdigest())"
+    )
+    found = set()
+    for threads in ("1", "5"):
+        more = {f"{name}_NUM_THREADS": threads for name in ("OPENBLAS", "OMP", "MKL")}
+        surroundings = {**os.environ, "PYTHONPATH": str(Path(sonar_gl.__file__).parent.parent), **more}
+        found.add(subprocess.check_output([sys.executable, "-c", code], env=surroundings, timeout=60))
+    assert len(found) == 1
 
 
 def test_large_seeds_do_not_run_into_ping_numbers():
