@@ -9,7 +9,8 @@ import click
 
 from sonar_gl._version import __version__
 from sonar_gl.checks import cost_plans, plan_text, verify
-from sonar_gl.commands import Commands, numbers, progress
+from sonar_gl.commands import Commands, load_numba, numbers, progress
+from sonar_gl.options import DEVICE
 from sonar_gl.options import judged as _judged
 from sonar_gl.options import option as _option
 from sonar_gl.options import poses as _poses
@@ -60,6 +61,7 @@ Examples:
 @_option("join", "circles", "polygons", default="circles")
 @_option("height", type=int, default=800)
 @_option("tolerance", type=float, default=0.01)
+@_option("device", **DEVICE)
 @_option("seed", type=int, default=0)
 @_option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
 @_option("fps", type=float, default=10.0)
@@ -77,6 +79,7 @@ def render(ctx, scene, **options):
     given = {name for name in options if ctx.get_parameter_source(name).name == "COMMANDLINE"}
     o = SimpleNamespace(**options)
     _check_together(o, given)
+    load_numba()
 
     from sonar_gl.acoustics import Acoustics
     from sonar_gl.dump import Dump, demarco_artist, fan_artist
@@ -152,6 +155,7 @@ def plan(ctx, scene, **options):
     from sonar_gl.acoustics import Acoustics
     from sonar_gl.load import load_scene
 
+    load_numba()
     sonar, acoustics = _sonar(o), getattr(Acoustics, o.profile)()
     scene = load_scene(scene, o.resource_path, o.skip_missing)
     found = cost_plans(scene, sonar, acoustics, _poses(o, scene)[1], o.tolerance)

@@ -57,6 +57,22 @@ def _one_line():
     return show
 
 
+def load_numba():
+    """Load Numba without scipy.linalg: a fifth of a second and 16 MB, and no function here needs it.
+
+    Numba looks for its BLAS as it loads, and takes what it finds. For the process of a command alone: in one
+    that others share, their np.convolve would miss it.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    sys.modules[blas] = None  # so the import system takes it for missing
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[blas]
+
+
 def numbers(option: str, text: str, names: str) -> list[float]:
     """The numbers of an option's text, as many as there are names."""
     from sonar_gl.types import Error

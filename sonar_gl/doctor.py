@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib
 import importlib.metadata
 import math
@@ -118,18 +117,21 @@ def _numba_cache():
 
 
 def _egl():
-    """Devices that EGL offers; 0 is told as wanting."""
-    library = ctypes.CDLL("libEGL.so.1")
-    library.eglGetProcAddress.restype = ctypes.c_void_p
-    address = library.eglGetProcAddress(b"eglQueryDevicesEXT")
-    if not address:
+    """Devices that EGL offers, which of them is used, and which cannot be; none is told as wanting."""
+    from sonar_gl import gl
+    from sonar_gl.types import Error
+
+    if gl.egl_devices() is None:
         return None, "cannot list its devices", "nothing to do if OpenGL is well"
-    pointer_to_int = ctypes.POINTER(ctypes.c_int)
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, pointer_to_int)(address)
-    count = ctypes.c_int(0)
-    query(0, None, ctypes.byref(count))
+    found = gl.devices()
+    try:
+        used = gl.chosen_device()[0] or 0
+    except Error:  # which OpenGL tells
+        used = None
+    told = [f"{one}{', used' if one.index == used else ''}" for one in found]
     cure = "install a driver; on Debian or Ubuntu Mesa's: apt-get install libegl-mesa0 libgl1-mesa-dri"
-    return count.value > 0, f"{count.value} device{'s' * (count.value != 1)}", cure
+    count = f"{len(found)} device{'s' * (len(found) != 1)}"
+    return bool(found), ": ".join([count, "; ".join(told)] if told else [count]), cure
 
 
 def _opengl():

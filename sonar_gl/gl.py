@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import moderngl
 
 from sonar_gl.types import Error
 
 REQUIRED_GL = 330
+# by their sonames: the unversioned ones come with development packages only
+LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+DEVICE_VARIABLES = ("SONAR_GL_DEVICE", "GLCONTEXT_DEVICE_INDEX")  # ours, and that of the library below
+# of EGL, for eglQueryDeviceStringEXT
+EGL_EXTENSIONS, EGL_DRM_DEVICE_FILE_EXT, EGL_RENDERER_EXT = 0x3055, 0x3233, 0x335F
 NO_EGL = (
     "OpenGL must be reachable through EGL, without a display (got: {why}); on Debian or Ubuntu install it "
     "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
@@ -33,31 +41,130 @@ def release_discarded() -> None:
         _discarded.pop().release()
 
 
-def create_context() -> moderngl.Context:
+class Device(NamedTuple):
+    """An EGL device; `trouble` says why no OpenGL can be had of it, '' if it can."""
+
+    index: int
+    name: str
+    trouble: str = ""
+
+    def __str__(self):
+        return f"{self.index} {self.name}" + (f" (not to be used: {self.trouble})" if self.trouble else "")
+
+
+def egl_devices() -> list[str] | None:
+    """What EGL calls its devices, by their index, '' where it does not say; None if it lists none at all.
+
+    Raises
+    ------
+    OSError
+        if there is no EGL.
+    """
+    library = ctypes.CDLL(LIBRARIES["libegl"])
+    library.eglGetProcAddress.restype = ctypes.c_void_p
+    addresses = [library.eglGetProcAddress(n) for n in (b"eglQueryDevicesEXT", b"eglQueryDeviceStringEXT")]
+    if not all(addresses):
+        return None
+    pointer, integer = ctypes.c_void_p, ctypes.c_int
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, integer, pointer, ctypes.POINTER(integer))(addresses[0])
+    ask = ctypes.CFUNCTYPE(ctypes.c_char_p, pointer, integer)(addresses[1])
+    count = integer(0)
+    query(0, None, ctypes.byref(count))
+    devices = (pointer * count.value)()
+    query(count.value, devices, ctypes.byref(count))
+    names = []
+    for device in devices:
+        known = (ask(device, EGL_EXTENSIONS) or b"").split()
+        name = ask(device, EGL_RENDERER_EXT) if b"EGL_EXT_device_query_name" in known else None
+        if not name and b"EGL_EXT_device_drm" in known:
+            name = ask(device, EGL_DRM_DEVICE_FILE_EXT)
+        names.append((name or b"").decode(errors="replace"))
+    return names
+
+
+def devices() -> list[Device]:
+    """The EGL devices of this machine, each tried; not to be called inside a `with context` block."""
+    try:
+        names = egl_devices() or []
+    except OSError:
+        names = []
+    found = []
+    for index, name in enumerate(names):
+        try:
+            context = _create(index)
+        except Exception as why:  # moderngl and glcontext raise plain Exception
+            found.append(Device(index, name or "without a name", " ".join(str(why).split())))
+        else:
+            found.append(Device(index, context.info["GL_RENDERER"]))
+            context.release()
+    return found
+
+
+def chosen_device(device: int | None = None) -> tuple[int | None, str]:
+    """The index that is meant, `device` or else the first of DEVICE_VARIABLES, and where it is from."""
+    if device is not None:
+        if isinstance(device, bool) or not isinstance(device, int) or device < 0:
+            raise Error(no_device(repr(device)))
+        return device, str(device)
+    for variable in DEVICE_VARIABLES:
+        if text := os.environ.get(variable, "").strip():
+            if not re.fullmatch("[0-9]{1,9}", text):
+                raise Error(no_device(f"{variable}={text}"))
+            return int(text), f"{variable}={text}"
+    return None, ""
+
+
+def no_device(got: str) -> str:
+    """The message for a device that is not there."""
+    found = devices()
+    there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}"
+    names = ": " + ", ".join(str(one) for one in found) if found else ""
+    return f"the OpenGL device must be the index of an EGL device (got {got}; {there}{names})"
+
+
+def _create(index: int | None) -> moderngl.Context:
+    how = {"standalone": True, "require": REQUIRED_GL}
+    if index is None:  # whatever glcontext takes of itself
+        return moderngl.create_context(backend="egl", **LIBRARIES, **how)
+    from glcontext import egl  # beneath the layer where variables would win over an index
+
+    return moderngl.create_context(
+        context=egl.create_context(mode="standalone", glversion=REQUIRED_GL, device_index=index, **LIBRARIES),
+        **how,
+    )
+
+
+def create_context(device: int | None = None) -> moderngl.Context:
     """A stand-alone headless context of at least OpenGL 3.3 core, current in this thread.
+
+    Parameters
+    ----------
+    device : index of an EGL device, as `devices` lists them; None is that of the environment variable
+        SONAR_GL_DEVICE, and without it the first
 
     Raises
     ------
     Error
-        if there is no EGL, or the driver is too old.
+        if there is no EGL or no such device, or the driver is too old.
     """
     release_discarded()
+    index, said = chosen_device(device)
     try:
-        # by their sonames: the unversioned ones come with development packages only
-        context = moderngl.create_context(
-            standalone=True,
-            backend="egl",
-            require=REQUIRED_GL,
-            libgl="libGL.so.1",
-            libegl="libEGL.so.1",
-        )
+        context = _create(index)
     except Exception as why:  # moderngl and glcontext raise plain Exception
         text = " ".join(str(why).split())
+        if said and "requested device index" in text:
+            raise Error(no_device(said)) from None
         version = re.search(r"got version (\d)(\d)\d", text)
         if version:
             raise Error(too_old(f"{version[1]}.{version[2]}")) from None
         if "eglCreateContext failed (0x3009)" in text:  # EGL_BAD_MATCH: no such version
             raise Error(too_old("an older one")) from None
+        if others := [str(one) for one in devices() if not one.trouble]:
+            raise Error(
+                f"OpenGL device {index or 0} must work (got: {text}); set SONAR_GL_DEVICE to one that does: "
+                + ", ".join(others)
+            ) from None
         raise Error(NO_EGL.format(why=text)) from None
     if context.version_code < REQUIRED_GL:
         code = context.version_code

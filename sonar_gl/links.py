@@ -80,7 +80,7 @@ class ShapeReader:
         pose = link.world_pose()
         if not shapes:
             return None, True
-        mesh, normals = meshes.concatenate(shapes)
+        mesh, normals = shapes[0] if len(shapes) == 1 else meshes.concatenate(shapes)
         reflectivity = reflectivities[0]
         if len(set(reflectivities)) > 1:
             reflectivity = np.repeat(reflectivities, [len(shape[0].faces) for shape in shapes])

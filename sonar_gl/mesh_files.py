@@ -51,8 +51,11 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)):
     )
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     below, right, across = corner + columns, corner + 1, corner + columns + 1
-    faces = np.concatenate([np.stack([corner, below, across], 1), np.stack([corner, across, right], 1)])
-    return make_shape(np.stack([x.ravel(), y.ravel(), pos[2] + image.ravel() * size[2]], axis=1), faces)
+    faces = np.empty((2, len(corner), 3), np.int64)
+    for column, vertices in enumerate(((corner, corner), (below, across), (across, right))):
+        faces[:, :, column] = vertices
+    vertices = np.stack([x.ravel(), y.ravel(), pos[2] + image.ravel() * size[2]], axis=1)
+    return make_shape(vertices, faces.reshape(-1, 3))
 
 
 def read_mesh_parts(path):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import contextmanager
+
 import click
 
 from sonar_gl.commands import numbers
@@ -25,6 +28,7 @@ HELP = {
     "join": "Of demarco2015: how its points are drawn.",
     "height": "Of the picture, pixels, not counting the axes.",
     "tolerance": "Share of the echo that may lie in wrong bins.",
+    "device": "Index of the OpenGL device to draw with; `sonar-gl doctor` lists them.",
     "seed": "Of the noise.",
     "formats": "What to write; may be repeated. gif and mp4 are for sequences.",
     "fps": "Frames a second of gif and mp4.",
@@ -44,6 +48,31 @@ def option(name: str, *choices: str, **settings):
     return click.option(flag, name, help=HELP[name], **settings)
 
 
+@contextmanager
+def _device_variable(index: int):
+    """SONAR_GL_DEVICE for the time of the block."""
+    before = os.environ.get("SONAR_GL_DEVICE")
+    os.environ["SONAR_GL_DEVICE"] = str(index)
+    try:
+        yield
+    finally:
+        os.environ.pop("SONAR_GL_DEVICE")
+        if before is not None:
+            os.environ["SONAR_GL_DEVICE"] = before
+
+
+def _draw_with(ctx, _parameter, index):
+    """All contexts of a command are made on this device."""
+    if index is not None:
+        ctx.with_resource(_device_variable(index))
+
+
+DEVICE = {
+    "type": click.IntRange(min=0),
+    "show_default": "the variable SONAR_GL_DEVICE, or 0",
+    "callback": _draw_with,
+    "expose_value": False,
+}
 JUDGED = {
     "sonar": {"default": "p900-45"},
     "pose": {"show_default": "the scene's"},
@@ -51,6 +80,7 @@ JUDGED = {
     "bins": {"type": int},
     "profile": {"type": click.Choice(("ideal", "demarco2015", "physical")), "default": "physical"},
     "tolerance": {"type": float, "default": 0.01},
+    "device": DEVICE,
     "resource_path": {"multiple": True},
     "skip_missing": {"is_flag": True},
     "json": {"is_flag": True},

@@ -358,6 +358,37 @@ def test_help_is_quick_for_it_loads_no_numpy():
     )
 
 
+def test_import_is_quick_for_it_loads_no_library():
+    heavy = ["numpy", "scipy", "numba", "llvmlite", "trimesh", "cv2", "moderngl", "glcontext", "click", "PIL"]
+    code = f"import sys, sonar_gl; print(*[name for name in {heavy} if name in sys.modules])"
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": home},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []
+
+
+def test_numba_is_loaded_without_scipy_which_is_there_all_the_same():
+    code = """
+import sys
+from sonar_gl.commands import load_numba
+load_numba()
+print("scipy.linalg" in sys.modules, "numba.np.arraymath" in sys.modules)
+import scipy.linalg.cython_blas
+from numba.np.linalg import ensure_blas
+ensure_blas()
+"""
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": home}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (0, "False True\n"), done.stderr
+
+
 # --- mistakes
 
 
