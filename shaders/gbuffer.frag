@@ -2,16 +2,14 @@
 // 1/x is linear on the image plane: 1/x = p.x - p.y u + p.z v. gl_FragCoord.w is that 1/x, in full float32,
 // and its screen derivatives are the plane's slopes, so depth and normal come without a varying.
 // Out: attachment 0 = 1/x, its slopes along u and v, echo μ cos θ times range (which on a flat face is the same
-// for every ray); attachment 1 (LABELS) = body's number.
-// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, LABELS (each 0 or 1), TABLE_WIDTH.
+// for every ray, μ / |p|); attachment 1 (LABELS) = body's number.
+// Defines: SHADING_NORMALS, LABELS (each 0 or 1).
 #version 330 core
-#include "tables.glsl"
 #include "echo.glsl"
 
 uniform vec3 u, v;          // lattice: u of the ray of pixel (i, j) is u.x + u.y i + u.z j; v likewise
 uniform mat2 pixel_from_uv; // pixels to one unit of u (first column) and of v (second)
 uniform float far_m;
-uniform int first_face;
 
 flat in float v_reflectivity;
 flat in uint v_body;
@@ -31,22 +29,18 @@ void main()
     vec3 pixel = vec3(1.0, gl_FragCoord.xy - 0.5);
     vec2 at = vec2(dot(u, pixel), dot(v, pixel));
     vec3 plane = vec3(depth_inverse - dot(slopes, at), -slopes.x, slopes.y);
-    vec3 ray = vec3(1.0, -at.x, at.y);
-    vec3 direction = normalize(ray);
-    vec3 normal = -normalize(plane);  // p . x = 1 > 0: minus p looks at the sonar, whichever side this is
+    float x = 1.0 / depth_inverse;
+    float echo = inversesqrt(dot(plane, plane));
 #if SHADING_NORMALS
+    vec3 ray = vec3(1.0, -at.x, at.y);
+    // p . x = 1 > 0: minus p looks at the sonar, whichever side this is
     if (dot(v_normal, v_normal) > 1e-6)
-        normal = normalize(v_normal) * (dot(v_normal, normal) < 0.0 ? -1.0 : 1.0);
+        echo = cos_incidence(normalize(v_normal) * sign(-dot(v_normal, plane)), normalize(ray)) * length(ray) * x;
 #endif
-    float reflectivity = v_reflectivity;
-#if FACE_REFLECTIVITY
-    reflectivity = table_texel(face_table, first_face + gl_PrimitiveID).x;
-#endif
-    float range_m = length(ray) / depth_inverse;
-    plane_echo = vec4(depth_inverse, slopes, reflectivity * cos_incidence(normal, direction) * range_m);
+    plane_echo = vec4(depth_inverse, slopes, v_reflectivity * echo);
 #if LABELS
     body_id = v_body + 1u;
 #endif
-    // linear in range, so that visibility is resolved alike near and far
-    gl_FragDepth = range_m / far_m;
+    // linear in x, so that visibility is resolved alike near and far
+    gl_FragDepth = x / far_m;
 }

@@ -1,27 +1,42 @@
-// In: vertices in their body's frame, the body's index. Out: clip position, reflectivity, body.
-// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, LABELS (each 0 or 1), TABLE_WIDTH.
+// In: vertices about the middle of their mesh; a row of the table of bodies, by instance or, where the driver has no
+// draws from a buffer, as uniforms. Out: clip position, reflectivity, body.
+// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, LABELS, INDIRECT (each 0 or 1).
 #version 330 core
-#include "tables.glsl"
+#if INDIRECT
+#define PER_BODY in
+#else
+#define PER_BODY uniform
+#endif
 
 uniform mat4 clip_from_sonar;
 uniform mat3 sector_from_sonar;
 
+PER_BODY vec4 body_x, body_y, body_z;  // rows of sonar_from_body
+PER_BODY vec2 body_echo;               // reflectivity; number, whole below 2^24
+
 in vec3 in_position;
-in uint in_body;
 #if SHADING_NORMALS
 in vec3 in_normal;
 out vec3 v_normal;
+#endif
+#if FACE_REFLECTIVITY
+in float in_reflectivity;
 #endif
 flat out float v_reflectivity;
 flat out uint v_body;
 
 void main()
 {
-    mat4x3 sonar_from_body = body_matrix(in_body);
-    v_reflectivity = body_reflectivity(in_body);
-    v_body = in_body;
-#if SHADING_NORMALS
-    v_normal = sector_from_sonar * (mat3(sonar_from_body) * in_normal);
+    v_reflectivity = body_echo.x;
+    v_body = uint(body_echo.y);
+#if FACE_REFLECTIVITY
+    v_reflectivity *= in_reflectivity;
 #endif
-    gl_Position = clip_from_sonar * vec4(sonar_from_body * vec4(in_position, 1.0), 1.0);
+    vec4 p = vec4(in_position, 1.0);
+    vec4 in_sonar = vec4(dot(body_x, p), dot(body_y, p), dot(body_z, p), 1.0);
+#if SHADING_NORMALS
+    vec3 n = in_normal;
+    v_normal = sector_from_sonar * vec3(dot(body_x.xyz, n), dot(body_y.xyz, n), dot(body_z.xyz, n));
+#endif
+    gl_Position = clip_from_sonar * in_sonar;
 }

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from sonar_gl.compiled import compiled
-from sonar_gl.scene import Scene
 from sonar_gl.sonar import Sonar
 
 # Larger meshes are taken to show what their boxes would: adding up their faces costs too much.
@@ -56,11 +55,11 @@ def census(views, n_bodies: int, sonar: Sonar, gain) -> tuple[np.ndarray, np.nda
     return hits, echo
 
 
-def in_plain_sight(views, body, pose, sonar: Sonar) -> bool:
+def in_plain_sight(views, body, body_pose, pose, sonar: Sonar) -> bool:
     """Whether some vertex of a body that no sample met lies in the open, as the samples about it tell."""
     vertices = np.asarray(body.mesh.vertices, np.float64)
     vertices = vertices[:: max(1, len(vertices) // VERTICES)]
-    world = vertices @ body.pose[:3, :3].T + body.pose[:3, 3]
+    world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
     points = (world - pose[:3, 3]) @ pose[:3, :3]
     range_m = np.linalg.norm(points, axis=1)
     points = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)]
@@ -82,24 +81,26 @@ def in_plain_sight(views, body, pose, sonar: Sonar) -> bool:
 class Extent:
     """What each body of a scene could show at most, if nothing stood before it."""
 
-    def __init__(self, scene: Scene):
-        bounds = [np.asarray(body.mesh.bounds, np.float64) for body in scene.bodies]
+    def __init__(self, bodies):
+        bounds = [np.asarray(body.mesh.bounds, np.float64) for body in bodies]
         bounds = np.array(bounds).reshape(-1, 2, 3)
         self.centres, self.radii = bounds.mean(axis=1), np.linalg.norm(np.ptp(bounds, axis=1), axis=1) / 2
-        self.poses = np.array([body.pose for body in scene.bodies]).reshape(-1, 4, 4)
-        self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in scene.bodies])
+        self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
         # the shadow of a surface is half of it at most, and inside that of its sphere
         self.area_m2 = np.minimum(
             np.pi * self.radii**2,
-            [body.mesh.area / 2 if len(body.mesh.faces) <= MAX_FACES else np.inf for body in scene.bodies],
+            [body.mesh.area / 2 if len(body.mesh.faces) <= MAX_FACES else np.inf for body in bodies],
         )
 
-    def solid_angle(self, pose, sonar: Sonar, reach_rad: float) -> np.ndarray:
-        """(bodies + 1,) steradians that each body may fill; 0 where its sphere lies outside the fan."""
+    def solid_angle(self, where, pose, sonar: Sonar, reach_rad: float) -> np.ndarray:
+        """(bodies + 1,) steradians that each body may fill; 0 where its sphere lies outside the fan.
+
+        where : Whereabouts of the bodies
+        """
         out = np.zeros(len(self.radii) + 1)
         if not len(self.radii):
             return out
-        centres = np.einsum("nij,nj->ni", self.poses[:, :3, :3], self.centres) + self.poses[:, :3, 3]
+        centres = np.einsum("nij,nj->ni", where.poses[:, :3, :3], self.centres) + where.poses[:, :3, 3]
         x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
         distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
         wide = np.arcsin(np.minimum(self.radii / distance, 1.0))
@@ -107,7 +108,8 @@ class Extent:
         half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reach_rad
         beside = wide / np.maximum(np.cos(elevation), 1e-9)
         inside = (
-            (distance - self.radii < sonar.range_max_m)
+            where.shown
+            & (distance - self.radii < sonar.range_max_m)
             & (distance + self.radii > sonar.range_min_m)
             & (np.abs(elevation) - wide < math.radians(sonar.elevation_fov_deg) / 2)
             & (np.abs(np.arctan2(y, x)) - beside < half_azimuth)

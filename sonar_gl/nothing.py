@@ -10,15 +10,18 @@ from sonar_gl.scene import Scene
 from sonar_gl.sonar import Sonar
 
 
-def why_nothing(scene: Scene, sonar: Sonar, pose, views) -> str:
+def why_nothing(scene: Scene, where, sonar: Sonar, pose, views) -> str:
     """What was nearest, and why nothing came back.
 
     Parameters
     ----------
+    where : Whereabouts of the bodies
     views : (sector, (R, C, 4) plane and echo, _) of each sector, as rendered
     """
     if not scene.bodies:
         return "no echo came back: the scene has no bodies"
+    if not where.shown.any():
+        return "no echo came back: all bodies of the scene were taken away"
     inside = _nearest_in_view(views)
     if inside is not None:
         range_m, echo = inside
@@ -30,7 +33,7 @@ def why_nothing(scene: Scene, sonar: Sonar, pose, views) -> str:
         if echo <= 0:
             return f"no echo came back: {where}, of reflectivity 0 or seen edge-on"
         return f"no echo came back: {where}, and its echo is too weak to be told from zero"
-    name, point = _nearest_body(scene, pose)
+    name, point = _nearest_body(scene, where, pose)
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
     elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
@@ -56,13 +59,15 @@ def _nearest_in_view(views):
     return best
 
 
-def _nearest_body(scene: Scene, pose):
+def _nearest_body(scene: Scene, where, pose):
     """Name of the nearest body and its nearest point, metres in the sonar frame."""
     from trimesh.triangles import closest_point
 
     best = None
-    for body in scene.bodies:
-        sonar_from_body = np.linalg.inv(pose) @ body.pose
+    for body, body_pose, shown in zip(scene.bodies, where.poses, where.shown, strict=True):
+        if not shown:
+            continue
+        sonar_from_body = np.linalg.inv(pose) @ body_pose
         origin = np.linalg.inv(sonar_from_body)[:3, 3]
         triangles = np.asarray(body.mesh.vertices, np.float64)[np.asarray(body.mesh.faces)]
         points = closest_point(triangles, np.broadcast_to(origin, (len(triangles), 3)))

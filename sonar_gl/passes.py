@@ -37,10 +37,17 @@ class Pass:
         self.reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
 
-    def views(self, pose, labels: bool = False, whole: bool = False) -> list:
+    def views(self, pose, labels: bool = False, whole: bool = False, where=None) -> list:
         """Draw from `pose`: (sector, (R, C, 4) plane and echo, (R, C) body) of each; see `Renderer`."""
-        self.renderer.render(pose, labels, whole)
+        self.renderer.render([pose], [where], labels, whole)
         return list(self.renderer.views())
+
+    def views_of(self, poses, wheres, labels: bool = False) -> list[list]:
+        """The same of several poses, drawn at once; none of it is written to by the next drawing."""
+        self.renderer.turn()
+        self.renderer.render(poses, wheres, labels)
+        n, views = len(self.fan.sectors), list(self.renderer.views())
+        return [views[k : k + n] for k in range(0, len(views), n)]
 
     def intensity(self, views) -> np.ndarray:
         """(B, K) float32, with the gain."""
@@ -96,13 +103,21 @@ class Fixed:
     def __init__(self, passes: Passes, sampling: Sampling):
         self.now = passes.of(sampling)
 
-    def sense(self, pose, labels: bool):
+    def sense(self, pose, labels: bool, where=None, look: bool = False):
         """(views, intensity) of a ping."""
-        views = self.now.views(pose, labels)
+        views = self.now.views(pose, labels, where=where)
         return views, self.now.intensity(views)
 
-    def fix(self, poses):
+    def fix(self, poses, where=None):
         """Nothing: they are."""
+
+    def due(self, pose, where=None):
+        """No: nobody looks."""
+        return False
+
+    def changed(self, intensity):
+        """No."""
+        return False
 
     def estimate(self, pose):
         """None: nobody looks."""

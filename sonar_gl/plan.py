@@ -18,8 +18,8 @@ from sonar_gl.census import Extent, census, in_plain_sight
 from sonar_gl.fan import Sampling, half_of, rung_sampling
 from sonar_gl.lattice import SHEAR
 from sonar_gl.passes import Passes
-from sonar_gl.scene import Scene
 from sonar_gl.types import Error
+from sonar_gl.watch import Watch
 
 COARSEST_DEG, STEPS_PER_HALF = 1.0, 4  # of the ladder: so many rungs halve a sample's width
 FINEST_RUNG = 40  # or where the driver's limits are
@@ -32,9 +32,6 @@ FEW = 8  # samples on a body, below which its echo is held to be unknown
 APART = 0.7  # of the difference that two lattices make to a body's own echo
 SOME = 300  # samples on a body: of more, whole ones at the ends of range and aperture spoil the difference
 MOST_STEPS = 8  # at a time: estimates from very few samples are rough
-CHECK_EVERY = 24  # pings: a look costs about one and a half
-CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
-CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 POSES = 24  # of a sequence are tried
 
 
@@ -90,7 +87,7 @@ class Planner:
     Parameters
     ----------
     passes : Passes
-    scene, tolerance : as for `Simulator`
+    tolerance : as for `Simulator`
 
     Attributes
     ----------
@@ -99,10 +96,10 @@ class Planner:
     warning : None, or a sentence that the user has not been told yet
     """
 
-    def __init__(self, passes: Passes, scene: Scene, tolerance: float):
+    def __init__(self, passes: Passes, tolerance: float):
         self.tolerance = check_tolerance(tolerance)
-        self.passes, self.sonar, self.scene = passes, passes.sonar, scene
-        self.extent = Extent(scene)
+        self.passes, self.sonar, self.stock = passes, passes.sonar, passes.gpu.stock
+        self.extent = Extent(self.stock.bodies)
         self.reach_rad = passes.acoustics.beam_reach_rad(self.sonar)
         self.finest = FINEST_RUNG
         # a guess: what most scenes need
@@ -111,35 +108,45 @@ class Planner:
         self.rung = self._guess
         self.now = passes.of(sampling_of(self.sonar, self.rung))
         self.plan = self.warning = None
-        self._fixed, self._checked, self._since, self._told = False, None, 0, False
-        self._whole, self._planned = 0.0, set()
+        self._fixed, self._told, self._planned = False, False, set()
+        self._watch = Watch(self.sonar)
 
-    def sense(self, pose, labels: bool):
-        """(views, intensity) of a ping, with samples that keep the tolerance."""
-        look = not self._fixed and self._due(pose)
+    def sense(self, pose, labels: bool, where=None, look: bool = False):
+        """(views, intensity) of a ping, with samples that keep the tolerance.
+
+        Parameters
+        ----------
+        where : Whereabouts of the bodies, None for where they are by themselves
+        look : at what the samples are worth, due or not
+        """
+        look = self.due(pose, where) or look
         if look and self.plan is None:
-            self._choose(pose)
+            self._choose(pose, where)
             look = False
-        views = self.now.views(pose, labels or look)
+        views = self.now.views(pose, labels or look, where=where)
         intensity = self.now.intensity(views)
-        if not (look or self._fixed) and abs(intensity.sum() - self._whole) > CHECK_CHANGE * self._whole:
-            look, views = True, self.now.views(pose, labels=True)  # something came into view, or left
+        if not look and self.changed(intensity):
+            look, views = True, self.now.views(pose, labels=True, where=where)
         if look:
-            self.plan, steps = self._judge(pose, self.rung, (views, intensity))
+            self.plan, steps = self._judge(pose, where, self.rung, (views, intensity))
             if (steps > 0 and self.rung < self.finest) or steps <= -STEPS_PER_HALF:
-                self._choose(pose)
-                views = self.now.views(pose, labels)
+                self._choose(pose, where)
+                views = self.now.views(pose, labels, where=where)
                 intensity = self.now.intensity(views)
         self._tell()
         return views, intensity
 
-    def fix(self, poses) -> Plan:
+    def changed(self, intensity) -> bool:
+        """Whether something came into view, or left, since the last look."""
+        return not self._fixed and self._watch.changed(intensity)
+
+    def fix(self, poses, where=None) -> Plan:
         """Choose for all of some poses (for POSES of many), and stay with it."""
         picked = np.unique(np.linspace(0, len(poses) - 1, POSES).round().astype(int))
         plans, guess = [], self._guess
         for k in picked:
             self.rung = guess  # each as if it came first: the order does not count
-            plans.append(self._choose(poses[k]))
+            plans.append(self._choose(poses[k], where))
         self.rung, self._fixed = max(plan.rung for plan in plans), True
         finest = [plan for plan in plans if plan.rung == self.rung]
         self.plan = replace(
@@ -155,26 +162,16 @@ class Planner:
         """Of the error of a ping from `pose`; None where the samples were fixed for other poses."""
         return None if self._fixed and pose.tobytes() not in self._planned else self.plan.error_estimate
 
-    def _due(self, pose) -> bool:
-        """Whether to look at a ping from `pose`: the sonar has moved far, or a little for long."""
-        self._since += 1
-        if self.plan is None:
-            return True
-        moved = float(np.linalg.norm(pose[:3, 3] - self._checked[:3, 3]))
-        turned = np.trace(self._checked[:3, :3].T @ pose[:3, :3])
-        turned = math.acos(min(1.0, max(-1.0, (turned - 1) / 2)))
-        if moved <= 0.0 and turned < 1e-6:
-            return False
-        views_deg = self.sonar.azimuth_fov_deg / 4, self.sonar.elevation_fov_deg / 2
-        limit = math.radians(min(CHECK_TURN_DEG, *views_deg))
-        return self._since >= CHECK_EVERY or moved > CHECK_MOVE * self.sonar.range_max_m or turned > limit
+    def due(self, pose, where=None) -> bool:
+        """Whether to look at a ping from `pose`."""
+        return not self._fixed and (self._watch.due(pose, where or self.stock.where) or self.plan is None)
 
-    def _choose(self, pose) -> Plan:
+    def _choose(self, pose, where) -> Plan:
         """The coarsest rung that keeps the tolerance at `pose`, or the finest there is."""
         failed, kept, rung, found = -1, self.finest + 1, self.rung, {}
         while rung not in found:
             try:
-                found[rung], steps = self._judge(pose, rung)
+                found[rung], steps = self._judge(pose, where, rung)
             except Error:  # beyond the driver's limits
                 if rung == 0:
                     raise
@@ -195,24 +192,26 @@ class Planner:
         self.now = self.passes.of(self.plan.sampling)
         return self.plan
 
-    def _judge(self, pose, rung: int, made=None) -> tuple[Plan, int]:
+    def _judge(self, pose, where, rung: int, made=None) -> tuple[Plan, int]:
         """What a rung is worth at `pose`, and how many steps finer (or coarser, if negative) would do.
 
         made : (views, intensity) with labels, if they are there already
         """
-        sampling = sampling_of(self.sonar, rung)
+        sampling, where = sampling_of(self.sonar, rung), where or self.stock.where
         # in the mirror image of the lattice a rod that runs along its rows does not
         fine, coarse = self.passes.of(sampling), self.passes.of(half_of(sampling), -SHEAR)
+        if len(self.extent.radii) < len(self.stock.bodies):  # some were added
+            self.extent = Extent(self.stock.bodies)
         if made is None:
-            views = fine.views(pose, labels=True)
+            views = fine.views(pose, labels=True, where=where)
             made = views, fine.intensity(views)
         views, intensity = made
-        hits, echo = census(views, len(self.scene.bodies), self.sonar, fine.gain)
-        views = coarse.views(pose, labels=True)
+        hits, echo = census(views, len(self.stock.bodies), self.sonar, fine.gain)
+        views = coarse.views(pose, labels=True, where=where)
         difference = np.abs(intensity - coarse.intensity(views)).sum(dtype=np.float64)
-        _, other = census(views, len(self.scene.bodies), self.sonar, fine.gain)
+        _, other = census(views, len(self.stock.bodies), self.sonar, fine.gain)
         whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
-        self._checked, self._since, self._whole = pose, 0, whole
+        self._watch.looked(pose, where, whole)
         error = ERROR * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE
 
@@ -220,10 +219,11 @@ class Planner:
             steps = 0.0  # nothing to judge by, and none the wiser for coarser samples
         # A body's own echo: by the samples that met it, and by what the two lattices make of it. Of one that
         # few met the echo is not known: it counts if it could be strong, unless it is hidden.
-        strength = self.extent.solid_angle(pose, self.sonar, self.reach_rad) * self.extent.reflectivity
+        strength = self.extent.solid_angle(where, pose, self.sonar, self.reach_rad) * self.extent.reflectivity
         heard = echo > COUNTS * total
         for body in np.flatnonzero(~heard & (hits < FEW) & (strength * fine.gain.max() > COUNTS * total)):
-            heard[body] = in_plain_sight(made[0], self.scene.bodies[body - 1], pose, self.sonar)
+            one = self.stock.bodies[body - 1], where.poses[body - 1]
+            heard[body] = in_plain_sight(made[0], *one, pose, self.sonar)
         apart = np.where(hits < SOME, APART * np.abs(echo - other) / np.maximum(echo, 1e-30), 0.0)
         luck = np.maximum(_luck(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * heard
         worst = int(luck.argmax())
@@ -238,7 +238,7 @@ class Planner:
         plan = self.plan
         if not plan.met and not self._told:
             columns = plan.sampling.columns_per_beam * self.sonar.n_beams
-            name = f" ({self.scene.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
+            name = f" ({self.stock.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
             self.warning = (
                 f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
                 f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "

@@ -7,11 +7,13 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 
+from sonar_gl.cull import merge
+from sonar_gl.draws import Draws, SectorView
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import FAR_FACTOR
-from sonar_gl.gpu import NEAR_M, SceneOnGpu
+from sonar_gl.gpu import SceneOnGpu
+from sonar_gl.stock import NEAR_M
 from sonar_gl.types import Error, GBuffer
-from sonar_gl.window import window
 
 NOTHING = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
@@ -28,57 +30,75 @@ class Renderer:
         self.far_m = FAR_FACTOR * fan.sonar.range_max_m
         self.limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
+        self.sectors = [SectorView(sector) for sector in fan.sectors]
+        self.out = Draws()
         self.size = (0, 0)
         self.uniforms = {}
-        self.windows = []
+        self.windows, self.buffers = [], [{}, {}]
 
-    def render(self, pose: np.ndarray, labels: bool = False, whole: bool = False):
-        """Draw all sectors as seen from `pose`, world_from_sonar, and read them back.
+    def turn(self):
+        """Read the next picture into other arrays: those behind the last `views` stay once more."""
+        self.buffers.reverse()
+
+    def render(self, poses, wheres=(None,), labels: bool = False, whole: bool = False):
+        """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
 
         The arrays behind `views` are used again by the next call.
 
         Parameters
         ----------
+        poses, wheres : of the sonar, and for each the Whereabouts of the bodies, or None
         labels : read the bodies' numbers too
         whole : draw the empty water, too
         """
-        gpu, sectors = self.gpu, self.fan.sectors
-        windows, outside = [(0, 0, s.columns if whole else 0, s.rows) for s in sectors], True
-        if gpu.scene.bodies:
-            rotations, offsets, outside = gpu.place(pose)
-            if not whole:
-                windows = [window(s, gpu.bounds, rotations, offsets, NEAR_M) for s in sectors]
-        self.windows, self.labels = windows, labels
-        width, height = sum(w[2] for w in windows), max(w[3] for w in windows)
-        if width == 0:
+        placed = [self.gpu.stock.place(*spot) for spot in zip(poses, wheres, strict=True)]
+        gpu, stock, out, range_max_m = self.gpu, self.gpu.stock, self.out, self.fan.sonar.range_max_m
+        n_bodies, scenes = len(stock.bodies), []
+        rows = placed[0].rows if len(placed) == 1 else np.concatenate([one.rows for one in placed])
+        left = height = samples = 0
+        out.clear()
+        for number, one in enumerate(placed):
+            for view in self.sectors:
+                first, n_closed, n, window = 0, 0, 0, (0, 0, 0, 0)
+                if n_bodies:
+                    row = number * n_bodies
+                    first, n_closed, n, window = stock.see(view, one, self.far_m, range_max_m, row, out)
+                if whole:
+                    window = (0, 0, view.sector.columns, view.sector.rows)
+                filled = slice(samples, out.counts["samples"])
+                samples = filled.stop
+                scenes.append((view, window, left, first, n_closed if one.outside else 0, n, filled))
+                left, height = left + window[2], max(height, window[3])
+        self.windows, self.labels = [scene[1] for scene in scenes], labels
+        if left == 0:
             return
-        self._fit(width, height)
+        self._fit(left, height)
         framebuffer = self.framebuffers[labels]
         framebuffer.use()
-        framebuffer.clear(depth=1.0, viewport=(0, 0, width, height))
-        if gpu.scene.bodies:
+        framebuffer.clear(depth=1.0, viewport=(0, 0, left, height))
+        if out.counts["draws"]:
+            gpu.upload(rows, out)
             array = gpu.array(labels)
-            gpu.body_table.use(0)
-            gpu.face_table.use(1)
-            left = 0
-            for number, (sector, (i, j, columns, rows)) in enumerate(zip(sectors, windows, strict=True)):
-                framebuffer.viewport = (left - i, -j, sector.columns, sector.rows)
-                framebuffer.scissor = (left, 0, columns, rows)
-                for name, value in self._uniforms(array.program, number):
+            for view, (i, j, columns, n_rows), at, first, split, n, _ in scenes:
+                sector = view.sector
+                framebuffer.viewport = (at - i, -j, sector.columns, sector.rows)
+                framebuffer.scissor = (at, 0, columns, n_rows)
+                for name, value in self._uniforms(array.program, view):
                     array.program[name].write(value)
                 for name in ("u", "v"):  # pixels count from the framebuffer's corner
                     u = getattr(sector, name)
-                    array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
-                split = gpu.n_closed_faces if outside else 0
-                if split:
-                    self._draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, 0, split)
-                if split < gpu.n_faces:
-                    self._draw(array, moderngl.DEPTH_TEST, split, gpu.n_faces - split)
-                left += columns
+                    array.program[name] = (u[0] + u[1] * (i - at) + u[2] * j, u[1], u[2])
+                gpu.draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, rows, out, first, split)
+                gpu.draw(array, moderngl.DEPTH_TEST, rows, out, first + split, n - split)
             framebuffer.scissor = None
-        self.plane_echo = self._read(framebuffer, width, height, 4, "f4", 0)
+        self.plane_echo = self._read(framebuffer, left, height, 4, "f4", 0)
         if labels:
-            self.body_id = self._read(framebuffer, width, height, 1, "u2", 1)
+            self.body_id = self._read(framebuffer, left, height, 1, "u2", 1)
+        bodies = self.body_id if labels else NOTHING[1]
+        for _, (i, j, *_), at, *_, filled in scenes:
+            merge(
+                out.places[filled], out.values[filled], out.bodies[filled], i, j, at, self.plane_echo, bodies
+            )
 
     def _check_size(self, width: int, height: int):
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
@@ -107,11 +127,13 @@ class Renderer:
             False: self.context.framebuffer([plane_echo], depth),
             True: self.context.framebuffer([plane_echo, body_id], depth),
         }
-        self.buffers = {4: np.empty(self.size[0] * self.size[1] * 4, np.float32)}
-        self.buffers[1] = np.zeros(self.size[0] * self.size[1], np.uint16)
+        self.buffers = [{}, {}]
 
     def _read(self, framebuffer, width, height, components, dtype, attachment):
-        out = self.buffers[components][: width * height * components]
+        buffers, n = self.buffers[0], self.size[0] * self.size[1]
+        if components not in buffers:
+            buffers[components] = np.zeros(n * components, dtype)
+        out = buffers[components][: width * height * components]
         framebuffer.read_into(
             out,
             viewport=(0, 0, width, height),
@@ -122,16 +144,14 @@ class Renderer:
         )
         return out.reshape(height, width, components) if components > 1 else out.reshape(height, width)
 
-    def _uniforms(self, program, number: int) -> list[tuple[str, bytes]]:
+    def _uniforms(self, program, view) -> list[tuple[str, bytes]]:
         """What a program needs to know of a sector; the same for every ping."""
-        key = (program.glo, number)
+        key = (program.glo, id(view))
         if key not in self.uniforms:
-            sector = self.fan.sectors[number]
-            pixel_from_uv = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
             values = {
-                "clip_from_sonar": sector.projection(NEAR_M, self.far_m).T,
-                "sector_from_sonar": sector.rotation().T,
-                "pixel_from_uv": pixel_from_uv.T,
+                "clip_from_sonar": view.sector.projection(NEAR_M, self.far_m).T,
+                "sector_from_sonar": view.sector.rotation().T,
+                "pixel_from_uv": view.inverse.T,
                 "far_m": self.far_m,
             }
             self.uniforms[key] = [
@@ -141,19 +161,14 @@ class Renderer:
             ]
         return self.uniforms[key]
 
-    def _draw(self, array, flags: int, first_face: int, n_faces: int):
-        self.context.enable_only(flags)
-        if "first_face" in array.program:
-            array.program["first_face"].value = first_face
-        array.render(vertices=3 * n_faces, first=3 * first_face)
-
     def views(self):
         """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector, of the last render.
 
         The sector is that of the window: its lattice begins there.
         """
         left = 0
-        for sector, (i, j, columns, rows) in zip(self.fan.sectors, self.windows, strict=True):
+        sectors = [view.sector for view in self.sectors] * (len(self.windows) // len(self.sectors))
+        for sector, (i, j, columns, rows) in zip(sectors, self.windows, strict=True):
             if columns == 0:
                 yield replace(sector, columns=0, rows=0), *NOTHING
                 continue

@@ -1,32 +1,26 @@
-"""One run: the GL objects of a scene and a sonar, and the stages that make pings of them."""
+"""One run: a sonar in a world, and the stages that make pings of them."""
 
 from __future__ import annotations
 
-import math
-import os
 import pickle
-import threading
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
+from itertools import count, repeat
 
-import numpy as np
-
-from sonar_gl import gl
-from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.fan import Fan, Sampling, make_fan
-from sonar_gl.gpu import SceneOnGpu
-from sonar_gl.load import data_folder
+from sonar_gl.cloud import points_of
+from sonar_gl.fan import Fan, Sampling
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.nothing import why_nothing
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
-from sonar_gl.render import Renderer
 from sonar_gl.scene import Scene, check_pose
+from sonar_gl.sequence import about, in_batches, several
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
+from sonar_gl.world import World
 
 
 class Simulator:
@@ -34,11 +28,14 @@ class Simulator:
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene; or another Simulator, to put a second sonar into its scene: both share the OpenGL context,
+        the meshes and what is done to the bodies
     sonar : Sonar
     acoustics : Acoustics; None is `Acoustics.physical()`
     sampling : Sampling, overrides what `tolerance` would choose
     tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
+    device : index of an EGL device, as `sonar-gl doctor` lists them; None is that of the environment variable
+        SONAR_GL_DEVICE, or else the first
 
     Raises
     ------
@@ -53,41 +50,46 @@ class Simulator:
         acoustics: Acoustics | None = None,
         sampling: Sampling | None = None,
         tolerance: float = 0.01,
+        device: int | None = None,
     ):
+        self._world = None
         for name, value, kind, cure in (
-            ("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file"),
+            ("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file"),
             ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
             ("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()"),
             ("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)"),
         ):
             check_kind(name, value, kind, cure)
-        self.scene, self.sonar = scene, sonar
+        self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
-        self._azimuth_rad, self._range_m = sonar.azimuth_rad, sonar.range_m
-        self._azimuth_rad.setflags(write=False)  # all pings share them
-        self._range_m.setflags(write=False)
-        self._context = gl.create_context()
-        with self._context:
-            self.gl_info = gl.describe(self._context)
-            gpu = SceneOnGpu(self._context, scene, data_folder("shaders"))
-            self._passes = Passes(gpu, sonar, self.acoustics)
-            self._samples = (
-                Planner(self._passes, scene, tolerance) if sampling is None else Fixed(self._passes, sampling)
-            )
+        self._axes = sonar.azimuth_rad, sonar.range_m
+        for axis in self._axes:
+            axis.setflags(write=False)  # all pings share them
+        world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device)
+        world.users += 1
+        self._world, self.gl_info = world, world.gl_info
+        self._passes = Passes(world.gpu, sonar, self.acoustics)
+        with self._drawing():
+            given = sampling is not None
+            self._samples = Fixed(self._passes, sampling) if given else Planner(self._passes, tolerance)
             self._passes.warm()
-        meta = {
-            "sonar": asdict(sonar),
-            "acoustics": self.acoustics.meta(),
-            "profile": self.acoustics.profile,
-            "tolerance": self._samples.tolerance,
-            "bin_size_m": sonar.bin_size_m,
-            "scene": scene.name,
-            "bodies": [body.name for body in scene.bodies],
-            "version": __version__,
-            "gl_renderer": self.gl_info["renderer"],
-        }
-        self._meta = pickle.dumps(meta)  # each ping gets its own copy, ten times quicker than by deepcopy
+        self._describe()
+
+    def _describe(self):
+        self._described = self.scene
+        self._meta = pickle.dumps(  # each ping gets its own copy, ten times quicker than by deepcopy
+            about(self.sonar, self.acoustics, self._samples.tolerance, self.scene, self.gl_info["renderer"])
+        )
+
+    def _open_world(self) -> World:
+        if self._world is None:
+            raise Error("this Simulator is closed; make a new one")
+        return self._world
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, with all bodies that were added to it."""
+        return self._open_world().scene
 
     @property
     def sampling(self) -> Sampling:
@@ -112,12 +114,10 @@ class Simulator:
         -------
         Plan, or None if the samples were given to begin with
         """
-        if not isinstance(poses, Iterable) or np.ndim(poses) == 2:
-            raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
-        if not (poses := [check_pose(pose) for pose in poses]):
+        if not (poses := [check_pose(pose) for pose in several(poses)]):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
-            plan = self._samples.fix(poses)
+            plan = self._samples.fix(poses, self._world.where)
         self._warn()
         return plan
 
@@ -127,7 +127,13 @@ class Simulator:
             self._samples.warning = None
 
     def ping(
-        self, pose, noise: Noise | None = None, seed: int = 0, labels: bool = False, ping_number: int = 0
+        self,
+        pose,
+        noise: Noise | None = None,
+        seed: int = 0,
+        labels: bool = False,
+        ping_number: int = 0,
+        bodies: dict | None = None,
     ) -> Ping:
         """One transmission from `pose` and what it brings back.
 
@@ -137,6 +143,7 @@ class Simulator:
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes
         labels : also find the body of the strongest echo in each bin, and its elevation
+        bodies : of this ping alone, names to (4, 4) world_from_body, or to None for what is not there
 
         Warns
         -----
@@ -145,36 +152,63 @@ class Simulator:
         """
         pose, seed = check_pose(pose), check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        body_id = elevation_rad = body_echo = None
         with self._drawing():
-            views, intensity = self._samples.sense(pose, labels)
-            if labels:
-                now, n_bodies = self._samples.now, len(self.scene.bodies)
-                body_id, elevation_rad, body_echo = now.reducer.labels(views, now.gain, n_bodies)
-            has_echo = bool(intensity.max() > 0)
-            if not has_echo:
-                warnings.warn(why_nothing(self.scene, self.sonar, pose, views), stacklevel=2)
+            where = self._world.moved(bodies)
+            views, intensity = self._samples.sense(pose, labels, where)
+            now = self._samples.now
+            found = now.reducer.labels(views, now.gain, len(self.scene.bodies)) if labels else (None,) * 3
+            ping = self._finish(pose, where, now.sampling, views, intensity, found, seed)
         self._warn()
-        for array in (intensity, body_id, elevation_rad, body_echo):
+        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+
+    def pings(self, poses, noise=None, seed: int = 0, labels: bool = False, bodies=None) -> Iterator[Ping]:
+        """Pings from one pose after the other, quicker than by themselves: while some are drawn those before
+        are summed.
+
+        Parameters
+        ----------
+        poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
+        noise, seed, labels : as of `ping`; the noise's ping_number counts from 0
+        bodies : for each pose what `ping` takes as `bodies`; None for none at all
+
+        Yields
+        ------
+        Ping
+        """
+        seed = check_seed(seed)
+        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
+        spots = zip(several(poses), bodies or repeat(None), strict=False)
+        spots = ((check_pose(pose), moved) for pose, moved in spots)
+        for number, made in zip(count(), in_batches(self, spots, labels), strict=False):
+            ping = self._finish(*made, seed)
+            self._warn()
+            yield ping if noise is None else add_noise(ping, noise, seed, number)
+
+    def _finish(self, pose, where, sampling, views, intensity, found, seed) -> Ping:
+        """A ping from what was summed; `found` : of `Reducer.labels`, or three None."""
+        has_echo = bool(intensity.max() > 0)
+        if not has_echo:
+            warnings.warn(why_nothing(self.scene, where, self.sonar, pose, views), stacklevel=3)
+        for array in (intensity, *found):
             if array is not None:
                 array.setflags(write=False)
-        ping = Ping(
-            intensity,
-            self._azimuth_rad,
-            self._range_m,
-            body_id,
-            elevation_rad,
-            pose,
-            {
-                **pickle.loads(self._meta),
-                "sampling": asdict(self.sampling),
-                "seed": seed,
-                "has_echo": has_echo,
-            },
-            body_echo,
-            self._samples.estimate(pose),
-        )
-        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+        body_id, elevation_rad, body_echo = found
+        if self._described is not self.scene:  # bodies were added
+            self._describe()
+        meta = pickle.loads(self._meta)
+        meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo}
+        estimate = self._samples.estimate(pose)
+        return Ping(intensity, *self._axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
+
+    def place(self, bodies: dict) -> None:
+        """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away."""
+        with self._drawing():
+            self._world.gpu.stock.where = self._world.moved(bodies)
+
+    def add(self, *bodies) -> None:
+        """Put more bodies into the scene; the numbers of those that are there stay."""
+        with self._drawing():
+            self._world.add(bodies)
 
     def gbuffers(self, pose) -> list[GBuffer]:
         """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
@@ -191,53 +225,30 @@ class Simulator:
             as asked for: beyond one perspective view, columns' is a multiple of the views
         echo : (rows', columns') float32, μ cos θ
         """
-        # one beam a column, that reach to the edges of the field of view and not beyond
-        sonar = replace(self.sonar, n_beams=columns, beam_azimuths_deg=None)
-        reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
-        fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
-        with self._drawing() as context:
-            renderer = Renderer(context, self._passes.gpu, fan)
-            renderer.render(check_pose(pose), whole=True)
-        points, echoes = [], []
-        for sector, plane_echo, _ in renderer.views():
-            u, v = sector.rays()
-            q = plane_echo[..., 0]
-            missed = (q <= 0) | (np.abs(v) > sector.tan_elevation * np.sqrt(1 + u * u))
-            x = np.where(missed, np.nan, 1 / np.where(missed, 1, q))
-            echo = plane_echo[..., 3] / (x * np.sqrt(1 + u * u + v * v))
-            rays = np.stack([x, -u * x, v * x], axis=-1) @ sector.rotation()
-            # only this sector's own rays, by rising azimuth
-            inner = np.abs(u[0]) < math.tan(sector.half_width_rad)
-            points.append(rays[:, inner][:, ::-1].astype(np.float32))
-            echoes.append(np.where(missed, 0, echo)[:, inner][:, ::-1])
-        return np.concatenate(points, axis=1), np.concatenate(echoes, axis=1)
+        with self._drawing():
+            return points_of(self._world.gpu, self.sonar, check_pose(pose), columns, rows)
 
     @contextmanager
     def _drawing(self):
-        """This simulator's context, current for the time of the block, in one thread at a time."""
-        if os.getpid() != self._process:
-            raise Error("a Simulator must be used in the process that made it; make one in each process")
-        with self._lock:
-            if self._context is None:
+        """The context, current for the time of the block, in one thread at a time."""
+        world = self._open_world()
+        with world.drawing() as context:
+            if self._world is None:  # closed while this one waited
                 raise Error("this Simulator is closed; make a new one")
-            with self._context as context:
-                context.gc()
-                yield context
+            yield context
 
     def close(self):
-        """Give the OpenGL context and all it holds back; twice does no harm."""
-        if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
-            self._context = None
-            return
-        with self._lock:
-            context, self._context = self._context, None
-            if context is not None:
-                self._passes.close()
-                with context:
-                    self._passes = self._samples = None
-                    context.gc()
-                context.release()
-        gl.release_discarded()
+        """Give back all that this simulator holds, and the OpenGL context if no other uses it.
+
+        Twice does no harm.
+        """
+        world, self._world = self._world, None
+        if world is not None:
+            world.leave(self._give_back)
+
+    def _give_back(self):
+        self._passes.close()
+        self._passes = self._samples = None
 
     def __enter__(self):
         return self
@@ -246,5 +257,6 @@ class Simulator:
         self.close()
 
     def __del__(self):
-        if getattr(self, "_context", None) is not None and os.getpid() == self._process:
-            gl.discard(self._context)
+        world = getattr(self, "_world", None)
+        if world is not None:
+            world.forget()

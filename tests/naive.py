@@ -6,13 +6,14 @@ Those that draw are our own simulator with one of its cures taken out.
 import math
 import tempfile
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl import fan, gpu, lattice, load, render, simulator
+from sonar_gl import fan, lattice, load, render, stock, world
 
 
 @contextmanager
@@ -37,13 +38,13 @@ def near_plane_at(range_m):
 @contextmanager
 def back_faces_always_culled():
     """Back faces are left out of open meshes too, and wherever the sonar is."""
-    place = gpu.SceneOnGpu.place
+    place = stock.Stock.place
 
-    def cull(self, pose):
-        self.n_closed_faces = self.n_faces
-        return *place(self, pose)[:-1], True  # "back faces may be left out"
+    def cull(self, *args):
+        self.closed = np.ones_like(self.closed)
+        return replace(place(self, *args), outside=True)  # "back faces may be left out"
 
-    with mock.patch.object(gpu.SceneOnGpu, "place", cull):
+    with mock.patch.object(stock.Stock, "place", cull):
         yield
 
 
@@ -55,7 +56,7 @@ def projection_depth():
             if path.suffix in (".vert", ".frag", ".glsl"):
                 text = path.read_text(encoding="utf-8").replace("gl_FragDepth =", "float unused =")
                 (Path(folder) / path.name).write_text(text, encoding="utf-8")
-        with mock.patch.object(simulator, "data_folder", lambda _: Path(folder)):
+        with mock.patch.object(world, "data_folder", lambda _: Path(folder)):
             yield
 
 

@@ -10,8 +10,9 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.census import census
-from sonar_gl.plan import CHECK_EVERY, sampling_of
+from sonar_gl.plan import sampling_of
 from sonar_gl.verify import ping_error
+from sonar_gl.watch import CHECK_EVERY
 
 SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()

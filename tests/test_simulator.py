@@ -412,7 +412,7 @@ def test_point_clouds_leave_no_gl_objects_behind():
         waiting = []
         for _ in range(6):
             it.point_cloud(np.eye(4), 40, 10)
-            waiting.append(len(it._context.objects))
+            waiting.append(len(it._world.context.objects))
         assert len(set(waiting[1:])) == 1
 
 
@@ -426,12 +426,13 @@ def test_a_ping_that_waits_while_another_thread_closes():
         except Exception as why:
             outcome.append(why)
 
-    with it._lock:
+    world = it._world
+    with world.lock:
         waiting = threading.Thread(target=wait)
         waiting.start()
         time.sleep(0.1)
-        context, it._context = it._context, None
+        context, world.context = world.context, None
     waiting.join()
-    it._context = context
+    world.context = context
     it.close()
     assert [type(why) for why in outcome] == [sg.Error]

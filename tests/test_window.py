@@ -8,7 +8,8 @@ import trimesh
 from worlds import random_world
 
 import sonar_gl as sg
-from sonar_gl.window import window
+from sonar_gl.draws import Draws, SectorView
+from sonar_gl.stock import Stock
 
 
 def drawn(scene, sonar, pose, sampling):
@@ -66,10 +67,12 @@ def test_every_ray_that_meets_a_box_is_in_the_window():
         box = trimesh.creation.box(rng.uniform(0.1, 8, 3))
         pose = trimesh.transformations.random_rotation_matrix(rng.random(3))
         pose[:3, 3] = rng.uniform(-8, 8, 3)
+        stock = Stock()
+        stock.add([sg.Body("box", box, pose)])
         for sector in sectors:
-            i, j, columns, rows = window(
-                sector, box.bounds[None], pose[None, :3, :3], pose[None, :3, 3], 1e-3
-            )
+            i, j, columns, rows = stock.see(SectorView(sector), stock.place(np.eye(4)), 1e3, 1e3, 0, Draws())[
+                -1
+            ]
             u, v = sector.rays()
             d = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation() @ pose[:3, :3]
             origin = -pose[:3, 3] @ pose[:3, :3]

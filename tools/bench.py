@@ -4,6 +4,8 @@
     python tools/bench.py                              # all scenes, some minutes
     python tools/bench.py --quick                      # fewer repeats and rays, less than a minute
     python tools/bench.py --scene pylon --json out.json
+    python tools/bench.py --paper                      # Table I of the founding paper, ours beside theirs
+    python tools/bench.py --start                      # time and memory of fresh processes
 
 The setting is one for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile
 `ideal`. What is compared is interleaved, round by round, and told as medians; ratios are medians of the
@@ -30,11 +32,13 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 from time import perf_counter
 
+import bench_paper
+import bench_start
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.plan import CHECK_EVERY
 from sonar_gl.verify import ping_error
+from sonar_gl.watch import CHECK_EVERY
 
 SCENES = ("pylon", "diver", "ocean_floor")
 SONAR = sg.Sonar(
@@ -227,7 +231,15 @@ def main():
         "--rays", type=int, help="of a reference at most; 80 million, or 4 if quick; 0 for no errors"
     )
     parser.add_argument("--json", metavar="FILE", help="write all figures there too")
+    parser.add_argument("--paper", action="store_true", help="only what tools/bench_paper.py prints")
+    parser.add_argument("--start", action="store_true", help="only what tools/bench_start.py prints")
     options = parser.parse_args()
+    if options.paper:
+        bench_paper.tell(bench_paper.paper_table(options.repeats or 200))
+    if options.start:
+        bench_start.tell(bench_start.start_costs(options.repeats or 5))
+    if options.paper or options.start:
+        return
     repeats = options.repeats or (12 if options.quick else 100)
     n_rays = options.rays if options.rays is not None else (4_000_000 if options.quick else 80_000_000)
     with sg.Simulator(sg.Scene([]), SONAR) as simulator:

@@ -1,0 +1,101 @@
+"""A scene in a context: what the simulators of several sonars may share."""
+
+from __future__ import annotations
+
+import os
+import threading
+from contextlib import contextmanager
+
+from sonar_gl import gl
+from sonar_gl.draws import Whereabouts
+from sonar_gl.gpu import SceneOnGpu
+from sonar_gl.load import data_folder
+from sonar_gl.scene import Body, Scene, check_pose
+from sonar_gl.types import Error, check_kind
+
+
+class World:
+    """A context and a scene's bodies in it, used by one simulator or several, one at a time.
+
+    Attributes
+    ----------
+    scene : Scene, of all bodies that there are
+    """
+
+    def __init__(self, scene: Scene, device: int | None = None):
+        self.context, self.lock, self.process = None, threading.Lock(), os.getpid()
+        self.scene, self.users = scene, 0
+        self.context = gl.create_context(device)
+        with self.context:
+            self.gl_info = gl.describe(self.context)
+            self.gpu = SceneOnGpu(self.context, scene, data_folder("shaders"))
+        self._number()
+
+    def _number(self):
+        self.numbers = {body.name: number for number, body in enumerate(self.scene.bodies)}
+
+    @contextmanager
+    def drawing(self):
+        """The context, current for the time of the block, in one thread at a time."""
+        if os.getpid() != self.process:
+            raise Error("a Simulator must be used in the process that made it; make one in each process")
+        with self.lock:
+            if self.context is None:
+                raise Error("this Simulator is closed; make a new one")
+            with self.context as context:
+                context.gc()
+                yield context
+
+    @property
+    def where(self) -> Whereabouts:
+        """The bodies, for pings that are not told otherwise."""
+        return self.gpu.stock.where
+
+    def moved(self, bodies) -> Whereabouts:
+        """Where bodies are when some are elsewhere.
+
+        Parameters
+        ----------
+        bodies : None, or names to (4, 4) world_from_body, or to None for what is not there
+        """
+        if not bodies:
+            return self.where
+        check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
+        poses, shown = self.where.poses.copy(), self.where.shown.copy()
+        for name, pose in bodies.items():
+            if name not in self.numbers:
+                known = ", ".join(map(repr, self.numbers)) or "none"
+                raise Error(f"bodies must be bodies of the scene (got {name!r}; there are: {known[:200]})")
+            number = self.numbers[name]
+            shown[number] = pose is not None
+            if pose is not None:
+                poses[number] = check_pose(pose, f"the pose of body {name!r}")
+        return Whereabouts(poses, shown)
+
+    def add(self, bodies) -> None:
+        """More bodies; inside `drawing`."""
+        for body in bodies:
+            check_kind("body", body, Body, "such as sonar_gl.Body('box', mesh)")
+        self.scene = Scene([*self.scene.bodies, *bodies], self.scene.sonar_pose, self.scene.name)
+        self.gpu.add(bodies)
+        self._number()
+
+    def leave(self, give_back) -> None:
+        """One user less: have it give its GL objects back; after the last the context goes, too."""
+        if os.getpid() != self.process:  # of a fork: the context and the lock are the parent's
+            return
+        with self.lock:
+            with self.context as context:
+                give_back()
+                context.gc()
+            self.users -= 1
+            if self.users == 0:
+                self.context = self.gpu = None
+                context.release()
+        gl.release_discarded()
+
+    def forget(self) -> None:
+        """One user less who was not closed: nothing may be drawn or released now."""
+        self.users -= 1
+        if self.users == 0 and self.context is not None and os.getpid() == self.process:
+            gl.discard(self.context)
