@@ -57,7 +57,7 @@ def census(views, n_bodies: int, sonar: Sonar, gain) -> tuple[np.ndarray, np.nda
 
 def in_plain_sight(views, body, body_pose, pose, sonar: Sonar) -> bool:
     """Whether some vertex of a body that no sample met lies in the open, as the samples about it tell."""
-    vertices = np.asarray(body.mesh.vertices, np.float64)
+    vertices = np.asarray(body.surface.vertices, np.float64)
     vertices = vertices[:: max(1, len(vertices) // VERTICES)]
     world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
     points = (world - pose[:3, 3]) @ pose[:3, :3]
@@ -78,18 +78,32 @@ def in_plain_sight(views, body, body_pose, pose, sonar: Sonar) -> bool:
     return False
 
 
+def _bounds(surface) -> np.ndarray:
+    """(2, 3) least and largest coordinates of the vertices that faces use."""
+    used = np.zeros(len(surface.vertices), bool)
+    used[np.asarray(surface.faces)] = True
+    vertices = np.asarray(surface.vertices, np.float64)[used]
+    return np.array([vertices.min(axis=0), vertices.max(axis=0)])
+
+
+def _area_m2(surface) -> float:
+    """Area of a mesh."""
+    a, b, c = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces).T]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
 class Extent:
     """What each body of a scene could show at most, if nothing stood before it."""
 
     def __init__(self, bodies):
-        bounds = [np.asarray(body.mesh.bounds, np.float64) for body in bodies]
-        bounds = np.array(bounds).reshape(-1, 2, 3)
+        surfaces = [body.surface for body in bodies]
+        bounds = np.array([_bounds(surface) for surface in surfaces]).reshape(-1, 2, 3)
         self.centres, self.radii = bounds.mean(axis=1), np.linalg.norm(np.ptp(bounds, axis=1), axis=1) / 2
         self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
         # the shadow of a surface is half of it at most, and inside that of its sphere
         self.area_m2 = np.minimum(
             np.pi * self.radii**2,
-            [body.mesh.area / 2 if len(body.mesh.faces) <= MAX_FACES else np.inf for body in bodies],
+            [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces],
         )
 
     def solid_angle(self, where, pose, sonar: Sonar, reach_rad: float) -> np.ndarray:

@@ -17,6 +17,7 @@ from sonar_gl.types import Error, Ping, nearest_names
 
 MAX_HEIGHT = 16000  # cv2.remap counts pixels in 16 bits, and a picture may be twice as wide as high
 LONE_BEAM_RAD = math.radians(1.0)  # width drawn for a single beam of which the ping says no more
+_ROWS = 64  # that a map is worked out for at a time: 20 MB less than all at once
 _OUTSIDE = -16.0  # where the map of a pixel outside the fan points: far enough that no echo leaks in
 
 
@@ -184,25 +185,28 @@ def _plan(geometry: FanGeometry, shape: tuple[int, int], table: bytes):
     stops = np.append(starts[1:], n_bins)
     bands = tuple((int(a), int(b), int(odd[a])) for a, b in zip(starts, stops, strict=True) if odd[a] > 1)
 
-    row, column = np.ogrid[: geometry.height, : geometry.width]
-    forward, port = geometry.sonar_row - row, geometry.sonar_column - column
-    range_m = np.hypot(forward, port) / scale
-    psi = np.arctan2(port, forward)
-    middle = (low + high) / 2
-    psi = middle + np.remainder(psi - middle + np.pi, 2 * np.pi) - np.pi  # fans need not be centred on 0
-    inside = (range_m >= inner_m) & (range_m <= outer_m) & (psi >= low) & (psi <= high)
-    if geometry.full_circle:
-        inside = (range_m >= inner_m) & (range_m <= outer_m)
-    # index of the beam, the fan's edges half a beam outside the outer ones
-    index = np.interp(
-        psi,
-        np.concatenate([[low], azimuth, [high]]),
-        np.concatenate([[-0.5], np.arange(shape[0]), [shape[0] - 0.5]]),
-    )
-    beam = (index + 0.5) * (n_beams / shape[0]) - 0.5
-    beam = beam + 1 if geometry.full_circle else beam.clip(0, n_beams - 1)
-    bin_ = ((range_m - inner_m) / cell_m - 0.5).clip(0, n_bins - 1)
-    maps = [np.where(inside, m, _OUTSIDE).astype(np.float32) for m in (bin_, beam)]
+    maps = np.empty((2, geometry.height, geometry.width), np.float32)
+    for top in range(0, geometry.height, _ROWS):
+        row, column = np.ogrid[top : min(top + _ROWS, geometry.height), : geometry.width]
+        forward, port = geometry.sonar_row - row, geometry.sonar_column - column
+        range_m = np.hypot(forward, port) / scale
+        psi = np.arctan2(port, forward)
+        middle = (low + high) / 2
+        psi = middle + np.remainder(psi - middle + np.pi, 2 * np.pi) - np.pi  # fans need not be centred on 0
+        inside = (range_m >= inner_m) & (range_m <= outer_m) & (psi >= low) & (psi <= high)
+        if geometry.full_circle:
+            inside = (range_m >= inner_m) & (range_m <= outer_m)
+        # index of the beam, the fan's edges half a beam outside the outer ones
+        index = np.interp(
+            psi,
+            np.concatenate([[low], azimuth, [high]]),
+            np.concatenate([[-0.5], np.arange(shape[0]), [shape[0] - 0.5]]),
+        )
+        beam = (index + 0.5) * (n_beams / shape[0]) - 0.5
+        beam = beam + 1 if geometry.full_circle else beam.clip(0, n_beams - 1)
+        bin_ = ((range_m - inner_m) / cell_m - 0.5).clip(0, n_bins - 1)
+        for whole, part in zip(maps, (bin_, beam), strict=True):
+            whole[top : top + _ROWS] = np.where(inside, part, _OUTSIDE)
     # places to 1/32, as all but new versions of OpenCV round them, in floats, which new ones are quicker with
     maps = cv2.convertMaps(*cv2.convertMaps(*maps, cv2.CV_16SC2), cv2.CV_32FC1)
     return (n_beams, n_bins), bands, maps

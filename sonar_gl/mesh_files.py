@@ -118,7 +118,9 @@ def read_mesh(path, submesh: str | None = None, center: bool = False):
         raise Error(f"{path}: there is no submesh {submesh!r} (it has {known})")
     mesh, normals = concatenate(chosen)
     if center:
-        mesh, normals = make_shape(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces, normals)
+        used = mesh.vertices[np.unique(mesh.faces)]
+        middle = (used.min(axis=0) + used.max(axis=0)) / 2
+        mesh, normals = make_shape(mesh.vertices - middle, mesh.faces, normals)
     return mesh, normals
 
 

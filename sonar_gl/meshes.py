@@ -1,10 +1,12 @@
 """Triangles of simple shapes, with shading normals or without.
 
-A *shape* is a pair (trimesh.Trimesh, normals): normals are (V, 3) float32 of unit length, zero where a vertex
-has none and is shaded flat, or None where no vertex has one. Vertices lie on the true surface.
+A *shape* is a pair (Triangles, normals): normals are (V, 3) float32 of unit length, zero where a vertex has
+none and is shaded flat, or None where no vertex has one. Vertices lie on the true surface.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +16,22 @@ MAX_CLOSED_FACES = 50_000
 INFINITE_M = 2000.0  # width that a plane without edges is drawn with
 
 
+class Triangles(NamedTuple):
+    """All that a ping needs of a mesh: (V, 3) float64 vertices, metres, and (F, 3) int64 faces."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def to_trimesh(self):
+        """The same as a trimesh.Trimesh."""
+        import trimesh  # half a second and 45 MB, and no ping needs it
+
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+
 def make_shape(vertices, faces, normals=None):
     """A shape of (V, 3) metres, (F, 3) and (V, 3) normals or None; normals are made unit, bad ones zero."""
-    import trimesh
-
-    mesh = trimesh.Trimesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), process=False)
+    mesh = Triangles(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64))
     return mesh, None if normals is None else _unit_or_zero(normals)
 
 

@@ -69,7 +69,7 @@ def _nearest_body(scene: Scene, where, pose):
             continue
         sonar_from_body = np.linalg.inv(pose) @ body_pose
         origin = np.linalg.inv(sonar_from_body)[:3, 3]
-        triangles = np.asarray(body.mesh.vertices, np.float64)[np.asarray(body.mesh.faces)]
+        triangles = np.asarray(body.surface.vertices, np.float64)[np.asarray(body.surface.faces)]
         points = closest_point(triangles, np.broadcast_to(origin, (len(triangles), 3)))
         squares = ((points - origin) ** 2).sum(axis=1)
         index = np.nanargmin(squares) if np.isfinite(squares).any() else 0

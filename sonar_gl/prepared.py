@@ -51,7 +51,7 @@ def _weld(rows, faces):
 
 def prepare(body) -> Prepared:
     """The mesh of a body."""
-    points, faces = np.asarray(body.mesh.vertices, np.float64), np.asarray(body.mesh.faces)
+    points, faces = np.asarray(body.surface.vertices, np.float64), np.asarray(body.surface.faces)
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
     centre = bounds.mean(axis=0)
     closed = closedness(points, faces)

@@ -35,14 +35,14 @@ class Target:
         for body in scene.bodies:
             rotation = pose[:3, :3].T @ body.pose[:3, :3]
             offset = pose[:3, :3].T @ (body.pose[:3, 3] - pose[:3, 3])
-            vertices = np.asarray(body.mesh.vertices, np.float64) @ rotation.T + offset
-            faces = np.asarray(body.mesh.faces)
+            vertices = np.asarray(body.surface.vertices, np.float64) @ rotation.T + offset
+            faces = np.asarray(body.surface.faces)
             self._keep.append(TriangleMesh(self.embree, vertices[faces].astype(np.float32)))
             reflectivity.append(np.broadcast_to(body.reflectivity, len(faces)))
             if smooth:
                 at_vertices = np.zeros_like(vertices) if body.normals is None else body.normals @ rotation.T
                 normals.append(at_vertices[faces].astype(np.float32))
-        counts = [len(body.mesh.faces) for body in scene.bodies]
+        counts = [len(body.surface.faces) for body in scene.bodies]
         self.faces = (np.cumsum([0, *counts]), np.concatenate(reflectivity), np.concatenate(normals))
         if self.n_bodies:
             self.hits(np.zeros((1, 3), np.float32), np.eye(3, dtype=np.float32)[:1])  # builds Embree's tree

@@ -88,9 +88,9 @@ class Body:
             object.__setattr__(self, key, value)
 
         where = f"body {self.name!r}"
-        vertices, faces = getattr(self.mesh, "vertices", None), getattr(self.mesh, "faces", None)
+        vertices, faces = getattr(self.surface, "vertices", None), getattr(self.surface, "faces", None)
         if vertices is None or faces is None:
-            raise Error(f"{where}: mesh must be a trimesh.Trimesh (got {type(self.mesh).__name__})")
+            raise Error(f"{where}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__})")
         if len(faces) == 0:
             raise Error(f"{where}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)")
         frozen_array(vertices, np.float64, (None, 3), f"{where}: mesh vertices")
@@ -111,6 +111,18 @@ class Body:
         put("reflectivity", float(mu) if mu.ndim == 0 else mu)
         if self.normals is not None:
             put("normals", frozen_array(self.normals, np.float32, (len(vertices), 3), f"{where}: normals"))
+
+
+def _mesh(body):
+    """The body's mesh; where it came as plain triangles, as from files, it is made now."""
+    if hasattr(body.surface, "to_trimesh"):
+        object.__setattr__(body, "surface", body.surface.to_trimesh())
+    return body.surface
+
+
+# `surface` is what the mesh was given as: its `vertices` and `faces` are all that pings need, and trimesh is
+# slow to load. The property comes after the class, which would take it for the field's default.
+Body.mesh = property(_mesh, lambda body, mesh: object.__setattr__(body, "surface", mesh))
 
 
 class Scene:
@@ -137,7 +149,7 @@ class Scene:
     @property
     def n_triangles(self) -> int:
         """Triangles of all bodies."""
-        return sum(len(body.mesh.faces) for body in self.bodies)
+        return sum(len(body.surface.faces) for body in self.bodies)
 
     def __repr__(self):
         return f"Scene({self.name!r}, {len(self.bodies)} bodies, {self.n_triangles} triangles)"

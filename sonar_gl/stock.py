@@ -57,7 +57,7 @@ class Stock:
         n_patches = len(self.patches.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             split = np.ndim(body.reflectivity) > 0
-            key = id(body.mesh), id(body.normals), id(body.reflectivity) if split else None
+            key = id(body.surface), id(body.normals), id(body.reflectivity) if split else None
             if key not in self._known:
                 one = prepare(body)
                 end = n_patches + len(one.levels.skip)
