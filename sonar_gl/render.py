@@ -19,8 +19,62 @@ NOTHING = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 
 
+class Picture:
+    """A framebuffer, arrays of its size to read it into, and what was drawn into it.
+
+    Attributes
+    ----------
+    width, height : in use; 0 before anything was drawn
+    parts : of each sector its `SectorView`, window, column of the picture where that begins, and its samples
+        that need no drawing
+    plane_echo, body_id : (height, width, 4) and (height, width)
+    """
+
+    def __init__(self):
+        self.size, self.width, self.height, self.parts, self.labels = (0, 0), 0, 0, [], False
+        self.plane_echo, self.body_id = NOTHING
+
+    def fit(self, context, size):
+        """Be of a size."""
+        if self.size == size:
+            return
+        self.size, self.arrays = size, {}
+        plane_echo = context.renderbuffer(size, 4, dtype="f4")
+        body_id = context.renderbuffer(size, 1, dtype="u2")
+        depth = context.depth_renderbuffer(size)
+        self.framebuffers = {
+            False: context.framebuffer([plane_echo], depth),
+            True: context.framebuffer([plane_echo, body_id], depth),
+        }
+
+    def clear(self):
+        framebuffer = self.framebuffers[self.labels]
+        framebuffer.use()
+        framebuffer.clear(depth=1.0, viewport=(0, 0, self.width, self.height))
+        return framebuffer
+
+    def read(self):
+        """Have what was drawn in the arrays."""
+        self.plane_echo = self._read(4, "f4", 0)
+        self.body_id = self._read(1, "u2", 1)[..., 0] if self.labels else NOTHING[1]
+
+    def _read(self, components, dtype, attachment):
+        if components not in self.arrays:
+            self.arrays[components] = np.zeros(self.size[0] * self.size[1] * components, dtype)
+        out = self.arrays[components][: self.width * self.height * components]
+        self.framebuffers[self.labels].read_into(
+            out,
+            viewport=(0, 0, self.width, self.height),
+            components=components,
+            dtype=dtype,
+            attachment=attachment,
+            alignment=1,
+        )
+        return out.reshape(self.height, self.width, components)
+
+
 class Renderer:
-    """Draws a fan's sectors side by side into one framebuffer and reads them back.
+    """Draws a fan's sectors side by side, a picture for each pose, and reads them back.
 
     Of each sector only the window that holds bodies is drawn.
     """
@@ -31,14 +85,17 @@ class Renderer:
         self.limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self.sectors = [SectorView(sector) for sector in fan.sectors]
-        self.out = Draws()
-        self.size = (0, 0)
-        self.uniforms = {}
-        self.windows, self.buffers = [], [{}, {}]
+        self.out, self.uniforms, self.size = Draws(), {}, (0, 0)
+        self.pictures, self.others, self.drawn = [], [], []
+
+    @property
+    def windows(self) -> list:
+        """First column, first row, columns and rows of each sector that were drawn last."""
+        return [part[1] for picture in self.drawn for part in picture.parts]
 
     def turn(self):
-        """Read the next picture into other arrays: those behind the last `views` stay once more."""
-        self.buffers.reverse()
+        """Draw the next pictures beside the last ones: `views` of those stay as they are once more."""
+        self.pictures, self.others = self.others, self.pictures
 
     def render(self, poses, wheres=(None,), labels: bool = False, whole: bool = False):
         """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
@@ -51,54 +108,64 @@ class Renderer:
         labels : read the bodies' numbers too
         whole : draw the empty water, too
         """
-        placed = [self.gpu.stock.place(*spot) for spot in zip(poses, wheres, strict=True)]
-        gpu, stock, out, range_max_m = self.gpu, self.gpu.stock, self.out, self.fan.sonar.range_max_m
-        n_bodies, scenes = len(stock.bodies), []
+        gpu, out = self.gpu, self.out
+        placed = [gpu.stock.place(*spot) for spot in zip(poses, wheres, strict=True)]
         rows = placed[0].rows if len(placed) == 1 else np.concatenate([one.rows for one in placed])
-        left = height = samples = 0
+        self.pictures += [Picture() for _ in placed[len(self.pictures) :]]
+        self.drawn = self.pictures[: len(placed)]
         out.clear()
-        for number, one in enumerate(placed):
-            for view in self.sectors:
-                first, n_closed, n, window = 0, 0, 0, (0, 0, 0, 0)
-                if n_bodies:
-                    row = number * n_bodies
-                    first, n_closed, n, window = stock.see(view, one, self.far_m, range_max_m, row, out)
-                if whole:
-                    window = (0, 0, view.sector.columns, view.sector.rows)
-                filled = slice(samples, out.counts["samples"])
-                samples = filled.stop
-                scenes.append((view, window, left, first, n_closed if one.outside else 0, n, filled))
-                left, height = left + window[2], max(height, window[3])
-        self.windows, self.labels = [scene[1] for scene in scenes], labels
-        if left == 0:
-            return
-        self._fit(left, height)
-        framebuffer = self.framebuffers[labels]
-        framebuffer.use()
-        framebuffer.clear(depth=1.0, viewport=(0, 0, left, height))
+        draws = [self._lay(*pair, whole) for pair in zip(self.drawn, enumerate(placed), strict=True)]
+        self._fit(max(one.width for one in self.drawn), max(one.height for one in self.drawn))
         if out.counts["draws"]:
             gpu.upload(rows, out)
-            array = gpu.array(labels)
-            for view, (i, j, columns, n_rows), at, first, split, n, _ in scenes:
-                sector = view.sector
-                framebuffer.viewport = (at - i, -j, sector.columns, sector.rows)
-                framebuffer.scissor = (at, 0, columns, n_rows)
-                for name, value in self._uniforms(array.program, view):
-                    array.program[name].write(value)
-                for name in ("u", "v"):  # pixels count from the framebuffer's corner
-                    u = getattr(sector, name)
-                    array.program[name] = (u[0] + u[1] * (i - at) + u[2] * j, u[1], u[2])
-                gpu.draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, rows, out, first, split)
-                gpu.draw(array, moderngl.DEPTH_TEST, rows, out, first + split, n - split)
-            framebuffer.scissor = None
-        self.plane_echo = self._read(framebuffer, left, height, 4, "f4", 0)
-        if labels:
-            self.body_id = self._read(framebuffer, left, height, 1, "u2", 1)
-        bodies = self.body_id if labels else NOTHING[1]
-        for _, (i, j, *_), at, *_, filled in scenes:
-            merge(
-                out.places[filled], out.values[filled], out.bodies[filled], i, j, at, self.plane_echo, bodies
-            )
+        for picture, parts in zip(self.drawn, draws, strict=True):
+            picture.labels = labels
+            if picture.width:
+                picture.fit(self.context, self.size)
+                self._draw(picture, picture.clear(), rows, parts)
+        for picture in self.drawn:  # while one is read the driver's threads may fill the next
+            if picture.width:
+                picture.read()
+                for _, (i, j, *_), left, mine in picture.parts:
+                    samples = out.places[mine], out.values[mine], out.bodies[mine]
+                    merge(*samples, i, j, left, picture.plane_echo, picture.body_id)
+
+    def _lay(self, picture, numbered, whole: bool) -> list:
+        """Find what a picture shows and lay its sectors side by side; each one's draws."""
+        (number, placed), stock, out = numbered, self.gpu.stock, self.out
+        n_bodies, draws = len(stock.bodies), []
+        picture.parts, picture.width, picture.height = [], 0, 0
+        for view in self.sectors:
+            first, n_closed, n, window = 0, 0, 0, (0, 0, 0, 0)
+            begin = out.counts["samples"]
+            if n_bodies:
+                reach = self.far_m, self.fan.sonar.range_max_m
+                first, n_closed, n, window = stock.see(view, placed, *reach, number * n_bodies, out)
+            if whole:
+                window = (0, 0, view.sector.columns, view.sector.rows)
+            picture.parts.append((view, window, picture.width, slice(begin, out.counts["samples"])))
+            draws.append((first, n_closed if placed.outside else 0, n))
+            picture.width, picture.height = picture.width + window[2], max(picture.height, window[3])
+        return draws
+
+    def _draw(self, picture, framebuffer, rows, draws):
+        array = self.gpu.array(picture.labels)
+        for (view, (i, j, columns, n_rows), left, _), (first, split, n) in zip(
+            picture.parts, draws, strict=True
+        ):
+            if n == 0:
+                continue
+            sector = view.sector
+            framebuffer.viewport = (left - i, -j, sector.columns, sector.rows)
+            framebuffer.scissor = (left, 0, columns, n_rows)
+            for name, value in self._uniforms(array.program, view):
+                array.program[name].write(value)
+            for name in ("u", "v"):  # pixels count from the framebuffer's corner
+                u = getattr(sector, name)
+                array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
+            self.gpu.draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, rows, self.out, first, split)
+            self.gpu.draw(array, moderngl.DEPTH_TEST, rows, self.out, first + split, n - split)
+        framebuffer.scissor = None
 
     def _check_size(self, width: int, height: int):
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
@@ -106,43 +173,19 @@ class Renderer:
             raise Error(f"samples must fit the driver's limit of {self.limit} by {self.limit} pixels {got}")
 
     def _fit(self, width: int, height: int):
-        """Have framebuffers that hold so many pixels."""
+        """Have room for so many pixels in a picture."""
         self._check_size(width, height)
         if width * height > MAX_SAMPLES:
             raise Error(
                 f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
                 f"by {height} rows; ask for a larger tolerance or fewer samples)"
             )
-        if width <= self.size[0] and height <= self.size[1]:
-            return
-        # a little more, so that a window that grows does not ask for new ones every time
-        self.size = tuple(
-            min(max(old, 64 * -(-new // 64)), self.limit)
-            for old, new in zip(self.size, (width, height), strict=True)
-        )
-        plane_echo = self.context.renderbuffer(self.size, 4, dtype="f4")
-        body_id = self.context.renderbuffer(self.size, 1, dtype="u2")
-        depth = self.context.depth_renderbuffer(self.size)
-        self.framebuffers = {
-            False: self.context.framebuffer([plane_echo], depth),
-            True: self.context.framebuffer([plane_echo, body_id], depth),
-        }
-        self.buffers = [{}, {}]
-
-    def _read(self, framebuffer, width, height, components, dtype, attachment):
-        buffers, n = self.buffers[0], self.size[0] * self.size[1]
-        if components not in buffers:
-            buffers[components] = np.zeros(n * components, dtype)
-        out = buffers[components][: width * height * components]
-        framebuffer.read_into(
-            out,
-            viewport=(0, 0, width, height),
-            components=components,
-            dtype=dtype,
-            attachment=attachment,
-            alignment=1,
-        )
-        return out.reshape(height, width, components) if components > 1 else out.reshape(height, width)
+        if width > self.size[0] or height > self.size[1]:
+            # a little more, so that a window that grows does not ask for new ones every time
+            self.size = tuple(
+                min(max(old, 64 * -(-new // 64)), self.limit)
+                for old, new in zip(self.size, (width, height), strict=True)
+            )
 
     def _uniforms(self, program, view) -> list[tuple[str, bytes]]:
         """What a program needs to know of a sector; the same for every ping."""
@@ -166,17 +209,16 @@ class Renderer:
 
         The sector is that of the window: its lattice begins there.
         """
-        left = 0
-        sectors = [view.sector for view in self.sectors] * (len(self.windows) // len(self.sectors))
-        for sector, (i, j, columns, rows) in zip(sectors, self.windows, strict=True):
-            if columns == 0:
-                yield replace(sector, columns=0, rows=0), *NOTHING
-                continue
-            here = (slice(0, rows), slice(left, left + columns))
-            left += columns
-            u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (sector.u, sector.v))
-            cut = replace(sector, u=u, v=v, columns=columns, rows=rows)
-            yield cut, self.plane_echo[here], self.body_id[here] if self.labels else NOTHING[1]
+        for picture in self.drawn:
+            for view, (i, j, columns, rows), left, _ in picture.parts:
+                sector = view.sector
+                if columns == 0:
+                    yield replace(sector, columns=0, rows=0), *NOTHING
+                    continue
+                here = (slice(0, rows), slice(left, left + columns))
+                u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (sector.u, sector.v))
+                cut = replace(sector, u=u, v=v, columns=columns, rows=rows)
+                yield cut, picture.plane_echo[here], picture.body_id[here] if picture.labels else NOTHING[1]
 
     def gbuffers(self) -> list[GBuffer]:
         """What was read, one `GBuffer` a sector."""

@@ -44,51 +44,74 @@ def in_batches(simulator, spots, labels: bool):
     ----------
     spots : (pose, bodies) of each
     """
-    world, samples = simulator._world, simulator._samples
-
-    def add_up(now, batch, views):
-        """In the other thread, with a pass that nobody else uses meanwhile."""
-        out = []
-        for seen in views:
-            found = now.reducer.labels(seen, now.gain, len(world.scene.bodies)) if labels else (None,) * 3
-            out.append((now.intensity(seen), found))
-        return out
-
-    def alone(pose, where, look):
-        views, intensity = samples.sense(pose, labels, where, look)
-        now = samples.now
-        found = now.reducer.labels(views, now.gain, len(world.scene.bodies)) if labels else (None,) * 3
-        return pose, where, now.sampling, views, intensity, found
-
-    def finish(waiting):
-        """The pings of a batch that was drawn before."""
-        now, batch, views, future = waiting
-        for (pose, where), seen, (intensity, found) in zip(batch, views, future.result(), strict=True):
-            if samples.changed(intensity):
-                with simulator._drawing():
-                    yield alone(pose, where, look=True)
-            else:
-                yield pose, where, now.sampling, seen, intensity, found
-
-    spots, waiting = iter(spots), None
+    spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
-        while taken := list(islice(spots, BATCH)):
-            with simulator._drawing():
-                batch = [(pose, world.moved(bodies)) for pose, bodies in taken]
-                first = batch[0] if samples.due(*batch[0]) else None
-                if first is None:
+        while not over:
+            with simulator._drawing(beside=waiting and waiting[-1]):
+                batch, due, why, over = _gather(simulator, spots)
+                samples = simulator._samples
+                upcoming = None
+                if batch:
                     now = samples.now
                     views = now.views_of(*zip(*batch, strict=True), labels)
-                    upcoming = now, batch, views, pool.submit(add_up, now, batch, views)
+                    future = pool.submit(_add_up, now, views, labels, len(simulator.scene.bodies))
+                    upcoming = batch, views, now.sampling, future
+                    simulator._underway = future
             if waiting:
-                yield from finish(waiting)
+                yield from _finished(simulator, *waiting, labels)
+            waiting = upcoming
+            if due and waiting:
+                yield from _finished(simulator, *waiting, labels)
                 waiting = None
-            if first is None:
-                waiting = upcoming
-                continue
-            for spot in batch:
+            if due:
                 with simulator._drawing():
-                    made = alone(*spot, look=spot is first)
+                    made = _alone(simulator, *due, labels)
                 yield made
         if waiting:
-            yield from finish(waiting)
+            yield from _finished(simulator, *waiting, labels)
+    if why is not None:
+        raise why
+
+
+def _gather(simulator, spots):
+    """The next poses that can be drawn at once; the one after them if it is to be looked at; why there are no
+    more, and whether there are none."""
+    batch = []
+    while len(batch) < BATCH:
+        try:
+            pose, bodies = next(spots)
+            spot = pose, simulator._world.moved(bodies)
+        except StopIteration:
+            return batch, None, None, True
+        except Exception as why:  # of the poses: those before come first
+            return batch, None, why, True
+        if simulator._samples.due(*spot):
+            return batch, spot, None, False
+        batch.append(spot)
+    return batch, None, None, False
+
+
+def _add_up(now, views, labels, n_bodies):
+    """In the other thread; nobody else uses the pass meanwhile, see `Simulator._drawing`."""
+    out = []
+    for seen in views:
+        found = now.reducer.labels(seen, now.gain, n_bodies) if labels else (None,) * 3
+        out.append((now.intensity(seen), found))
+    return out
+
+
+def _alone(simulator, pose, where, labels):
+    views, intensity = simulator._samples.sense(pose, labels, where, look=True)
+    now = simulator._samples.now
+    found = now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
+    return pose, where, now.sampling, views, intensity, found
+
+
+def _finished(simulator, batch, views, sampling, future, labels):
+    """The pings of a batch that was drawn before."""
+    for (pose, where), seen, (intensity, found) in zip(batch, views, future.result(), strict=True):
+        made = pose, where, sampling, seen, intensity, found
+        if simulator._samples.changed(intensity) or not intensity.any():
+            with simulator._drawing():
+                made = _alone(simulator, pose, where, labels)
+        yield made

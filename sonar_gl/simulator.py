@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import wait
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import count, repeat
@@ -52,7 +53,7 @@ class Simulator:
         tolerance: float = 0.01,
         device: int | None = None,
     ):
-        self._world = None
+        self._world = self._underway = None
         for name, value, kind, cure in (
             ("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file"),
             ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
@@ -229,10 +230,15 @@ class Simulator:
             return points_of(self._world.gpu, self.sonar, check_pose(pose), columns, rows)
 
     @contextmanager
-    def _drawing(self):
-        """The context, current for the time of the block, in one thread at a time."""
+    def _drawing(self, beside=None):
+        """The context, current for the time of the block, in one thread at a time.
+
+        What a sequence adds up in another thread is waited for, but for `beside`.
+        """
         world = self._open_world()
         with world.drawing() as context:
+            if self._underway is not None and self._underway is not beside:
+                wait([self._underway])
             if self._world is None:  # closed while this one waited
                 raise Error("this Simulator is closed; make a new one")
             yield context

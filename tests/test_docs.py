@@ -1,5 +1,6 @@
 """The documentation: its examples run, its commands and options exist, its links lead somewhere."""
 
+import csv
 import dataclasses
 import importlib
 import json
@@ -107,6 +108,10 @@ def test_other_commands_name_files_that_exist(words):
         ["gallery.py", "diver_vertical", "--out", "pictures"],
         ["promise.py", "--worlds", "1"],
         ["failures.py", "--soak", "50"],
+        ["bench_frame.py", "--repeats", "2"],
+        ["bench_paper.py", "--scene", "pylon", "--repeats", "2"],
+        ["bench_start.py", "--only", "import sonar_gl", "--runs", "1"],
+        ["bench_scaling.py", "--quick", "--out", "scaled"],
     ],
     ids=lambda words: words[0],
 )
@@ -129,9 +134,59 @@ def test_tools_run(words, folder):
         assert done.stdout.startswith("50 pings, ")
         before, after = re.findall(r"^GL objects (?:before|after) +(.+)$", done.stdout, re.MULTILINE)
         assert before == after
+    elif words[0] == "bench_frame.py":
+        found = re.findall(r"^  (.+?) +(-?[\d.]+)(?: ms)?$", done.stdout, re.MULTILINE)
+        for first in (0, len(found) // 2):  # two sonars
+            ms = {stage: float(value) for stage, value in found[first : first + len(found) // 2]}
+            # two rounds: their medians are means, and of these what a frame adds is the sum, but for rounding
+            added = ms["noise"] + ms["fan image"] + ms["Jet"] + ms["physical over ideal"]
+            assert abs(ms["frame over bare ping"] - added) < 0.03
+            assert min(ms["ping, ideal"], ms["rays by packets"], ms["rays by embreex"]) > 0
+    elif words[0] == "bench_paper.py":
+        paper, ours, physical = re.search(
+            r"^pylon +([\d.]+) +([\d.]+) \(.+?\) +([\d.]+) ", done.stdout, re.M
+        ).groups()
+        assert paper == "3.1"
+        assert float(ours) > 0 and float(physical) > 0
+    elif words[0] == "bench_start.py":
+        (row,) = re.findall(
+            r"^import sonar_gl +([\d.]+) +<= 0\.3 +([\d.]+) +(\d+)", done.stdout, re.MULTILINE
+        )
+        assert float(row[2]) > 5  # MB; the interpreter alone holds more
+    elif words[0] == "bench_scaling.py":
+        check_scaling(done.stdout, Path("scaled"))
     else:
         made, kept = Path("pictures"), ROOT / "docs" / "pictures"
         assert {path.name for path in made.iterdir()} == {path.name for path in kept.glob("diver_vertical*")}
+
+
+def check_scaling(said, folder):
+    """Every axis was charted, and every aim was told rightly."""
+    with open(folder / "scaling.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    axes = {row["axis"] for row in rows}
+    assert axes == {
+        "triangles",
+        "beams",
+        "bins",
+        "field of view, degrees",
+        "bodies",
+        "tolerance",
+        "one triangle",
+    }
+    assert all(float(row["ms_median"]) > 0 for row in rows)
+    wide = {
+        row["at"]: row["samples"] for row in rows if row["line"] == "same samples" and "field" in row["axis"]
+    }
+    columns = {at: int(samples.split()[0]) for at, samples in wide.items()}
+    # eight times the fan; of the narrow one a beam's reach on both sides counts more, the floor has an end
+    assert 6 < columns["360"] / columns["45"] < 8.5
+    assert (folder / "pictures" / "scaling.png").stat().st_size > 10_000
+    aims = re.findall(r" (-?[\d.e+-]+) (?:times|ms   ) +([<>]=) ([\d.]+)  (met|missed)$", said, re.MULTILINE)
+    assert len(aims) >= 14
+    for measured, sign, aim, told in aims:
+        apart = (float(measured) - float(aim)) * (1 if sign == ">=" else -1)
+        assert apart == 0 or told == ("met" if apart > 0 else "missed")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -157,6 +212,7 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
     assert {path.stem for path in kept} == {
         *(f"{name}_{style}" for name in pairs for style in ("demarco2015", "physical")),
         *(f"chart_{name}" for name in [*re.findall(r'"(\w+)"', charted), "shimmer"]),
+        "scaling",
     }
 
 

@@ -6,6 +6,7 @@
     python tools/bench.py --scene pylon --json out.json
     python tools/bench.py --paper                      # Table I of the founding paper, ours beside theirs
     python tools/bench.py --start                      # time and memory of fresh processes
+    python tools/bench.py --scaling --out docs         # how the time grows; see tools/bench_scaling.py
 
 The setting is one for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile
 `ideal`. What is compared is interleaved, round by round, and told as medians; ratios are medians of the
@@ -26,6 +27,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import pathlib
 import platform
 import warnings
 from contextlib import ExitStack
@@ -33,6 +35,7 @@ from dataclasses import asdict, replace
 from time import perf_counter
 
 import bench_paper
+import bench_scaling
 import bench_start
 import numpy as np
 
@@ -233,12 +236,17 @@ def main():
     parser.add_argument("--json", metavar="FILE", help="write all figures there too")
     parser.add_argument("--paper", action="store_true", help="only what tools/bench_paper.py prints")
     parser.add_argument("--start", action="store_true", help="only what tools/bench_start.py prints")
+    parser.add_argument("--scaling", action="store_true", help="only what tools/bench_scaling.py prints")
+    parser.add_argument("--large", action="store_true", help="with --scaling: also 10 million triangles")
+    parser.add_argument("--out", type=pathlib.Path, help="with --scaling: where its table and picture go")
     options = parser.parse_args()
     if options.paper:
         bench_paper.tell(bench_paper.paper_table(options.repeats or 200))
     if options.start:
         bench_start.tell(bench_start.start_costs(options.repeats or 5))
-    if options.paper or options.start:
+    if options.scaling:
+        bench_scaling.scaling(options.quick, options.large, options.out)
+    if options.paper or options.start or options.scaling:
         return
     repeats = options.repeats or (12 if options.quick else 100)
     n_rays = options.rays if options.rays is not None else (4_000_000 if options.quick else 80_000_000)

@@ -67,12 +67,12 @@ def processor() -> str:
     return f"{os.cpu_count()} cores of {name}"
 
 
-def paper_table(repeats: int) -> dict:
-    """All figures: hardware, and for each scene and style mean and standard deviation of the rate, Hz."""
+def paper_table(repeats: int, names=()) -> dict:
+    """Hardware, and for each scene, or some, and style mean and standard deviation of the rate, Hz."""
     with sg.Simulator(sg.Scene([]), sg.load_sonar("p900-45")) as simulator:
         renderer = simulator.gl_info["renderer"]
     scenes = {}
-    for name in RANGE_M:
+    for name in names or RANGE_M:
         found = rates_hz(name, repeats)
         scenes[name] = {style: (float(hz.mean()), float(hz.std())) for style, hz in found.items()}
     return {"renderer": renderer, "processor": processor(), "images": repeats, "scenes": scenes}
@@ -94,7 +94,9 @@ def tell(found: dict):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=200, help="images of each scene and style")
-    tell(paper_table(parser.parse_args().repeats))
+    parser.add_argument("--scene", action="append", choices=RANGE_M, help="may be repeated; all if left out")
+    options = parser.parse_args()
+    tell(paper_table(options.repeats, options.scene))
 
 
 if __name__ == "__main__":

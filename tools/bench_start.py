@@ -3,6 +3,7 @@
 
     python tools/bench_start.py            # five processes of each kind, half a minute
     python tools/bench_start.py --runs 15
+    python tools/bench_start.py --only "import sonar_gl"   # a second
 
 Memory is the most that was resident, clean pages of shared libraries counted too: two LLVMs, Mesa's and
 Numba's, make 120 MB of it. Times are of whole processes, the interpreter's own start included; beside them
@@ -65,14 +66,16 @@ def measure(code: str, folder: str) -> tuple[float, float, float]:
     return took_s, float(busy_s), int(held_kib) * 1024 / 1e6
 
 
-def start_costs(runs: int) -> dict[str, list[tuple[float, float, float]]]:
-    """What `measure` tells of each process of each kind, the kinds in turns."""
+def start_costs(runs: int, only=()) -> dict[str, list[tuple[float, float, float]]]:
+    """What `measure` tells of each process of each kind, or of some, the kinds in turns."""
     with tempfile.TemporaryDirectory() as folder:
-        found = {FIRST: [measure(RENDER, folder)], **{kind: [] for kind in KINDS}}
-        measure(PING, folder)  # compiles what is left
+        found = {kind: [] for kind in only or KINDS}
+        if not only:
+            found = {FIRST: [measure(RENDER, folder)], **found}
+            measure(PING, folder)  # compiles what is left
         for _ in range(runs):
-            for kind, (code, *_aims) in KINDS.items():
-                found[kind].append(measure(code, folder))
+            for kind in only or KINDS:
+                found[kind].append(measure(KINDS[kind][0], folder))
     return found
 
 
@@ -89,9 +92,10 @@ def tell(found: dict):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=5, help="processes of each kind")
+    parser.add_argument("--only", action="append", choices=KINDS, help="may be repeated; all if left out")
     options = parser.parse_args()
     print(f"medians of {options.runs} processes; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
-    tell(start_costs(options.runs))
+    tell(start_costs(options.runs, options.only))
 
 
 if __name__ == "__main__":

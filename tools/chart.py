@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Charts time against error of a whole ping, for ours and its rivals, over ladders of samples.
 
-    python tools/chart.py --out docs     # five scenes, two widths of beams, shimmer; about 15 minutes
+    python tools/chart.py --out docs     # six scenes, two widths of beams, shimmer; about 20 minutes
     python tools/chart.py --only pylon
     python tools/chart.py --quick        # under 2 minutes; exit status 1 if ours has left the front
 

@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import trimesh
+from bench_terrain import finer_floor
 from rivals.slices import Slices
 
 import sonar_gl as sg
 from sonar_gl import rays, reference
 
 BEAMS = {"wide": 1.0, "narrow": 45.0 / 256}  # degrees; narrow ones just touch each other
-SCENES = ("pylon", "diver", "ocean_floor", "grazing", "tank")
+SCENES = ("pylon", "diver", "ocean_floor", "ocean_floor_1m", "grazing", "tank")
 CACHE = pathlib.Path(tempfile.gettempdir()) / f"sonar_gl_chart_{os.getuid()}"
 
 
@@ -54,9 +55,15 @@ def tank() -> sg.Scene:
     return sg.Scene(bodies, sg.pose(-5.6, 0.2, -1.5, 0, 0.15, 0.02), "tank")
 
 
+def ocean_floor_1m() -> sg.Scene:
+    """The ocean floor with a million triangles over the same ground."""
+    scene = finer_floor(1_000_000)
+    return sg.Scene(scene.bodies, scene.sonar_pose, "ocean_floor_1m")
+
+
 def make_scene(name: str) -> sg.Scene:
     """A scene of the chart, faces flat: the truth knows no shading normals."""
-    made = {"grazing": grazing, "tank": tank}
+    made = {"grazing": grazing, "tank": tank, "ocean_floor_1m": ocean_floor_1m}
     scene = made[name]() if name in made else sg.load_scene(name)
     return sg.Scene([replace(body, normals=None) for body in scene.bodies], scene.sonar_pose, scene.name)
 
