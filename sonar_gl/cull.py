@@ -223,7 +223,7 @@ def draw_patches(chosen, first_face, n_faces, closed, row, draws):
     """
     n_closed = 0
     for k in range(chosen.shape[0]):
-        patch, body = chosen[k]
+        patch, body = chosen[k, 0], chosen[k, 1]
         n_closed += closed[body] != 0
         draws[k, 0], draws[k, 1], draws[k, 2] = 3 * n_faces[patch], 1, 3 * first_face[patch]
         draws[k, 3], draws[k, 4] = 0, row + body

@@ -58,36 +58,45 @@ class Levels:
 
 
 @compiled
+def _normal(points, faces, f, n):
+    """Twice the area times the normal of a face, into (3,) n; its length."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    wx, wy, wz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    n[0], n[1], n[2] = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    return math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+
+
+@compiled
 def measure(points, faces, box, cone, moment):
     """Fill a patch's box, cone and moment; see `Levels`."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    axis = np.zeros(3)
+    n, low, high = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        low[k], high[k], cone[k] = np.inf, -np.inf, 0.0
     for f in range(faces.shape[0]):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        n = np.cross(b - a, c - a) / 2
-        area = np.sqrt((n * n).sum())
+        length = _normal(points, faces, f, n)
         for k in range(3):
-            axis[k] += n[k]
-            low[k] = min(low[k], a[k], b[k], c[k])
-            high[k] = max(high[k], a[k], b[k], c[k])
-        if area > 0.0:
-            moment[0] += n[0] * n[0] / area
-            moment[1] += n[1] * n[1] / area
-            moment[2] += n[2] * n[2] / area
-            moment[3] += n[0] * n[1] / area
-            moment[4] += n[0] * n[2] / area
-            moment[5] += n[1] * n[2] / area
-    box[:3], box[3:] = (low + high) / 2, (high - low) / 2
-    length, least = np.sqrt((axis * axis).sum()), 1.0
-    if length > 0.0:
-        axis /= length
-    for f in range(faces.shape[0]):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        n = np.cross(b - a, c - a)
-        area = np.sqrt((n * n).sum())
-        if area > 0.0:
-            least = min(least, (n * axis).sum() / area)
-    cone[:3], cone[3] = axis, least if length > 0.0 else -1.0
+            cone[k] += n[k]
+            for corner in range(3):
+                at = points[faces[f, corner], k]
+                low[k], high[k] = min(low[k], at), max(high[k], at)
+            if length > 0.0:
+                moment[k] += n[k] * n[k] / length / 2
+                # xy, xz, yz
+                moment[3 + k] += n[1 if k == 2 else 0] * n[1 if k == 0 else 2] / length / 2
+    for k in range(3):
+        box[k], box[3 + k] = (low[k] + high[k]) / 2, (high[k] - low[k]) / 2
+    total = math.sqrt(cone[0] * cone[0] + cone[1] * cone[1] + cone[2] * cone[2])
+    cone[3] = -1.0
+    if total > 0.0:
+        cone[3] = 1.0
+        for k in range(3):
+            cone[k] /= total
+        for f in range(faces.shape[0]):
+            length = _normal(points, faces, f, n)
+            if length > 0.0:
+                cosine = (n[0] * cone[0] + n[1] * cone[1] + n[2] * cone[2]) / length
+                cone[3] = min(cone[3], cosine)
 
 
 def split(points, faces) -> tuple[np.ndarray, np.ndarray]:

@@ -160,7 +160,7 @@ def sift_patches(
     smooth = normals.shape[0] > 0
     scale = max(abs(inverse[0, 0]), abs(inverse[0, 1]), abs(inverse[1, 0]), abs(inverse[1, 1]))
     for k in range(chosen.shape[0]):
-        patch, body = chosen[k]
+        patch, body = chosen[k, 0], chosen[k, 1]
         if body != last:
             last = body
             for i in range(3):
