@@ -71,6 +71,26 @@ def load_numba():
         import numba.np.arraymath  # noqa: F401
     finally:
         del sys.modules[blas]
+    if sys.stderr.isatty():
+        _tell_of_compiling()
+
+
+def _tell_of_compiling():
+    """Say so when sums have to be compiled, as the first command after an installation must."""
+    from numba.core import event
+
+    class Told(event.Listener):
+        told = False
+
+        def on_start(self, _event):
+            if not self.told:
+                click.echo("compiling, which takes some twenty seconds once", err=True)
+            self.told = True
+
+        def on_end(self, _event):
+            pass
+
+    event.register("numba:compile", Told())
 
 
 def numbers(option: str, text: str, names: str) -> list[float]:
