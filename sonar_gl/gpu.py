@@ -63,7 +63,8 @@ class SceneOnGpu:
         self.features = {"SHADING_NORMALS": 0, "FACE_REFLECTIVITY": 0, "INDIRECT": int(self.indirect)}
         self.points, self.normals, self.reflectivity = Growing(context), Growing(context), Growing(context)
         self.indices, self.rows, self.draws = Growing(context), Growing(context), Growing(context)
-        self.n_points, self.arrays, self.stock = 0, {}, Stock(self.sifts)
+        self.n_points, self.programs, self.arrays = 0, {}, {}
+        self.stock = Stock(self.sifts)
         self.add(scene.bodies)
 
     def add(self, bodies) -> None:
@@ -90,9 +91,10 @@ class SceneOnGpu:
         """The vertex array whose program writes bodies' numbers too, or does not."""
         if labels not in self.arrays:
             defines = {**self.features, "LABELS": int(labels)}
-            program = compile_program(
-                self.context, self.shader_folder, "gbuffer.vert", "gbuffer.frag", defines
-            )
+            if (key := tuple(defines.values())) not in self.programs:
+                files = "gbuffer.vert", "gbuffer.frag"
+                self.programs[key] = compile_program(self.context, self.shader_folder, *files, defines)
+            program = self.programs[key]
             layout = [(self.points.buffer, "3f", "in_position")]
             if self.features["SHADING_NORMALS"]:
                 layout.append((self.normals.buffer, "3f", "in_normal"))

@@ -51,9 +51,7 @@ class Pass:
 
     def intensity(self, views) -> np.ndarray:
         """(B, K) float32, with the gain."""
-        out = self.reducer.intensity(views)
-        out *= self.gain
-        return out
+        return self.reducer.intensity(views, self.gain)
 
 
 class Passes:

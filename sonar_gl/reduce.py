@@ -15,6 +15,7 @@ from sonar_gl.pair import Pair
 # Handing half of the work to the other thread takes as long as so many rows of strips, or products of a
 # column's bin with its weight: less is done in one thread.
 FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
+UNITY = np.empty(0, np.float32)  # no gain
 
 
 def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,26 +29,28 @@ def bin_tables(bin_edges_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def weigh_columns(echo_sum, spans, first, weights, out):
-    """Beams as weighted sums of columns.
+def weigh_columns(echo_sum, spans, first, weights, gain, out):
+    """Beams as weighted sums of columns, times a gain.
 
     echo_sum : (columns, K), zero outside of spans, (columns, 2); first : (B,); weights : (B, W), of
-    `fan.beam_weights`, W a multiple of 4; out : (B, K), overwritten
+    `fan.beam_weights`, W a multiple of 4; gain : (K,) or of no length; out : (B, K), zeros
     """
-    n_columns, K = echo_sum.shape
+    n_columns = echo_sum.shape[0]
     for b in range(out.shape[0]):
-        row = uint64(b)
-        for k in range(uint64(K)):
-            out[row, k] = 0.0
+        row, begin, end = uint64(b), echo_sum.shape[1], 0
         for w in range(0, weights.shape[1], 4):  # four at a time: a beam is read and written less often
             w0, w1, w2, w3 = weights[b, w], weights[b, w + 1], weights[b, w + 2], weights[b, w + 3]
             c0, c1 = uint64((first[b] + w) % n_columns), uint64((first[b] + w + 1) % n_columns)
             c2, c3 = uint64((first[b] + w + 2) % n_columns), uint64((first[b] + w + 3) % n_columns)
             low = min(spans[c0, 0], spans[c1, 0], spans[c2, 0], spans[c3, 0])
             high = max(spans[c0, 1], spans[c1, 1], spans[c2, 1], spans[c3, 1])
+            begin, end = min(begin, low), max(end, high)
             for k in range(uint64(low), uint64(max(low, high))):
                 near = w0 * echo_sum[c0, k] + w1 * echo_sum[c1, k]
                 out[row, k] += near + (w2 * echo_sum[c2, k] + w3 * echo_sum[c3, k])
+        if gain.shape[0]:
+            for k in range(uint64(begin), uint64(max(begin, end))):
+                out[row, k] *= gain[k]
 
 
 def _about(view, body: int):
@@ -87,6 +90,8 @@ class Reducer:
         heard = np.zeros(fan.n_columns, bool)
         for w in range(weights.shape[1]):
             heard[(first[weights[:, w] > 0] + w) % fan.n_columns] = True
+        middle = (len(first) + 1) // 2
+        self.halves = slice(0, middle), slice(middle, None)
         self.jobs = []
         for half in np.array_split(np.arange(fan.n_columns), 2):
             for index, sector in enumerate(fan.sectors):
@@ -95,9 +100,9 @@ class Reducer:
                 arrays = (parts.column[mine], parts.u[mine], parts.width[mine])
                 self.jobs.append((len(self.jobs) // len(fan.sectors), index, arrays))
 
-    def intensity(self, views) -> np.ndarray:
-        """(B, K) float32 echo before the gain, from the samples of all sectors."""
-        return self._beams(self._accumulate(views))
+    def intensity(self, views, gain=UNITY) -> np.ndarray:
+        """(B, K) float32 echo times the (K,) float32 gain, from the samples of all sectors."""
+        return self._beams(self._accumulate(views), gain)
 
     def labels(self, views, gain, n_bodies: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The body of the strongest echo, (B, K) uint16; its mean elevation, (B, K) float32, radians; and
@@ -159,14 +164,13 @@ class Reducer:
         self._both(work, rows < FEW_ROWS)
         return self.sums
 
-    def _beams(self, sums) -> np.ndarray:
-        out = np.empty((len(self.first), sums.shape[1]), np.float32)
-        halves = np.array_split(np.arange(len(out)), 2)
+    def _beams(self, sums, gain=UNITY) -> np.ndarray:
+        out = np.zeros((len(self.first), sums.shape[1]), np.float32)  # of which most is never touched
 
         def work(half):
-            if len(halves[half]):
-                mine = slice(halves[half][0], halves[half][-1] + 1)
-                weigh_columns(sums, self.spans, self.first[mine], self.weights[mine], out[mine])
+            if len(mine := range(len(out))[self.halves[half]]):
+                part = slice(mine.start, mine.stop)
+                weigh_columns(sums, self.spans, self.first[part], self.weights[part], gain, out[part])
 
         self._both(work, self.weights.size * sums.shape[1] < FEW_PRODUCTS)
         return out

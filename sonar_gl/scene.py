@@ -13,9 +13,12 @@ from sonar_gl.types import Error, frozen_array
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
     """A rigid (4, 4) float64 `world_from_x`, or an `Error`."""
     out = frozen_array(matrix, np.float64, (4, 4), what)
-    rotation = out[:3, :3]
-    askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if askew > 1e-5 or np.linalg.det(rotation) < 0:
+    # in plain numbers: a sixth of the time that NumPy takes for nine of them, at every ping
+    (a, b, c), (d, e, f), (g, h, i) = out[:3, :3].tolist()
+    lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
+    angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if max(map(abs, lengths + angles)) > 1e-5 or turn < 0:
         raise Error(
             f"{what} must be a rotation and a translation (its 3x3 part scales, shears or mirrors; "
             "scale the mesh instead)"

@@ -109,6 +109,7 @@ def _alone(simulator, pose, where, labels):
 def _finished(simulator, batch, views, sampling, future, labels):
     """The pings of a batch that was drawn before."""
     for (pose, where), seen, (intensity, found) in zip(batch, views, future.result(), strict=True):
+        simulator._open_world()
         made = pose, where, sampling, seen, intensity, found
         if simulator._samples.changed(intensity) or not intensity.any():
             with simulator._drawing():

@@ -177,6 +177,9 @@ def sift_patches(
                     if j < 3:
                         to_body[j, i] = m[i, j]
             offset = abs(m[0, 3]) + abs(m[1, 3]) + abs(m[2, 3])
+            if n and draws[n - 1, 0] == 0:  # nothing of the body before is drawn
+                n -= 1
+                n_closed = min(n_closed, n)
             draws[n, 0], draws[n, 1], draws[n, 2] = 0, 1, first_index + used
             draws[n, 3], draws[n, 4] = 0, row + body
             n += 1
@@ -263,4 +266,7 @@ def sift_patches(
             indices[used], indices[used + 1], indices[used + 2] = start + a, start + b, start + c
             used += 3
         draws[n - 1, 0] += used - low
+    if n and draws[n - 1, 0] == 0:
+        n -= 1
+        n_closed = min(n_closed, n)
     return n_closed, n, used, filled

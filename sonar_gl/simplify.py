@@ -14,6 +14,7 @@ import numpy as np
 from sonar_gl.compiled import compiled
 
 MOST_PASSES = 16
+THIN = 1e-8  # square of the least sine of a face's angle after a collapse
 TURN = 0.5  # cosine by which a face's normal may turn in one collapse
 PASS_SLACK = 1.5  # a pass takes edges up to so many times the error that it would need at best
 
@@ -88,7 +89,9 @@ def _turns(points, faces, start, about, remap, a, b):
         nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
         mx, my, mz = ey * wz - ez * wy, ez * wx - ex * wz, ex * wy - ey * wx
         before, after = nx * nx + ny * ny + nz * nz, mx * mx + my * my + mz * mz
-        if nx * mx + ny * my + nz * mz < TURN * math.sqrt(before * after):
+        # nor may it become a line, which would then turn any way
+        thin = after <= THIN * (ex * ex + ey * ey + ez * ez) * (wx * wx + wy * wy + wz * wz)
+        if before > 0.0 and (thin or nx * mx + ny * my + nz * mz < TURN * math.sqrt(before * after)):
             return True
     return False
 

@@ -253,6 +253,8 @@ class Simulator:
             world.leave(self._give_back)
 
     def _give_back(self):
+        if self._underway is not None:
+            wait([self._underway])
         self._passes.close()
         self._passes = self._samples = None
 

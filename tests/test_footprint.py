@@ -109,13 +109,15 @@ def test_weigh_columns_is_a_matrix_product_round_the_circle(n_weights):
     for row, span in zip(sums, spans, strict=True):
         row[: span[0]], row[span[1] :] = 0, 0
     first, weights = np.array([-2, 0, 5]), rng.random((3, n_weights), np.float32)
-    out = np.full((3, 11), np.nan, np.float32)
-    weigh_columns(sums, spans, first, weights, out)
+    out, gain = np.zeros((2, 3, 11), np.float32), rng.random(11, np.float32)
+    weigh_columns(sums, spans, first, weights, gain[:0], out[0])
+    weigh_columns(sums, spans, first, weights, gain, out[1])
     dense = np.zeros((3, 7))
     for b in range(3):
         for w in range(n_weights):
             dense[b, (first[b] + w) % 7] += weights[b, w]
-    np.testing.assert_allclose(out, dense @ sums, rtol=1e-5)
+    np.testing.assert_allclose(out[0], dense @ sums, rtol=1e-5)
+    np.testing.assert_allclose(out[1], dense @ sums * gain, rtol=1e-5)
 
 
 def fan_and_views(reducer="footprint", rows=60):

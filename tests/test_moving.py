@@ -177,9 +177,7 @@ def one_body():
 
 
 KNOWN = "bodies must be bodies of the scene (got 'diver'; there are: 'plain', 'smooth')"
-NO_DICT = (
-    """bodies must be a dict (got list); such as {"diver": sonar_gl.pose(x=5)}, or None for "not there\""""
-)
+NO_DICT = 'bodies must be a dict (got list; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")'
 TURNED = (
     "the pose of body 'plain' must be a rotation and a translation (its 3x3 part scales, shears or mirrors; "
 )
@@ -205,14 +203,8 @@ def test_what_cannot_be_moved_is_told_in_one_sentence(one_body, way):
     assert tell({"diver": sg.pose(5)}) == KNOWN
     assert tell({"plain": sg.pose(9), "diver": None}) == KNOWN
     assert tell({"plain": 2 * np.eye(4)}) == TURNED
-    shape = tell({"plain": [1, 2, 3]})
-    assert shape.startswith("the pose of body 'plain' must ")
-    assert "(4, 4)" in shape
-    assert "\n" not in shape
-    kind = tell([("plain", sg.pose(5))])
-    assert kind.startswith("bodies must be ")
-    assert "list" in kind
-    assert "\n" not in kind
+    assert tell({"plain": [1, 2, 3]}) == "the pose of body 'plain' must have shape (4, 4) (got (3,))"
+    assert tell([("plain", sg.pose(5))]) == NO_DICT
     # nothing of it was done
     np.testing.assert_array_equal(one_body.ping(POSE).intensity, before)
 
@@ -225,10 +217,9 @@ def test_what_cannot_be_added_is_told_in_one_sentence(one_body):
     )
     twice = error_of(lambda: one_body.add(both(), both()))
     assert twice == "names of bodies must be unique (got 'both' more than once)"
-    kind = error_of(lambda: one_body.add(BOX))
-    assert kind.startswith("body must be a")
-    assert "\n" not in kind
-    error_of(lambda: one_body.add(patchy(), None))
+    no_body = "body must be a Body (got {}; such as sonar_gl.Body('box', mesh))"
+    assert error_of(lambda: one_body.add(BOX)) == no_body.format("Trimesh")
+    assert error_of(lambda: one_body.add(patchy(), None)) == no_body.format("NoneType")
     assert [body.name for body in one_body.scene.bodies] == ["plain", "smooth"]
     check_same(one_body.ping(POSE, labels=True), before)
     one_body.add(patchy())

@@ -337,3 +337,28 @@ def test_memory_does_not_grow():
     # a ping holds 51 kB, and up to three batches are underway; 200 of them would be 10 MB
     assert many < 1_000_000
     assert now < few
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize("after", [1, 2, 4, 5, 7])
+def test_an_error_in_the_users_loop_gets_out(after):
+    """The simulator is closed by its block while a batch is underway; nothing waits for ever."""
+    with pytest.raises(KeyError), simulator(sg.Sampling(16, 600)) as it:
+        for number, _ in enumerate(it.pings((POSES[k % 11] for k in count()), labels=True), 1):
+            if number == after:
+                raise KeyError
+    with simulator() as another:
+        assert another.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.timeout(10)
+def test_a_simulator_closed_in_the_midst_says_so():
+    it = simulator()
+    pings = it.pings(POSES[k % 11] for k in count())
+    next(pings)
+    it.close()
+    with pytest.raises(sg.Error) as caught:
+        list(pings)
+    assert str(caught.value) == "this Simulator is closed; make a new one"
+    with simulator() as another:
+        assert another.ping(POSES[0]).intensity.any()
