@@ -96,33 +96,10 @@ def _form(a, d):
 
 @compiled
 def see(
-    skip,
-    leaf,
-    error_m,
-    box,
-    cone,
-    moment,
-    whole,
-    n_faces,
-    roots,
-    order,
-    shown,
-    closed,
-    bounds,
-    matrices,
-    sector,
-    limits,
-    inverse,
-    corner,
-    near_m,
-    far_m,
-    range_max_m,
-    strays,
-    echoes,
-    outside,
-    chosen,
-    found,
-):
+    skip, leaf, error_m, box, cone, moment, whole, n_faces, roots, order, shown, closed, bounds,
+    matrices, sector, limits, inverse, corner, near_m, far_m, range_max_m, strays, echoes, outside,
+    chosen, found,
+):  # fmt: skip
     """Patches that a sector draws, and the window of samples about their bodies.
 
     Parameters

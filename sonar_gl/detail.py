@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from sonar_gl.compiled import compiled
+from sonar_gl.meshes import fixed_vertices
 from sonar_gl.simplify import simplify
 
 LEAF = 512  # faces; of a tree's lowest patches. Draws of fewer than some hundred cost more than their faces
@@ -127,18 +128,6 @@ def leaves_of(faces, bounds, n_vertices: int) -> tuple[np.ndarray, np.ndarray]:
         last[faces[::-1, k]] = leaf[::-1]
         lowest = np.minimum(lowest, np.where(last < 0, len(bounds), last))
     return lowest, highest
-
-
-def fixed_vertices(faces, n_vertices: int) -> np.ndarray:
-    """(V,) bool: vertices on edges that have not two faces."""
-    out = np.zeros(n_vertices, bool)
-    a, b = faces, np.roll(faces, -1, axis=1)
-    keys = (np.minimum(a, b).astype(np.int64) * n_vertices + np.maximum(a, b)).ravel()
-    keys.sort()
-    new = np.flatnonzero(np.diff(keys, prepend=-1))
-    odd = keys[new[np.diff(new, append=len(keys)) != 2]]
-    out[odd // n_vertices] = out[odd % n_vertices] = True
-    return out
 
 
 @dataclass

@@ -214,7 +214,7 @@ def accumulate(
     part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
     footprint : False drops a part of a sample whole into the bin of the hit point
-    body : 0 for all, or the number of the one body to add; moment : sum the echo times its elevation, radians
+    body : 0 for all, or the one body to add; moment : sum the echo times its elevation, radians
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
     spans : (columns, 2) int64, first bin and past the last beyond which a row of sums is zero; overwritten
     """
@@ -233,6 +233,9 @@ def accumulate(
         u2 = 1.0 + uc * uc
         v_limit = tan_elevation * math.sqrt(u2)
         nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
+        last_row = nearest - step * R
+        if max(nearest, last_row) <= -1.0 or min(nearest, last_row) >= plane_echo.shape[1]:
+            continue  # beside the window
         # the rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
         bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)

@@ -202,3 +202,15 @@ def closedness(vertices, faces) -> int:
     middle = vertices - vertices.mean(axis=0)
     x, y, z = (middle[faces[:, k]] for k in range(3))
     return int(np.sign(np.einsum("ij,ij->", x, np.cross(y, z))))
+
+
+def fixed_vertices(faces, n_vertices: int) -> np.ndarray:
+    """(V,) bool: vertices on edges that have not two faces."""
+    out = np.zeros(n_vertices, bool)
+    a, b = faces, np.roll(faces, -1, axis=1)
+    keys = (np.minimum(a, b).astype(np.int64) * n_vertices + np.maximum(a, b)).ravel()
+    keys.sort()
+    new = np.flatnonzero(np.diff(keys, prepend=-1))
+    odd = keys[new[np.diff(new, append=len(keys)) != 2]]
+    out[odd // n_vertices] = out[odd % n_vertices] = True
+    return out

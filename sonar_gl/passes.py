@@ -113,7 +113,7 @@ class Fixed:
         """No: nobody looks."""
         return False
 
-    def changed(self, intensity):
+    def changed(self, whole):
         """No."""
         return False
 

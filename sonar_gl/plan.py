@@ -125,7 +125,7 @@ class Planner:
             look = False
         views = self.now.views(pose, labels or look, where=where)
         intensity = self.now.intensity(views)
-        if not look and self.changed(intensity):
+        if not look and self.changed(self.now.reducer.total):
             look, views = True, self.now.views(pose, labels=True, where=where)
         if look:
             self.plan, steps = self._judge(pose, where, self.rung, (views, intensity))
@@ -136,9 +136,9 @@ class Planner:
         self._tell()
         return views, intensity
 
-    def changed(self, intensity) -> bool:
-        """Whether something came into view, or left, since the last look."""
-        return not self._fixed and self._watch.changed(intensity)
+    def changed(self, whole: float) -> bool:
+        """Whether something came into view, or left, since the last look, by the whole echo."""
+        return not self._fixed and self._watch.changed(whole)
 
     def fix(self, poses, where=None) -> Plan:
         """Choose for all of some poses (for POSES of many), and stay with it."""

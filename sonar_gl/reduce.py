@@ -10,6 +10,7 @@ from numba import uint64
 from sonar_gl.compiled import compiled
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import accumulate
+from sonar_gl.given import Given
 from sonar_gl.pair import Pair
 
 # Handing half of the work to the other thread takes as long as so many rows of strips, or products of a
@@ -76,10 +77,14 @@ class Reducer:
     ----------
     fan : Fan
     first, weights : of `fan.beam_weights`
+
+    Attributes
+    ----------
+    total : the sum of what `intensity` gave last
     """
 
     def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray):
-        self._pair = Pair()
+        self._pair, self._given = Pair(), Given((len(first), fan.sonar.n_bins))
         self.fan, self.first = fan, first
         self.weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
         self.edges = fan.sonar.bin_edges_m
@@ -128,12 +133,8 @@ class Reducer:
         self._pair.close()
 
     def _both(self, work, alone: bool = False):
-        """Run work(0) and work(1), one of them in the other thread unless this one can do both alone."""
-        if alone:
-            work(0)
-            work(1)
-        else:
-            self._pair.run(work)
+        """What work(0) and work(1) return, the latter from the other thread unless `alone`."""
+        return (work(0), work(1)) if alone else self._pair.run(work)
 
     def _accumulate(self, views, body=0, moment=False) -> np.ndarray:
         """Fill the columns' sums, with one body's echo or all, or its moment; see `accumulate`."""
@@ -160,17 +161,19 @@ class Reducer:
                     self.spans,
                 )
 
-        rows = sum(len(sector.parts.u) * len(plane_echo) for sector, plane_echo, _ in views)
+        whole = zip(self.fan.sectors, views, strict=True)
+        rows = sum(len(s.parts.u) / s.columns * plane_echo[..., 0].size for s, (_, plane_echo, _) in whole)
         self._both(work, rows < FEW_ROWS)
         return self.sums
 
     def _beams(self, sums, gain=UNITY) -> np.ndarray:
-        out = np.zeros((len(self.first), sums.shape[1]), np.float32)  # of which most is never touched
+        out = self._given.zeros()
 
         def work(half):
-            if len(mine := range(len(out))[self.halves[half]]):
-                part = slice(mine.start, mine.stop)
-                weigh_columns(sums, self.spans, self.first[part], self.weights[part], gain, out[part])
+            part = self.halves[half]
+            weigh_columns(sums, self.spans, self.first[part], self.weights[part], gain, out[part])
 
-        self._both(work, self.weights.size * sums.shape[1] < FEW_PRODUCTS)
+        bins = np.maximum(self.spans[:, 1] - self.spans[:, 0], 0).mean()
+        self._both(work, self.weights.size * bins < FEW_PRODUCTS)
+        self.total = float(out.sum(dtype=np.float64))
         return out

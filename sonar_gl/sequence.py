@@ -1,7 +1,9 @@
-"""Many pings: some are drawn at once while those before them are summed in another thread."""
+"""Pings from what was summed; and many of them: some are drawn while those before are summed."""
 
 from __future__ import annotations
 
+import pickle
+import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -9,7 +11,8 @@ from dataclasses import asdict
 import numpy as np
 
 from sonar_gl._version import __version__
-from sonar_gl.types import Error
+from sonar_gl.nothing import why_nothing
+from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
 
@@ -36,8 +39,29 @@ def about(sonar, acoustics, tolerance, scene, gl_renderer: str) -> dict:
     }
 
 
+def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed) -> Ping:
+    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None."""
+    scene, samples = simulator.scene, simulator._samples
+    if whole <= 0:
+        warnings.warn(why_nothing(scene, where, simulator.sonar, pose, views), stacklevel=3)
+    for array in (intensity, *found):
+        if array is not None:
+            array.setflags(write=False)
+    body_id, elevation_rad, body_echo = found
+    if simulator._described is not scene:  # at first, and when bodies were added
+        renderer = simulator.gl_info["renderer"]
+        meta = about(simulator.sonar, simulator.acoustics, samples.tolerance, scene, renderer)
+        # each ping gets its own copy, ten times quicker than by deepcopy
+        simulator._described, simulator._meta = scene, pickle.dumps(meta)
+    meta = pickle.loads(simulator._meta)
+    meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": whole > 0}
+    axes = simulator._axes
+    return Ping(intensity, *axes, body_id, elevation_rad, pose, meta, body_echo, samples.estimate(pose))
+
+
 def in_batches(simulator, spots, labels: bool):
-    """What `Simulator._finish` makes pings of: pose, where, sampling, views, intensity, labels.
+    """What `finish` makes pings of: pose, where, sampling, views, intensity and its
+    sum, labels.
 
     Parameters
     ----------
@@ -95,23 +119,25 @@ def _add_up(now, views, labels, n_bodies):
     out = []
     for seen in views:
         found = now.reducer.labels(seen, now.gain, n_bodies) if labels else (None,) * 3
-        out.append((now.intensity(seen), found))
+        intensity = now.intensity(seen)
+        out.append((intensity, now.reducer.total, found))
     return out
 
 
 def _alone(simulator, pose, where, labels):
     views, intensity = simulator._samples.sense(pose, labels, where, look=True)
     now = simulator._samples.now
+    whole = now.reducer.total
     found = now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
-    return pose, where, now.sampling, views, intensity, found
+    return pose, where, now.sampling, views, intensity, whole, found
 
 
 def _finished(simulator, batch, views, sampling, future, labels):
     """The pings of a batch that was drawn before."""
-    for (pose, where), seen, (intensity, found) in zip(batch, views, future.result(), strict=True):
+    for (pose, where), seen, (intensity, whole, found) in zip(batch, views, future.result(), strict=True):
         simulator._open_world()
-        made = pose, where, sampling, seen, intensity, found
-        if simulator._samples.changed(intensity) or not intensity.any():
+        made = pose, where, sampling, seen, intensity, whole, found
+        if simulator._samples.changed(whole) or whole <= 0:
             with simulator._drawing():
                 made = _alone(simulator, pose, where, labels)
         yield made

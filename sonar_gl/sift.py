@@ -100,34 +100,10 @@ def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals,
 
 @compiled
 def sift_patches(
-    chosen,
-    first_vertex,
-    n_vertices,
-    first_face,
-    n_faces,
-    points,
-    normals,
-    reflectivity,
-    faces,
-    matrices,
-    body_rows,
-    closed,
-    sector,
-    inverse,
-    corner,
-    size,
-    near_m,
-    outside,
-    row,
-    first_index,
-    indices,
-    draws,
-    u,
-    v,
-    places,
-    values,
-    bodies,
-):
+    chosen, first_vertex, n_vertices, first_face, n_faces, points, normals, reflectivity, faces,
+    matrices, body_rows, closed, sector, inverse, corner, size, near_m, outside, row, first_index,
+    indices, draws, u, v, places, values, bodies,
+):  # fmt: skip
     """Of some patches the triangles that meet a sample: small ones as samples, the others as draws.
 
     Parameters

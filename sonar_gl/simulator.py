@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import wait
 from contextlib import contextmanager
-from dataclasses import asdict
 from itertools import count, repeat
 
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.cloud import points_of
 from sonar_gl.fan import Fan, Sampling
 from sonar_gl.noise import Noise, add_noise, check_seed
-from sonar_gl.nothing import why_nothing
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import about, in_batches, several
+from sonar_gl.sequence import finish, in_batches, several
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -74,13 +71,7 @@ class Simulator:
             given = sampling is not None
             self._samples = Fixed(self._passes, sampling) if given else Planner(self._passes, tolerance)
             self._passes.warm()
-        self._describe()
-
-    def _describe(self):
-        self._described = self.scene
-        self._meta = pickle.dumps(  # each ping gets its own copy, ten times quicker than by deepcopy
-            about(self.sonar, self.acoustics, self._samples.tolerance, self.scene, self.gl_info["renderer"])
-        )
+        self._described, self._meta = None, b""
 
     def _open_world(self) -> World:
         if self._world is None:
@@ -157,8 +148,9 @@ class Simulator:
             where = self._world.moved(bodies)
             views, intensity = self._samples.sense(pose, labels, where)
             now = self._samples.now
+            whole = now.reducer.total
             found = now.reducer.labels(views, now.gain, len(self.scene.bodies)) if labels else (None,) * 3
-            ping = self._finish(pose, where, now.sampling, views, intensity, found, seed)
+            ping = finish(self, pose, where, now.sampling, views, intensity, whole, found, seed)
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
@@ -181,25 +173,9 @@ class Simulator:
         spots = zip(several(poses), bodies or repeat(None), strict=False)
         spots = ((check_pose(pose), moved) for pose, moved in spots)
         for number, made in zip(count(), in_batches(self, spots, labels), strict=False):
-            ping = self._finish(*made, seed)
+            ping = finish(self, *made, seed)
             self._warn()
             yield ping if noise is None else add_noise(ping, noise, seed, number)
-
-    def _finish(self, pose, where, sampling, views, intensity, found, seed) -> Ping:
-        """A ping from what was summed; `found` : of `Reducer.labels`, or three None."""
-        has_echo = bool(intensity.max() > 0)
-        if not has_echo:
-            warnings.warn(why_nothing(self.scene, where, self.sonar, pose, views), stacklevel=3)
-        for array in (intensity, *found):
-            if array is not None:
-                array.setflags(write=False)
-        body_id, elevation_rad, body_echo = found
-        if self._described is not self.scene:  # bodies were added
-            self._describe()
-        meta = pickle.loads(self._meta)
-        meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo}
-        estimate = self._samples.estimate(pose)
-        return Ping(intensity, *self._axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
 
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away."""

@@ -32,9 +32,9 @@ class Watch:
         """At a ping from `pose` of bodies that are `where`, and of so much echo in all."""
         self.pose, self.where, self.whole, self.since = pose, where, whole, 0
 
-    def changed(self, intensity) -> bool:
+    def changed(self, whole: float) -> bool:
         """Whether something came into view, or left."""
-        return abs(intensity.sum() - self.whole) > CHECK_CHANGE * self.whole
+        return abs(whole - self.whole) > CHECK_CHANGE * self.whole
 
     def due(self, pose, where) -> bool:
         """Whether sonar or bodies have moved far, or a little for long."""
