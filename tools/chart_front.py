@@ -12,7 +12,7 @@ OURS, OUR_RAYS, JITTERED = "ours", "rays_footprints", "rays_jittered"
 JUDGED = (0.01, 0.003)  # errors at which times are told
 AIMS = {  # at 1 %: how many times the rival's time is of ours
     JITTERED: {"pylon": 15.0, "diver": 10.0, "ocean_floor": 8.0, "ocean_floor_1m": 8.0},
-    OUR_RAYS: {"pylon": 1.5, "diver": 1.5, "ocean_floor": 1.0, "ocean_floor_1m": 1.5},
+    OUR_RAYS: {"pylon": 1.0, "diver": 1.0, "ocean_floor": 1.5, "ocean_floor_1m": 1.5},
 }
 BAND = np.geomspace(0.03, 0.005, 8)  # errors at which `violations` looks
 NOISE = 1.25  # a rival must be this much quicker to count
