@@ -209,7 +209,7 @@ def test_ratios_say_which_side_they_bound(rival, ours, at, want):
         ("pylon", "rays_jittered", [(14, ">"), (20, ">")], "open at 1 %, open at 0.3 %"),
         ("pylon", "rays_jittered", [(16, "<"), (20, "")], "open at 1 %, open at 0.3 %"),
         ("pylon", "rays_jittered", [(14, "<"), (20, "")], "missed at 1 %, open at 0.3 %"),
-        ("ocean_floor", "rays_footprints", [(1.1, ""), (1.2, "")], "met at 1 %, met at 0.3 %"),
+        ("ocean_floor", "rays_footprints", [(1.6, ""), (1.7, "")], "met at 1 %, met at 0.3 %"),
         ("tank", "rays_jittered", [(16, ""), (20, "")], ""),
         ("pylon", "tubes", [(16, ""), (20, "")], ""),
     ],
