@@ -201,19 +201,16 @@ def accumulate(
 ):  # fmt: skip
     """Sum some of one sector's samples into columns.
 
-    A sample stands for a rectangle of an upright strip of the view's image plane, which its ray need not meet
-    in the middle. The surface in it is the plane that the ray met, on which 1/r is linear in (u, v) but for
-    the slow length of the ray: so the share of the rectangle nearer than r is the distribution of two
-    convolved boxes, exact for planes at any grazing angle. It is cut at the aperture, where columns end, and
-    where the plane meets that of the next sample up.
+    A sample stands for a rectangle of an upright strip of the image plane, and the surface in it is the plane
+    that its ray met. There 1/r is linear in (u, v) but for the slow length of the ray: the share before r
+    is that of two convolved boxes, exact for planes. It is cut at the aperture, columns and edges of planes.
 
     Parameters
     ----------
     plane_echo : (R, C, 4) float32, body_id : (R, C) uint16, as the shader writes them
     u, v, tan_elevation : of `fan.Sector`
     part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
-    bin_edges_m : (K + 1,); tables, flat : of `bin_tables`
-    footprint : False drops a part of a sample whole into the bin of the hit point
+    bin_edges_m, tables, flat : (K + 1,), of `bin_tables`; footprint : False drops samples whole into one bin
     body : 0 for all, or the one body to add; moment : sum the echo times its elevation, radians
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
     spans : (columns, 2) int64, first bin and past the last beyond which a row of sums is zero; overwritten
