@@ -1,4 +1,4 @@
-"""How sound weakens with range and how a beam hears: formulas, and the profiles made of them."""
+"""What happens to an echo on its way: the settings, the profiles made of them, and the gains that follow."""
 
 from __future__ import annotations
 
@@ -8,128 +8,37 @@ from functools import partial
 
 import numpy as np
 
+from sonar_gl.patterns import BEAM_PATTERNS, HALF_POWER
 from sonar_gl.types import Error, nearest_names
+from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
-HALF_POWER = 0.442946470689  # x of sinc²(x) = 1/2: half the −3 dB width of a uniform line array, in λ/L
 LOBES = 4  # of the line array's pattern, to each side of the axis, that count: the rest is below −23 dB
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
 MAX_DECADES = 30.0  # gains are held within 10^±30, so that float32 echoes stay finite
-
-
-def absorption_francois_garrison(frequency_hz, temperature_c, salinity_psu, depth_m, ph):
-    """Absorption of sound in sea water, dB per metre one way: boric acid, magnesium sulphate, pure water.
-
-    Parameters
-    ----------
-    frequency_hz : hertz; fitted from 200 Hz to 1 MHz, above which pure water (f²) rules and is kept
-    temperature_c, salinity_psu, depth_m, ph : °C, practical salinity, metres, 1
-
-    Source: Francois, Garrison, "Sound absorption based on ocean measurements. Part II: Boric acid
-    contribution and equation for total absorption", J. Acoust. Soc. Am. 72, 1879-1890, 1982
-
-    >>> round(float(absorption_francois_garrison(900e3, 10.0, 35.0, 0.0, 8.0)), 6)
-    0.299463
-    """
-    f, t, s, d = (np.asarray(x, np.float64) for x in (frequency_hz, temperature_c, salinity_psu, depth_m))
-    f = f / 1e3  # the paper's kHz
-    c, kelvin = 1412 + 3.21 * t + 1.19 * s + 0.0167 * d, 273 + t
-    a1 = 8.86 / c * 10 ** (0.78 * np.asarray(ph, np.float64) - 5)
-    f1 = 2.8 * np.sqrt(s / 35) * 10 ** (4 - 1245 / kelvin)
-    a2, p2 = 21.44 * s / c * (1 + 0.025 * t), 1 - 1.37e-4 * d + 6.2e-9 * d**2
-    f2 = 8.17 * 10 ** (8 - 1990 / kelvin) / (1 + 0.0018 * (s - 35))
-    cold = 4.937e-4 - 2.59e-5 * t + 9.11e-7 * t**2 - 1.50e-8 * t**3
-    warm = 3.964e-4 - 1.146e-5 * t + 1.45e-7 * t**2 - 6.5e-10 * t**3
-    a3, p3 = np.where(t <= 20, cold, warm), 1 - 3.83e-5 * d + 4.9e-10 * d**2
-    db_km = a1 * f1 * f**2 / (f1**2 + f**2) + a2 * p2 * f2 * f**2 / (f2**2 + f**2) + a3 * p3 * f**2
-    return db_km / 1e3
-
-
-def absorption_ainslie_mccolm(frequency_hz, temperature_c, salinity_psu, depth_m, ph):
-    """Absorption of sound in sea water, dB per metre one way: a short form within 10 % of the long one.
-
-    Parameters
-    ----------
-    frequency_hz : hertz, 100 Hz to 1 MHz
-    temperature_c, salinity_psu, depth_m, ph : °C, practical salinity, metres, 1
-
-    Source: Ainslie, McColm, "A simplified formula for viscous and chemical absorption in sea water",
-    J. Acoust. Soc. Am. 103, 1671-1672, 1998
-
-    >>> round(float(absorption_ainslie_mccolm(900e3, 10.0, 35.0, 0.0, 8.0)), 6)
-    0.322309
-    """
-    f, t, s, z = (np.asarray(x, np.float64) for x in (frequency_hz, temperature_c, salinity_psu, depth_m))
-    f, z = f / 1e3, z / 1e3  # the paper's kHz and km
-    f1, f2 = 0.78 * np.sqrt(s / 35) * np.exp(t / 26), 42 * np.exp(t / 17)
-    boric = 0.106 * f1 * f**2 / (f1**2 + f**2) * np.exp((np.asarray(ph, np.float64) - 8) / 0.56)
-    magnesium = 0.52 * (1 + t / 43) * (s / 35) * f2 * f**2 / (f2**2 + f**2) * np.exp(-z / 6)
-    return (boric + magnesium + 0.00049 * f**2 * np.exp(-(t / 27 + z / 17))) / 1e3
-
-
-def sound_speed_mackenzie(temperature_c, salinity_psu, depth_m):
-    """Speed of sound in sea water, metres per second.
-
-    Parameters
-    ----------
-    temperature_c, salinity_psu, depth_m : −2..30 °C, 25..40, 0..8000 m
-
-    Source: Mackenzie, "Nine-term equation for sound speed in the oceans", J. Acoust. Soc. Am. 70,
-    807-812, 1981
-
-    >>> round(float(sound_speed_mackenzie(25.0, 35.0, 1000.0)), 3)
-    1550.744
-    """
-    t, s, d = (np.asarray(x, np.float64) for x in (temperature_c, salinity_psu, depth_m))
-    warmth = 1448.96 + 4.591 * t - 5.304e-2 * t**2 + 2.374e-4 * t**3
-    salt = 1.340 * (s - 35) - 1.025e-2 * t * (s - 35)
-    return warmth + salt + 1.630e-2 * d + 1.675e-7 * d**2 - 7.139e-13 * t * d**3
-
-
-def line_array_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad):
-    """What a beam of a uniform line array hears from each direction, linear power, 1 on its axis.
-
-    Parameters
-    ----------
-    azimuth_rad, steer_azimuth_rad : radians, shapes that broadcast: the direction, the beam's axis
-    beam_width_rad : −3 dB full width, radians, 0..π
-
-    sinc²(u L/λ) with u = sin(ψ − ψ0) and L/λ = 0.44295 / sin(width / 2), so the −3 dB width is exact.
-    Every beam is alike: a data sheet gives one width, and curved or many-faced arrays keep it over the
-    fan. (One straight array would have u = sin ψ − sin ψ0 and broaden by 1/cos ψ0 where it is steered.)
-    The array hears nothing from behind, more than 90° from the beam's axis.
-    Source: Urick, Principles of Underwater Sound, 3rd ed., 1983
-
-    >>> round(float(line_array_pattern(np.radians(0.5), 0.0, np.radians(1.0))), 9)
-    0.5
-    """
-    offset = np.asarray(azimuth_rad, np.float64) - np.asarray(steer_azimuth_rad, np.float64)
-    apertures = HALF_POWER / np.sin(np.asarray(beam_width_rad, np.float64) / 2)
-    return np.where(np.cos(offset) > 0, np.sinc(np.sin(offset) * apertures) ** 2, 0.0)
-
-
-def box_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad):
-    """A beam that hears all within half its width of its axis alike, and nothing else: 1 or 0.
-
-    Parameters
-    ----------
-    azimuth_rad, steer_azimuth_rad : radians, of any shapes that broadcast: the direction, the beam's axis
-    beam_width_rad : full width, radians; its starboard edge is in the beam, its port edge is not
-
-    >>> box_pattern(np.radians([-0.6, -0.4, 0.4, 0.6]), 0.0, np.radians(1.0)).tolist()
-    [0.0, 1.0, 1.0, 0.0]
-    """
-    offset = np.asarray(azimuth_rad, np.float64) - np.asarray(steer_azimuth_rad, np.float64)
-    offset = (offset + np.pi) % (2 * np.pi) - np.pi
-    share = offset / np.asarray(beam_width_rad, np.float64)
-    return ((share >= -0.5) & (share < 0.5)).astype(np.float64)
-
-
-BEAM_PATTERNS = {"box": box_pattern, "line_array": line_array_pattern}
 RANGE_LAWS = ("constant", "printed", "inverse", "sonar_equation")
-PROFILES = {  # name: its range law and its beam pattern
-    "ideal": ("constant", "box"),
-    "demarco2015": ("printed", "box"),
-    "physical": ("sonar_equation", "line_array"),
+TAPERS = ("uniform", "hamming", "taylor", "chebyshev")
+PROFILES = {  # name: what it decides where nothing else is said
+    "ideal": {"range_law": "constant", "beam_pattern": "box", "specular": False, "bubbles": False},
+    "demarco2015": {"range_law": "printed", "beam_pattern": "box", "specular": False, "bubbles": False},
+    "physical": {
+        "range_law": "sonar_equation",
+        "beam_pattern": "line_array",
+        "specular": True,
+        "bubbles": True,
+    },
+}
+NAMES = {  # field: what it may be called
+    "range_law": RANGE_LAWS,
+    "beam_pattern": tuple(BEAM_PATTERNS),
+    "absorption_formula": tuple(ABSORPTION_FORMULAS),
+    "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
+    "taper": TAPERS,
+    "steered": ("alike", "straight"),
+    "transmit_taper": TAPERS,
+    "elevation_pattern": ("box", "line_array", "gaussian"),
+    "elevation_taper": TAPERS,
+    "pulse_taper": ("uniform", "hamming"),
+    "multipath": ("none", "incoherent", "coherent"),
 }
 BOUNDS = (
     ("temperature_c", -2, 40, "give °C"),
@@ -139,12 +48,17 @@ BOUNDS = (
     ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
+    ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+    ("sonar_sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+    ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
+    ("transmit_width_deg", 1e-3, 180, "give degrees"),
+    ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
 )
 
 
 @dataclass(frozen=True)
 class Acoustics:
-    """What happens to an echo on its way, as one gain G(r), and the shape of the beams.
+    """What happens to an echo on its way, and how beams hear.
 
     Parameters
     ----------
@@ -153,11 +67,30 @@ class Acoustics:
         DeMarco, West, Howard 2015 as printed; "inverse": (1 m / r)², at most 1; "sonar_equation":
         r^-2 · 10^(−2αr/10) · 10^(TVG/10) with TVG = k log10 r + 2 α_tvg r dB, r in metres, where r below
         1 mm counts as 1 mm and the whole is held within 10^±30
-    beam_pattern : None (the profile's own), "box" or "line_array"
-    temperature_c, salinity_psu, depth_m, ph : the water, for α
-    absorption_db_m : α, dB per metre one way; None = Francois-Garrison at the sonar's frequency
+    beam_pattern : None (the profile's own), "box", "line_array" or "gaussian"
+    temperature_c, salinity_psu, depth_m, ph : the water, for α and for the speed of sound
+    absorption_db_m : α, dB per metre one way; None = by absorption_formula at the sonar's frequency
     tvg_k : k of the TVG; 20 with the right α makes G = 1, 40 keeps a point target's level
     tvg_absorption_db_m : the α that the TVG believes in; None = the right one
+    absorption_formula : "francois_garrison" or "ainslie_mccolm"
+    sound_speed_formula : "mackenzie", or "teos10", which needs gsw
+    sound_speed_m_s : the speed of sound; None = by sound_speed_formula
+    sonar_sound_speed_m_s : what the sonar is set to, None = the right speed; ranges that it shows are the
+        true ones times this over the right speed
+    taper, side_lobe_db : of the receiving line array in azimuth: "uniform", "hamming", "taylor" or
+        "chebyshev"; the last two have side lobes so many dB down
+    steered : "alike": every beam has the width of the data sheet; "straight": one straight array, whose
+        beams broaden as 1/cos of the angle that they are steered to
+    transmit_width_deg, transmit_taper : −3 dB width in azimuth of the projector's beam about the boresight;
+        None = it sounds the fan evenly
+    elevation_pattern : "box": a beam hears all of elevation_fov_deg alike; "line_array", "gaussian":
+        transmitter and receiver alike, and their product is elevation_fov_deg wide at −3 dB
+    elevation_taper : of the line array in elevation
+    bandwidth_hz, pulse_taper : of the pulse, and of its matched filter, "uniform" or "hamming"; None = an
+        echo falls into the bin of its range and no other
+    specular : None (the profile's own), or whether smooth faces have lobes
+    bubbles : None (the profile's own), or whether the scene's plumes of bubbles are there
+    multipath : "none", "incoherent" or "coherent": how the two paths by way of a surface add
 
     Raises Error if a name is unknown or a number makes no sense.
 
@@ -176,23 +109,46 @@ class Acoustics:
     absorption_db_m: float | None = None
     tvg_k: float = 20.0
     tvg_absorption_db_m: float | None = None
+    absorption_formula: str = "francois_garrison"
+    sound_speed_formula: str = "mackenzie"
+    sound_speed_m_s: float | None = None
+    sonar_sound_speed_m_s: float | None = None
+    taper: str = "uniform"
+    side_lobe_db: float = 30.0
+    steered: str = "alike"
+    transmit_width_deg: float | None = None
+    transmit_taper: str = "uniform"
+    elevation_pattern: str = "box"
+    elevation_taper: str = "uniform"
+    bandwidth_hz: float | None = None
+    pulse_taper: str = "uniform"
+    specular: bool | None = None
+    bubbles: bool | None = None
+    multipath: str = "none"
 
     def __post_init__(self):
-        names = {"profile": PROFILES, "range_law": RANGE_LAWS, "beam_pattern": BEAM_PATTERNS}
-        for place, (key, known) in enumerate(names.items()):
-            value = getattr(self, key)
-            if value is None and place > 0:
-                object.__setattr__(self, key, PROFILES[self.profile][place - 1])
-            elif str(value) not in known:
-                raise Error(f"acoustics: unknown {key} (got {value!r}; {nearest_names(str(value), known)})")
+        self._check_name("profile", PROFILES)
+        for key, own in PROFILES[self.profile].items():
+            if getattr(self, key) is None:
+                object.__setattr__(self, key, own)
+        for key, known in NAMES.items():
+            self._check_name(key, known)
+        for key in ("specular", "bubbles"):
+            if not isinstance(getattr(self, key), bool):
+                raise Error(f"acoustics: {key} must be True or False (got {getattr(self, key)!r})")
         for key, low, high, hint in BOUNDS:
             value = getattr(self, key)
-            if value is None and "absorption" in key:
+            if value is None and self.__dataclass_fields__[key].default is None:
                 continue
             if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
                 raise Error(f"acoustics: {key} must be a number (got {value!r})")
             if not low <= value <= high:  # NaN too
                 raise Error(f"acoustics: {key} must lie in {low:g}..{high:g} (got {value:g}; {hint})")
+
+    def _check_name(self, key: str, known):
+        value = getattr(self, key)
+        if str(value) not in known:
+            raise Error(f"acoustics: unknown {key} (got {value!r}; {nearest_names(str(value), known)})")
 
     @classmethod
     def ideal(cls) -> Acoustics:
@@ -214,7 +170,7 @@ class Acoustics:
         if self.absorption_db_m is not None:
             return float(self.absorption_db_m)
         water = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
-        return float(absorption_francois_garrison(frequency_hz, *water))
+        return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *water))
 
     def gain(self, range_m, sonar) -> np.ndarray:
         """G(r), linear power, float64, of the shape of `range_m` (metres), for this sonar."""
@@ -226,11 +182,32 @@ class Acoustics:
         r = np.maximum(r, NEAR_M)
         if self.range_law == "inverse":
             return np.minimum(1.0, r**-2)
-        absorption = self.absorption(sonar.frequency_hz)
-        believed = absorption if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
+        absorption, believed = self._absorptions(sonar)
         # one exponent: where TVG and loss cancel they do so exactly, and 10^(-αr) cannot underflow on its own
         decades = (self.tvg_k / 10 - 2) * np.log10(r) + 2 * (believed - absorption) * r / 10
         return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+
+    def tvg(self, range_m, sonar) -> np.ndarray:
+        """The TVG alone, linear power, float64, of the shape of `range_m`, the ranges that the sonar shows.
+
+        1 for range laws other than "sonar_equation"; r below 1 mm counts as 1 mm, and the whole is held
+        within 10^±30.
+
+        >>> from sonar_gl.sonar import load_sonar
+        >>> Acoustics.physical(tvg_k=30.0, absorption_db_m=0.5).tvg([10.0], load_sonar("p900-45")).tolist()
+        [10000.0]
+        """
+        r = np.asarray(range_m, np.float64)
+        if self.range_law != "sonar_equation":
+            return np.ones_like(r)
+        r = np.maximum(r, NEAR_M)
+        decades = (self.tvg_k * np.log10(r) + 2 * self._absorptions(sonar)[1] * r) / 10
+        return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+
+    def _absorptions(self, sonar) -> tuple[float, float]:
+        """α, and what the TVG takes it for."""
+        right = self.absorption(sonar.frequency_hz)
+        return right, right if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
 
     def beam_pattern_function(self, sonar):
         """Function (azimuth_rad, steer_azimuth_rad) -> linear power, 1 on the axis; None for a box."""

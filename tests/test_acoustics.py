@@ -6,18 +6,11 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from sonar_gl.acoustics import (
-    BEAM_PATTERNS,
-    HALF_POWER,
-    Acoustics,
-    absorption_ainslie_mccolm,
-    absorption_francois_garrison,
-    box_pattern,
-    line_array_pattern,
-    sound_speed_mackenzie,
-)
+from sonar_gl.acoustics import Acoustics
+from sonar_gl.patterns import BEAM_PATTERNS, HALF_POWER, box_pattern, line_array_pattern
 from sonar_gl.sonar import load_sonar
 from sonar_gl.types import Error
+from sonar_gl.water import absorption_ainslie_mccolm, absorption_francois_garrison, sound_speed_mackenzie
 
 WATERS = {  # temperature, salinity, depth, pH: (Francois-Garrison, Ainslie-McColm) dB/m at 450, 900, 1200 kHz
     (10, 0.001, 0, 7): ((0.062939, 0.251750, 0.447554), (0.068514, 0.274052, 0.487203)),
@@ -237,6 +230,30 @@ def test_profiles():
         Acoustics().tvg_k = 30
 
 
+def test_what_profiles_decide():
+    for profile, physical in (("ideal", False), ("demarco2015", False), ("physical", True)):
+        it = Acoustics(profile)
+        assert (it.specular, it.bubbles, it.multipath) == (physical, physical, "none")
+        assert (it.elevation_pattern, it.bandwidth_hz, it.transmit_width_deg) == ("box", None, None)
+        assert Acoustics(profile, specular=not physical).specular is not physical
+
+
+@pytest.mark.parametrize("believed", [None, 0.0, 0.4])
+def test_tvg_over_the_loss_is_the_gain(sonar, believed):
+    acoustics = Acoustics.physical(tvg_k=33.0, tvg_absorption_db_m=believed)
+    r = np.concatenate([[0.0], sonar.range_m])
+    without = replace(acoustics, tvg_k=0.0, tvg_absorption_db_m=0.0)
+    tvg = acoustics.tvg(r, sonar)
+    np.testing.assert_allclose(tvg * without.gain(r, sonar), acoustics.gain(r, sonar), rtol=1e-12)
+    assert (without.tvg(r, sonar) == 1).all()
+    assert np.isfinite(acoustics.tvg([1e5], sonar).astype(np.float32)).all()
+
+
+def test_other_range_laws_have_no_tvg(sonar):
+    for law in ("constant", "printed", "inverse"):
+        assert (Acoustics.physical(range_law=law).tvg(sonar.range_m, sonar) == 1).all()
+
+
 def test_meta_is_plain():
     acoustics = Acoustics.physical(tvg_k=30.0)
     assert Acoustics(**json.loads(json.dumps(acoustics.meta()))) == acoustics
@@ -248,7 +265,7 @@ def test_meta_is_plain():
         ({"profile": "phisical"}, "unknown profile (got 'phisical'; did you mean 'physical'?)"),
         ({"profile": None}, "unknown profile (got None; known are demarco2015, ideal, physical)"),
         ({"range_law": "print"}, "unknown range_law (got 'print'; did you mean 'printed'?)"),
-        ({"beam_pattern": "gauss"}, "unknown beam_pattern (got 'gauss'; known are box, line_array)"),
+        ({"beam_pattern": "dot"}, "unknown beam_pattern (got 'dot'; known are box, gaussian, line_array)"),
         ({"temperature_c": 283}, "temperature_c must lie in -2..40 (got 283; give °C)"),
         (
             {"salinity_psu": -1},
@@ -267,6 +284,35 @@ def test_meta_is_plain():
             {"absorption_db_m": -0.3},
             "absorption_db_m must lie in 0..100000 "
             "(got -0.3; give dB per metre one way, a thousandth of dB per km)",
+        ),
+        ({"taper": "hann"}, "unknown taper (got 'hann'; did you mean 'hamming'?)"),
+        ({"taper": None}, "unknown taper (got None; known are chebyshev, hamming, taylor, uniform)"),
+        ({"steered": "bent"}, "unknown steered (got 'bent'; known are alike, straight)"),
+        (
+            {"absorption_formula": "thorp"},
+            "unknown absorption_formula (got 'thorp'; known are ainslie_mccolm, francois_garrison)",
+        ),
+        (
+            {"sound_speed_formula": "teos"},
+            "unknown sound_speed_formula (got 'teos'; did you mean 'teos10'?)",
+        ),
+        ({"multipath": True}, "unknown multipath (got True; known are coherent, incoherent, none)"),
+        ({"specular": "yes"}, "specular must be True or False (got 'yes')"),
+        ({"bubbles": 1}, "bubbles must be True or False (got 1)"),
+        (
+            {"sonar_sound_speed_m_s": 1.5},
+            "sonar_sound_speed_m_s must lie in 1000..2000 "
+            "(got 1.5; give metres per second, about 1500 in water)",
+        ),
+        ({"sound_speed_m_s": True}, "sound_speed_m_s must be a number (got True)"),
+        (
+            {"side_lobe_db": -30},
+            "side_lobe_db must lie in 15..60 (got -30; give dB below the main lobe, positive)",
+        ),
+        ({"transmit_width_deg": 0}, "transmit_width_deg must lie in 0.001..180 (got 0; give degrees)"),
+        (
+            {"bandwidth_hz": 0.03},
+            "bandwidth_hz must lie in 1..1e+08 (got 0.03; give hertz, 30e3 for 30 kHz)",
         ),
     ],
 )
