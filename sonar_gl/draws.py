@@ -44,12 +44,16 @@ class Placed:
     rows : (n, PER_BODY) float32, what the shader knows of them
     shown : (n,) bool
     outside : whether back faces may be left out: the sonar is in the box of no closed body
+    plane : (4,) a, of which a · (x, y, z, 1) > 0 in the sonar's frame alone is drawn, or None
+    cut : (n,) bool, bodies that lie on both sides of it
     """
 
     matrices: np.ndarray
     rows: np.ndarray
     shown: np.ndarray
     outside: bool
+    plane: np.ndarray | None
+    cut: np.ndarray
 
 
 class Draws:

@@ -78,6 +78,7 @@ class Material:
     reflectivity : μ of the diffuse echo, 0..1: all of |R|² where the surface is rough
     specular : strength of the lobe, 0..1; 0 where the surface is rough
     roughness_rad : rms slope of the facets that make the lobe, along any one direction
+    height_m : rms height of its fine roughness, metres
     source : where the numbers come from
     """
 
@@ -88,6 +89,7 @@ class Material:
     reflectivity: float
     specular: float
     roughness_rad: float | None
+    height_m: float | None
     source: str = ""
 
 
@@ -137,4 +139,4 @@ def _made(name: str, table: dict) -> Material:
         kept = float(coherent_loss(np.pi / 2, height, WAVENUMBER_RAD_M)) ** 2
     diffuse, specular = reflected * (1 - kept), reflected * kept
     slope = table.get("roughness_rad")
-    return Material(name, density, speed, loss, diffuse, specular, slope, table["source"])
+    return Material(name, density, speed, loss, diffuse, specular, slope, height, table["source"])

@@ -128,6 +128,18 @@ class Reducer:
             elevation[stronger] = moment[stronger] / echo[stronger]
         return body_id, elevation, body_echo
 
+    def sum_with(self, add, views, gain) -> np.ndarray:
+        """(B, K) as of `intensity`, of what add(view, parts, tables, sums, spans) puts into columns."""
+
+        def work(half):
+            for owner, index, parts in self.jobs:
+                if owner == half:
+                    tables = self.edges, self.tables, self.flat
+                    add(views[index], parts, tables, self.sums, self.spans)
+
+        self._both(work)
+        return self._beams(self.sums, gain)
+
     def close(self):
         """End the other thread."""
         self._pair.close()

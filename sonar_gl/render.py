@@ -97,7 +97,7 @@ class Renderer:
         """Draw the next pictures beside the last ones: `views` of those stay as they are once more."""
         self.pictures, self.others = self.others, self.pictures
 
-    def render(self, poses, wheres=(None,), labels: bool = False, whole: bool = False):
+    def render(self, poses, wheres=(None,), labels: bool = False, whole: bool = False, planes=None):
         """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
 
         The arrays behind `views` are used again by the next call.
@@ -107,9 +107,11 @@ class Renderer:
         poses, wheres : of the sonar, and for each the Whereabouts of the bodies, or None
         labels : read the bodies' numbers too
         whole : draw the empty water, too
+        planes : of each pose a plane before which all lies that is drawn, or None; see `draws.Placed`
         """
         gpu, out = self.gpu, self.out
-        placed = [gpu.stock.place(*spot) for spot in zip(poses, wheres, strict=True)]
+        planes = planes or [None] * len(poses)
+        placed = [gpu.stock.place(*spot) for spot in zip(poses, wheres, planes, strict=True)]
         rows = placed[0].rows if len(placed) == 1 else np.concatenate([one.rows for one in placed])
         self.pictures += [Picture() for _ in placed[len(self.pictures) :]]
         self.drawn = self.pictures[: len(placed)]
@@ -118,11 +120,11 @@ class Renderer:
         self._fit(max(one.width for one in self.drawn), max(one.height for one in self.drawn))
         if out.counts["draws"]:
             gpu.upload(rows, out)
-        for picture, parts in zip(self.drawn, draws, strict=True):
+        for picture, parts, plane in zip(self.drawn, draws, planes, strict=True):
             picture.labels = labels
             if picture.width:
                 picture.fit(self.context, self.size)
-                self._draw(picture, picture.clear(), rows, parts)
+                self._draw(picture, picture.clear(), rows, parts, plane)
         for picture in self.drawn:  # while one is read the driver's threads may fill the next
             if picture.width:
                 picture.read()
@@ -148,7 +150,7 @@ class Renderer:
             picture.width, picture.height = picture.width + window[2], max(picture.height, window[3])
         return draws
 
-    def _draw(self, picture, framebuffer, rows, draws):
+    def _draw(self, picture, framebuffer, rows, draws, plane):
         array = self.gpu.array(picture.labels)
         for (view, (i, j, columns, n_rows), left, _), (first, split, n) in zip(
             picture.parts, draws, strict=True
@@ -160,6 +162,11 @@ class Renderer:
             framebuffer.scissor = (left, 0, columns, n_rows)
             for name, value in self._uniforms(array.program, view):
                 array.program[name].write(value)
+            if plane is not None:
+                clip = sector.projection(NEAR_M, self.far_m)
+                # what lies behind the plane lies before the near plane; depth has a way of its own
+                clip[2] = plane / 2 - clip[3]
+                array.program["clip_from_sonar"].write(np.ascontiguousarray(clip.T, np.float32).tobytes())
             for name in ("u", "v"):  # pixels count from the framebuffer's corner
                 u = getattr(sector, name)
                 array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])

@@ -85,6 +85,8 @@ class Body:
     pose: np.ndarray = None
     reflectivity: float | np.ndarray = 0.5
     normals: np.ndarray | None = None
+    material = None
+    specular = 0.0
 
     def __post_init__(self):
         def put(key, value):
@@ -128,6 +130,13 @@ def _mesh(body):
 Body.mesh = property(_mesh, lambda body, mesh: object.__setattr__(body, "surface", mesh))
 
 
+def _number(name: str, value, low: float, high: float) -> float:
+    """A number within bounds, or an `Error`."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= high:
+        raise Error(f"{name} of a scene must be metres in {low:g}..{high:g} (got {value!r})")
+    return float(value)
+
+
 class Scene:
     """Bodies, and where the scene's file puts its sonar.
 
@@ -136,18 +145,39 @@ class Scene:
     bodies : of unique names, at most 65535
     sonar_pose : (4, 4) world_from_sonar, or None
     name : what files made from it are called
+    surface_z_m : height of the water's surface, metres, which mirrors sound; None = far away
+    surface_roughness_m : rms height of its waves, metres; at 900 kHz a millimetre leaves no mirror
+
+    Raises
+    ------
+    Error
+        if names of bodies are not unique, or the surface makes no sense.
     """
 
-    def __init__(self, bodies: Iterable[Body], sonar_pose=None, name: str = "scene"):
+    def __init__(
+        self,
+        bodies: Iterable[Body],
+        sonar_pose=None,
+        name: str = "scene",
+        surface_z_m: float | None = None,
+        surface_roughness_m: float = 1e-4,
+    ):
         self.bodies = tuple(bodies)
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         self.name = name
+        self.surface_z_m = None if surface_z_m is None else _number("surface_z_m", surface_z_m, -1e5, 1e5)
+        self.surface_roughness_m = _number("surface_roughness_m", surface_roughness_m, 0, 100)
         names = [body.name for body in self.bodies]
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
         if twice:
             raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
         if len(names) > 65535:
             raise Error(f"a scene holds at most 65535 bodies (got {len(names)}; join some meshes)")
+
+    def with_more(self, bodies: Iterable[Body]) -> Scene:
+        """The same scene with more bodies in it, after its own."""
+        bodies = [*self.bodies, *bodies]
+        return Scene(bodies, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
 
     @property
     def n_triangles(self) -> int:

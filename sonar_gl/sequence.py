@@ -60,8 +60,7 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
 
 
 def in_batches(simulator, spots, labels: bool):
-    """What `finish` makes pings of: pose, where, sampling, views, intensity and its
-    sum, labels.
+    """What `finish` makes pings of: pose, where, sampling, views, intensity and its sum, labels.
 
     Parameters
     ----------
@@ -77,7 +76,8 @@ def in_batches(simulator, spots, labels: bool):
                 if batch:
                     now = samples.now
                     views = now.views_of(*zip(*batch, strict=True), labels)
-                    future = pool.submit(_add_up, now, views, labels, len(simulator.scene.bodies))
+                    ghosts = _ghosts(simulator, now, *zip(*batch, strict=True))
+                    future = pool.submit(_add_up, simulator, now, views, ghosts, labels)
                     upcoming = batch, views, now.sampling, future
                     simulator._underway = future
             if waiting:
@@ -88,7 +88,7 @@ def in_batches(simulator, spots, labels: bool):
                 waiting = None
             if due:
                 with simulator._drawing():
-                    made = _alone(simulator, *due, labels)
+                    made = alone(simulator, *due, labels, look=True)
                 yield made
         if waiting:
             yield from _finished(simulator, *waiting, labels)
@@ -114,30 +114,47 @@ def _gather(simulator, spots):
     return batch, None, None, False
 
 
-def _add_up(now, views, labels, n_bodies):
+def _add_up(simulator, now, views, ghosts, labels):
     """In the other thread; nobody else uses the pass meanwhile, see `Simulator._drawing`."""
-    out = []
-    for seen in views:
-        found = now.reducer.labels(seen, now.gain, n_bodies) if labels else (None,) * 3
-        intensity = now.intensity(seen)
-        out.append((intensity, now.reducer.total, found))
-    return out
+    return [
+        _complete(simulator, now, seen, of, labels, now.intensity(seen))
+        for seen, of in zip(views, ghosts, strict=True)
+    ]
 
 
-def _alone(simulator, pose, where, labels):
-    views, intensity = simulator._samples.sense(pose, labels, where, look=True)
+def _ghosts(simulator, now, poses, wheres):
+    """Of each pose what mirrors show of it, drawn now."""
+    if simulator._multipath is None:
+        return [[] for _ in poses]
+    simulator._multipath.look(simulator.scene)
+    return simulator._multipath.draw(now, poses, wheres)
+
+
+def _complete(simulator, now, views, ghosts, labels, intensity):
+    """Intensity with ghosts and its sum, labels, and the sum of the straight echoes alone."""
+    straight, n_bodies = now.reducer.total, len(simulator.scene.bodies)
+    found = now.reducer.labels(views, now.gain, n_bodies) if labels else (None,) * 3
+    whole = straight
+    if ghosts:
+        whole += simulator._multipath.add(now, views, ghosts, intensity)
+    return intensity, whole, found, straight
+
+
+def alone(simulator, pose, where, labels: bool, look: bool = False):
+    """What `finish` makes a ping of."""
+    views, intensity = simulator._samples.sense(pose, labels, where, look)
     now = simulator._samples.now
-    whole = now.reducer.total
-    found = now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
-    return pose, where, now.sampling, views, intensity, whole, found
+    (ghosts,) = _ghosts(simulator, now, [pose], [where])
+    *sums, _ = _complete(simulator, now, views, ghosts, labels, intensity)
+    return pose, where, now.sampling, views, *sums
 
 
 def _finished(simulator, batch, views, sampling, future, labels):
     """The pings of a batch that was drawn before."""
-    for (pose, where), seen, (intensity, whole, found) in zip(batch, views, future.result(), strict=True):
+    for (pose, where), seen, (*sums, straight) in zip(batch, views, future.result(), strict=True):
         simulator._open_world()
-        made = pose, where, sampling, seen, intensity, whole, found
-        if simulator._samples.changed(whole) or whole <= 0:
+        made = pose, where, sampling, seen, *sums
+        if simulator._samples.changed(straight) or straight <= 0:
             with simulator._drawing():
-                made = _alone(simulator, pose, where, labels)
+                made = alone(simulator, pose, where, labels, look=True)
         yield made

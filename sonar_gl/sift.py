@@ -101,7 +101,7 @@ def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals,
 @compiled
 def sift_patches(
     chosen, first_vertex, n_vertices, first_face, n_faces, points, normals, reflectivity, faces,
-    matrices, body_rows, closed, sector, inverse, corner, size, near_m, outside, row, first_index,
+    matrices, body_rows, cut, closed, sector, inverse, corner, size, near_m, outside, row, first_index,
     indices, draws, u, v, places, values, bodies,
 ):  # fmt: skip
     """Of some patches the triangles that meet a sample: small ones as samples, the others as draws.
@@ -112,6 +112,7 @@ def sift_patches(
     first_vertex .. faces : of all meshes' `detail.Levels`; points : (W, 3) float32 of their vertices
     normals, reflectivity : (W, 3) and (W,) float32 of these, or of no length
     body_rows : (n, 14), of which the last but one is the reflectivity
+    cut : (n,) bool, bodies of which the driver leaves a part out: none of their triangles is filled in
     matrices, closed, sector, inverse, corner, near_m, outside : as for `see`
     size : columns and rows of the sector's lattice
     row : of the table of bodies, where this pose's begin
@@ -195,7 +196,7 @@ def sift_patches(
                 if bottom > top:
                     continue
                 count = (right - left + 1) * (top - bottom + 1)
-                if count <= MOST_SAMPLES and filled + count <= places.shape[0]:
+                if count <= MOST_SAMPLES and filled + count <= places.shape[0] and not cut[body]:
                     more = _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, filled, places)
                     if more == filled:
                         continue

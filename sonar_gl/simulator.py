@@ -11,11 +11,12 @@ from itertools import count, repeat
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.cloud import points_of
 from sonar_gl.fan import Fan, Sampling
+from sonar_gl.multipath import Multipath
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import finish, in_batches, several
+from sonar_gl.sequence import alone, finish, in_batches, several
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -67,8 +68,11 @@ class Simulator:
         world.users += 1
         self._world, self.gl_info = world, world.gl_info
         self._passes = Passes(world.gpu, sonar, self.acoustics)
+        self._multipath = None
         with self._drawing():
             given = sampling is not None
+            if self.acoustics.multipath != "none":
+                self._multipath = Multipath(self._passes, world.scene, tolerance)
             self._samples = Fixed(self._passes, sampling) if given else Planner(self._passes, tolerance)
             self._passes.warm()
         self._described, self._meta = None, b""
@@ -146,11 +150,7 @@ class Simulator:
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         with self._drawing():
             where = self._world.moved(bodies)
-            views, intensity = self._samples.sense(pose, labels, where)
-            now = self._samples.now
-            whole = now.reducer.total
-            found = now.reducer.labels(views, now.gain, len(self.scene.bodies)) if labels else (None,) * 3
-            ping = finish(self, pose, where, now.sampling, views, intensity, whole, found, seed)
+            ping = finish(self, *alone(self, pose, where, labels), seed)
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
@@ -232,7 +232,9 @@ class Simulator:
         if self._underway is not None:
             wait([self._underway])
         self._passes.close()
-        self._passes = self._samples = None
+        if self._multipath is not None:
+            self._multipath.close()
+        self._passes = self._samples = self._multipath = None
 
     def __enter__(self):
         return self

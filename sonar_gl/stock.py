@@ -111,13 +111,25 @@ class Stock:
         fill = [np.broadcast_to(none, (len(one.points), *none.shape)) for one in made]
         return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
 
-    def place(self, pose, where: Whereabouts | None = None) -> Placed:
-        """The bodies as seen from `pose`, world_from_sonar."""
+    def place(self, pose, where: Whereabouts | None = None, plane=None) -> Placed:
+        """The bodies as seen from `pose`, world_from_sonar; of `Placed.plane`, what lies before it."""
         where = where or self.where
         matrices, rows = np.zeros((len(where.poses), 3, 4)), self.rows.copy()
         about = where.poses, where.shown, self.centres, self.bounds, self.closed
         outside = place(*about, pose, NEAR_M, matrices, rows)
-        return Placed(matrices, rows, where.shown, outside)
+        shown, cut = where.shown, np.zeros(len(where.shown), bool)
+        if plane is not None:
+            nearest, furthest = self._beyond(matrices, plane)
+            shown, cut = shown & (furthest > 0), nearest < 0
+        return Placed(matrices, rows, shown, outside, plane, cut)
+
+    def _beyond(self, matrices, plane):
+        """How far before a plane the boxes of bodies lie, at least and at most."""
+        middles, halves = self.bounds.mean(axis=1), np.ptp(self.bounds, axis=1) / 2
+        along = plane[:3] @ matrices[:, :, :3]
+        middle = (along * middles).sum(axis=1) + matrices[:, :, 3] @ plane[:3] + plane[3]
+        half = (np.abs(along) * halves).sum(axis=1)
+        return middle - half, middle + half
 
     def see(self, view: SectorView, placed: Placed, far_m, range_max_m, row: int, out: Draws):
         """Add what a sector draws to `out`.
@@ -191,6 +203,7 @@ class Stock:
                 patches["faces"],
                 placed.matrices,
                 placed.rows,
+                placed.cut,
                 self.closed,
                 view.rotation,
                 view.inverse,

@@ -76,7 +76,7 @@ class World:
         """More bodies; inside `drawing`."""
         for body in bodies:
             check_kind("body", body, Body, "such as sonar_gl.Body('box', mesh)")
-        self.scene = Scene([*self.scene.bodies, *bodies], self.scene.sonar_pose, self.scene.name)
+        self.scene = self.scene.with_more(bodies)
         self.gpu.add(bodies)
         self._number()
 

@@ -1,0 +1,255 @@
+"""Ghosts: closed forms, brute force by mirrored rays, and which mirrors count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from two_bounces import TwoBounces
+
+import sonar_gl as sg
+from sonar_gl import multipath
+from sonar_gl.reflectors import MIN_AREA_M2, TABLE, find_mirrors, flat_parts, reflection_loss
+
+IDEAL = sg.Acoustics.ideal()
+GHOSTS = replace(IDEAL, multipath="incoherent")
+SONAR = sg.Sonar("test", 900e3, 32, 200, 40.0, 40.0, 1.25, 0.5, 15.0)
+FINE = sg.Sampling(8, 300)
+
+
+def slab(name, pose, size=200.0, mu=0.5):
+    return sg.Body(name, trimesh.creation.box((size, size, 1)), pose, mu)
+
+
+def box(*pose):
+    return sg.Body("box", trimesh.creation.box((0.6, 0.8, 1.0)), sg.pose(*pose), 0.8)
+
+
+def ball(x, y, z, radius=0.5):
+    return sg.Body("ball", trimesh.creation.icosphere(4, radius), sg.pose(x, y, z), 1.0)
+
+
+@pytest.fixture
+def perfect(monkeypatch):
+    """A function: the bodies of these names, and the water's surface, mirror all sound, and no others do."""
+
+    def choose(*names):
+        def find(scene, wavenumber):
+            mirrors = find_mirrors(scene, wavenumber)
+            named = [m for m in mirrors if m.body is None or scene.bodies[m.body].name in names]
+            return [replace(m, loss=np.ones(TABLE)) for m in named]
+
+        monkeypatch.setattr(multipath, "find_mirrors", find)
+
+    return choose
+
+
+def ghosts(scene, pose, acoustics=GHOSTS, sonar=SONAR, sampling=FINE, **settings):
+    """(B, K) of ghosts alone."""
+    out = []
+    for one in (acoustics, replace(acoustics, multipath="none")):
+        with sg.Simulator(scene, sonar, one, sampling) as simulator:
+            out.append(simulator.ping(pose, **settings).intensity.astype(np.float64))
+    return out[0] - out[1]
+
+
+# heights of sonar and target, distance; r_d, (r_d + r_b) / 2, r_b
+CASES = (
+    (2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078),
+    (2.0, 2.0, 10.0, 10.0000, 10.3852, 10.7703),
+    (5.0, 4.5, 8.0, 8.0156, 10.2177, 12.4197),
+)
+
+
+@pytest.mark.parametrize(("h_sonar", "h_target", "x", "direct", "single", "double"), CASES)
+def test_a_small_target_has_ghosts_at_the_ranges_and_levels_of_its_image(
+    perfect, h_sonar, h_target, x, direct, single, double
+):
+    perfect("floor")
+    radius, sonar = 0.02, sg.Sonar("test", 900e3, 8, 1300, 4.0, 110.0, 0.5, 0.5, 13.5)
+    floor = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6)
+    scene = sg.Scene([floor, ball(x, 0, h_target, radius)])
+    pose, sampling = sg.pose(0, 0, h_sonar), sg.Sampling(40, 12000)
+    with sg.Simulator(scene, sonar, IDEAL, sampling) as simulator:
+        straight = simulator.ping(pose).intensity.sum(axis=0, dtype=np.float64)
+    profile = ghosts(scene, pose, sonar=sonar, sampling=sampling).sum(axis=0)
+
+    def around(values, range_m):
+        near = np.abs(sonar.range_m - range_m) < radius + 0.01
+        return values[near].sum(), (values * sonar.range_m)[near].sum() / values[near].sum()
+
+    level, where = around(straight, direct)
+    off = where - direct  # a sphere's echo comes from before its middle
+    assert -radius < off < 0
+    once, where_once = around(profile, single)
+    twice, where_twice = around(profile, double)
+    # what both ways see of the sphere lies aside of what either sees: a cosine of half the angle between them
+    assert where_once == pytest.approx(single + off, abs=radius / 2)
+    assert where_twice == pytest.approx(double + off, abs=0.003)
+    # with G = 1 the levels of points fall as r^-2, and what is summed here is (r_app / ...)² of that
+    between = np.arctan2(h_sonar + h_target, x) + np.arctan2(h_sonar - h_target, x)
+    lit = (np.sin(between) + (np.pi - between) * np.cos(between)) / np.pi  # of a Lambert sphere, both ways
+    assert once / level == pytest.approx(2 * lit * (single / double) ** 2, rel=0.03)
+    assert twice / level == pytest.approx((direct / double) ** 2, rel=0.03)
+    coherent = ghosts(scene, pose, replace(GHOSTS, multipath="coherent"), sonar, sampling).sum(axis=0)
+    assert around(coherent, single)[0] == pytest.approx(2 * once, rel=1e-4)
+    assert around(coherent, double)[0] == pytest.approx(twice, rel=1e-4)
+
+
+SCENES = {
+    "floor, rolled and pitched": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), box(6, -1, 0.5, 0, 0, 0.4)]),
+        sg.pose(0, 0, 1.5, 0.2, 0.15, 0.1),
+        ("floor",),
+    ),
+    "wall beside": (
+        sg.Scene([slab("wall", sg.pose(0, 1.5, 0, np.pi / 2)), box(6, 0, 0, 0, 0, 0.5), ball(8, -2, 0.3)]),
+        sg.pose(),
+        ("wall",),
+    ),
+    "wall that ends": (
+        sg.Scene([slab("wall", sg.pose(0, 1.5, 0, np.pi / 2), 8.5), box(6, 0, 0, 0, 0, 0.5)]),
+        sg.pose(),
+        ("wall",),
+    ),
+    "water's surface": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -3.5)), box(6, 0, -1, 0, 0, 0.5)], surface_z_m=0.0),
+        sg.pose(0, 0, -1),
+        (),
+    ),
+    "one behind the other": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), box(4, 0, 0, 0, 0, 0.4), ball(8, 0.3, 1.0)]),
+        sg.pose(0, 0, 2),
+        ("floor",),
+    ),
+    "tank": (
+        sg.Scene(
+            [
+                slab("floor", sg.pose(0, 0, -2.5)),
+                slab("wall", sg.pose(0, 2.5, 0, np.pi / 2)),
+                slab("end", sg.pose(9, 0, 0, 0, np.pi / 2)),
+                box(6, 0, -1, 0, 0, 0.5),
+            ],
+            surface_z_m=0.5,
+        ),
+        sg.pose(0, 0, -1, 0.0, 0.05, 0.2),
+        ("floor", "wall", "end"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_ghosts_are_those_of_rays_that_are_mirrored(perfect, name):
+    scene, pose, mirrors = SCENES[name]
+    perfect(*mirrors)
+    found = ghosts(scene, pose)
+    a, b = (TwoBounces(scene, SONAR, pose, mirrors).ping(1_000_000, seed) for seed in (1, 2))
+    truth = (a + b) / 2
+    # of rays alone, half of what two seeds differ by; the rest is for samples: half of the ping's own,
+    # and edges of mirrors and shadows, which are found to half a sample
+    allowed = np.abs(a - b).sum() / truth.sum() / 2 + 0.03
+    assert np.abs(found - truth).sum() / truth.sum() < allowed
+    # straight echoes alone, the way of all who leave multipath out, miss a part that the scene cannot spare
+    assert truth.sum() > 0.1 * scene_echo(scene, pose)
+
+
+def scene_echo(scene, pose):
+    with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
+        return simulator.ping(pose).intensity.sum()
+
+
+def test_what_stands_before_the_mirror_takes_its_ghosts_away(perfect):
+    perfect("floor")
+    screen = sg.Body("screen", trimesh.creation.box((0.05, 4, 0.9)), sg.pose(5.0, 0, 0.45), 0.0)
+    bare = sg.Scene([slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), box(8, 0, 1.5)])
+    hidden = sg.Scene([*bare.bodies, screen])
+    pose = sg.pose(0, 0, 1.5)  # of the box it hides nothing, of the floor where the box is mirrored all
+    assert ghosts(bare, pose).sum() > 0.01
+    # to half a sample at the screen's edges
+    assert ghosts(hidden, pose).sum() < 0.01 * ghosts(bare, pose).sum()
+
+
+def test_sequences_and_reruns_give_the_same_bytes(perfect):
+    perfect("floor", "wall", "end")
+    scene, pose, _ = SCENES["tank"]
+    poses = [pose @ sg.pose(0.05 * k, yaw=0.01 * k) for k in range(6)]
+    with sg.Simulator(scene, SONAR, GHOSTS, sg.Sampling(2, 80)) as simulator:
+        one_by_one = [simulator.ping(p, labels=True).intensity for p in poses]
+        for ping, single in zip(simulator.pings(poses, labels=True), one_by_one, strict=True):
+            np.testing.assert_array_equal(ping.intensity, single)
+
+
+def test_a_fan_from_a_table_is_mirrored_with_its_table(perfect):
+    perfect("wall")
+    scene, pose, _ = SCENES["wall beside"]
+    # from starboard −10 to port 20: not the mirror image of itself
+    table = tuple(np.arange(-9.375, 20.0, 1.25).tolist())
+    lopsided = replace(SONAR, n_beams=len(table), beam_azimuths_deg=table)
+    cut = ghosts(scene, pose, sonar=lopsided, sampling=sg.Sampling(11, 300))
+    whole = ghosts(scene, pose)[-len(table) :]
+    # the whole fan also hears what is sounded to starboard of the table's
+    assert np.abs(cut - whole).sum() < 0.03 * whole.sum()
+
+
+def test_mirrors_that_return_too_little_are_not_drawn(perfect):
+    scene, pose, _ = SCENES["floor, rolled and pitched"]
+    perfect("floor")
+    for loss, drawn in ((1.0, 1), (1e-2, 1), (1e-4, 0)):
+        with sg.Simulator(scene, SONAR, GHOSTS, tolerance=0.01) as simulator:
+            simulator.ping(pose)
+            found = simulator._multipath
+            found.mirrors = [replace(mirror, loss=mirror.loss * loss) for mirror in found.mirrors]
+            with simulator._drawing():
+                simulator._samples.now.views(pose)
+                (left,) = found.draw(simulator._samples.now, [pose], [None])
+            assert len(left) == drawn, loss
+
+
+def test_a_tank_has_the_mirrors_that_a_diver_would_name():
+    tank, _, _ = SCENES["tank"]
+    mirrors = find_mirrors(tank, 3770.0)
+    assert mirrors[0].body is None
+    up, z = mirrors[0].in_world(np.array([body.pose for body in tank.bodies]))
+    assert up.tolist() == [0, 0, 1] and z == 0.5
+    # the broad faces of slabs; of the box the ends, 0.48 m², are too small
+    sizes = [len(flat_parts(body.surface)) for body in tank.bodies]
+    assert sizes == [2, 2, 2, 4]
+    normals = [normal @ [0, 0, 1] for normal, _ in flat_parts(tank.bodies[0].surface)[:2]]
+    assert sorted(normals) == [-1, 1]
+
+
+def test_curved_bodies_and_terrain_are_no_mirrors():
+    assert flat_parts(ball(0, 0, 0, 5.0).surface) == []
+    rough = trimesh.creation.box((10, 10, 1)).subdivide().subdivide().subdivide()
+    assert rough.area_faces.max() > MIN_AREA_M2
+    rough.vertices += 0.01 * np.random.default_rng(1).standard_normal(rough.vertices.shape)
+    assert flat_parts(rough) == []
+
+
+def test_roughness_takes_the_mirror_out_of_a_plane():
+    k = 2 * np.pi * 900e3 / 1500
+    at_10_deg = lambda loss: np.interp(np.sin(np.radians(10)), np.linspace(0, 1, TABLE), loss)  # noqa: E731
+    for height, db in ((1e-4, -0.07), (5e-4, -1.86), (1e-3, -7.44)):
+        assert 10 * np.log10(at_10_deg(reflection_loss(1.0, height, k))) == pytest.approx(db, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("surface_z_m", float("nan")), ("surface_z_m", "top"), ("surface_roughness_m", -1)]
+)
+def test_a_surface_that_makes_no_sense_is_refused(field, value):
+    with pytest.raises(sg.Error, match=field):
+        sg.Scene([], **{field: value})
+
+
+def test_a_multipath_of_no_known_kind_is_refused():
+    with pytest.raises(sg.Error, match="multipath"):
+        sg.Acoustics.physical(multipath="strong")
+
+
+def test_pings_say_how_ghosts_were_made(perfect):
+    perfect("floor")
+    scene, pose, _ = SCENES["floor, rolled and pitched"]
+    with sg.Simulator(scene, SONAR, GHOSTS, sg.Sampling(1, 40)) as simulator:
+        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "incoherent"
+    with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(1, 40)) as simulator:
+        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "none"
