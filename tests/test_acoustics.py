@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.patterns import BEAM_PATTERNS, HALF_POWER, box_pattern, line_array_pattern
+from sonar_gl.patterns import box_pattern, first_at, line_array_pattern
 from sonar_gl.sonar import load_sonar
 from sonar_gl.types import Error
 from sonar_gl.water import absorption_ainslie_mccolm, absorption_francois_garrison, sound_speed_mackenzie
@@ -91,7 +91,7 @@ def test_sound_speed():
 def test_line_array_half_power(width_deg, steer_deg):
     width, steer = np.radians([width_deg, steer_deg])
     edges = line_array_pattern(steer + np.array([-0.5, 0.5]) * width, steer, width)
-    np.testing.assert_allclose(edges, 0.5, rtol=0, atol=1e-11)  # HALF_POWER has 12 digits
+    np.testing.assert_allclose(edges, 0.5, rtol=0, atol=1e-13)
     assert line_array_pattern(steer, steer, width) == 1.0
     fine = line_array_pattern(np.linspace(-0.5, 0.5, 101) * width, 0.0, width)
     assert (np.diff(fine[50:]) < 0).all()  # falls from the axis to the edge
@@ -99,9 +99,10 @@ def test_line_array_half_power(width_deg, steer_deg):
 
 def test_line_array_lobes():
     """First null, first side lobe, width in λ/L: a uniform aperture's textbook numbers."""
-    assert pytest.approx(0.885893 / 2, abs=2.5e-7) == HALF_POWER
+    half_power = first_at("uniform", 30.0, 0.5)
+    assert half_power == pytest.approx(0.885893 / 2, abs=2.5e-7)
     width = np.radians(1.0)
-    apertures = HALF_POWER / np.sin(width / 2)  # L/λ
+    apertures = half_power / np.sin(width / 2)  # L/λ
     # 0.885893 / 0.01745329, and 1.3e-5 of it for the sine of half a degree
     assert apertures == pytest.approx(50.7586, abs=5e-5)
     assert line_array_pattern(np.arcsin(1 / apertures), 0.0, width) < 1e-25
@@ -225,7 +226,6 @@ def test_profiles():
         "line_array",
     ]
     assert replace(Acoustics.ideal(), beam_pattern="line_array").range_law == "constant"
-    assert BEAM_PATTERNS[Acoustics().beam_pattern] is line_array_pattern
     with pytest.raises(FrozenInstanceError):
         Acoustics().tvg_k = 30
 
