@@ -83,7 +83,10 @@ def test_what_is_too_far_is_told_as_the_sonar_shows_it():
 
 
 def test_a_sonar_set_right_changes_nothing():
-    for settings in ({"sound_speed_m_s": 1450.0}, {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1450.0}):
+    for settings in (
+        {"sound_speed_m_s": 1450.0},
+        {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1450.0},
+    ):
         acoustics = sg.Acoustics.physical(**settings)
         assert acoustics.drawn_sonar(SONAR) is SONAR
         assert ping(wall(10.0), acoustics).intensity.tobytes() == ping(wall(10.0), None).intensity.tobytes()
