@@ -3,57 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from sonar_gl.patterns import BEAM_PATTERNS, HALF_POWER
-from sonar_gl.types import Error, nearest_names
+from sonar_gl.patterns import Lobe, gaussian_pattern, line_array_pattern
+from sonar_gl.settings import check
+from sonar_gl.types import Error
 from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
-LOBES = 4  # of the line array's pattern, to each side of the axis, that count: the rest is below −23 dB
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
 MAX_DECADES = 30.0  # gains are held within 10^±30, so that float32 echoes stay finite
-RANGE_LAWS = ("constant", "printed", "inverse", "sonar_equation")
-TAPERS = ("uniform", "hamming", "taylor", "chebyshev")
-PROFILES = {  # name: what it decides where nothing else is said
-    "ideal": {"range_law": "constant", "beam_pattern": "box", "specular": False, "bubbles": False},
-    "demarco2015": {"range_law": "printed", "beam_pattern": "box", "specular": False, "bubbles": False},
-    "physical": {
-        "range_law": "sonar_equation",
-        "beam_pattern": "line_array",
-        "specular": True,
-        "bubbles": True,
-    },
-}
-NAMES = {  # field: what it may be called
-    "range_law": RANGE_LAWS,
-    "beam_pattern": tuple(BEAM_PATTERNS),
-    "absorption_formula": tuple(ABSORPTION_FORMULAS),
-    "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
-    "taper": TAPERS,
-    "steered": ("alike", "straight"),
-    "transmit_taper": TAPERS,
-    "elevation_pattern": ("box", "line_array", "gaussian"),
-    "elevation_taper": TAPERS,
-    "pulse_taper": ("uniform", "hamming"),
-    "multipath": ("none", "incoherent", "coherent"),
-}
-BOUNDS = (
-    ("temperature_c", -2, 40, "give °C"),
-    ("salinity_psu", 0, 45, "give grams of salt per kilogram of water"),
-    ("depth_m", 0, 12000, "give metres below the surface, positive down"),
-    ("ph", 7, 9, "sea water has about 8"),
-    ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
-    ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
-    ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
-    ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
-    ("sonar_sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
-    ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
-    ("transmit_width_deg", 1e-3, 180, "give degrees"),
-    ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
-)
+# Of smooth patterns: an elevation counts as far as the echo there, both ways, is above this; and so much of
+# a Gaussian beam counts in azimuth, one way.
+ELEVATION_LEVEL, GAUSSIAN_LEVEL = 1e-3, 1e-4
+MAX_ELEVATION_DEG = 85.0  # above the boresight: further up a perspective view cannot look
+MAX_STEER_DEG = 80.0  # of a straight array: nearer to its line a beam has no −3 dB edge on the far side
 
 
 @dataclass(frozen=True)
@@ -127,28 +93,7 @@ class Acoustics:
     multipath: str = "none"
 
     def __post_init__(self):
-        self._check_name("profile", PROFILES)
-        for key, own in PROFILES[self.profile].items():
-            if getattr(self, key) is None:
-                object.__setattr__(self, key, own)
-        for key, known in NAMES.items():
-            self._check_name(key, known)
-        for key in ("specular", "bubbles"):
-            if not isinstance(getattr(self, key), bool):
-                raise Error(f"acoustics: {key} must be True or False (got {getattr(self, key)!r})")
-        for key, low, high, hint in BOUNDS:
-            value = getattr(self, key)
-            if value is None and self.__dataclass_fields__[key].default is None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-                raise Error(f"acoustics: {key} must be a number (got {value!r})")
-            if not low <= value <= high:  # NaN too
-                raise Error(f"acoustics: {key} must lie in {low:g}..{high:g} (got {value:g}; {hint})")
-
-    def _check_name(self, key: str, known):
-        value = getattr(self, key)
-        if str(value) not in known:
-            raise Error(f"acoustics: unknown {key} (got {value!r}; {nearest_names(str(value), known)})")
+        check(self)
 
     @classmethod
     def ideal(cls) -> Acoustics:
@@ -172,19 +117,53 @@ class Acoustics:
         water = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
         return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *water))
 
+    def sound_speed(self) -> float:
+        """How fast sound runs in this water, metres per second."""
+        if self.sound_speed_m_s is not None:
+            return float(self.sound_speed_m_s)
+        water = (self.temperature_c, self.salinity_psu, self.depth_m)
+        return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*water))
+
+    def shown_per_true(self) -> float:
+        """Ranges that the sonar shows over the true ones: the speed that it is set to, over the right one.
+
+        >>> round(10 * Acoustics(sonar_sound_speed_m_s=1500.0, sound_speed_m_s=1450.0).shown_per_true(), 4)
+        10.3448
+        """
+        if self.sonar_sound_speed_m_s is None:
+            return 1.0
+        return self.sonar_sound_speed_m_s / self.sound_speed()
+
+    def drawn_sonar(self, sonar):
+        """The sonar as its echoes lie: bins at true ranges, and as high an aperture as is heard at all."""
+        top_deg, scale = sonar.elevation_fov_deg / 2, self.shown_per_true()
+        if self.elevation_pattern != "box":
+            sine = self._elevation_lobe(sonar).sine_at(math.sqrt(ELEVATION_LEVEL))
+            heard_deg = math.degrees(math.asin(min(sine, 1.0)))
+            top_deg = max(top_deg, min(heard_deg, MAX_ELEVATION_DEG))
+        elif scale == 1.0:
+            return sonar
+        ranges = {key: getattr(sonar, key) / scale for key in ("range_min_m", "range_max_m")}
+        return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
+
     def gain(self, range_m, sonar) -> np.ndarray:
-        """G(r), linear power, float64, of the shape of `range_m` (metres), for this sonar."""
+        """G(r), linear power, float64, of the shape of `range_m`, the ranges that the sonar shows, metres.
+
+        The sound weakens over the true range; the TVG and the laws of other profiles know the shown one.
+        """
         r = np.asarray(range_m, np.float64)
         if self.range_law == "constant":
             return np.ones_like(r)
         if self.range_law == "printed":
             return (r / sonar.range_max_m) ** 2
         r = np.maximum(r, NEAR_M)
+        scale = self.shown_per_true()
         if self.range_law == "inverse":
-            return np.minimum(1.0, r**-2)
+            return np.minimum(1.0, (r / scale) ** -2)
         absorption, believed = self._absorptions(sonar)
         # one exponent: where TVG and loss cancel they do so exactly, and 10^(-αr) cannot underflow on its own
-        decades = (self.tvg_k / 10 - 2) * np.log10(r) + 2 * (believed - absorption) * r / 10
+        decades = (self.tvg_k / 10 - 2) * np.log10(r) + 2 * math.log10(scale)
+        decades += 2 * (believed - absorption / scale) * r / 10
         return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
 
     def tvg(self, range_m, sonar) -> np.ndarray:
@@ -210,17 +189,61 @@ class Acoustics:
         return right, right if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
 
     def beam_pattern_function(self, sonar):
-        """Function (azimuth_rad, steer_azimuth_rad) -> linear power, 1 on the axis; None for a box."""
+        """Function (azimuth_rad, steer_azimuth_rad) -> linear power, 1 on the axis; None for a box.
+
+        Raises
+        ------
+        Error
+            if a straight array is to be steered along its own line.
+        """
         if self.beam_pattern == "box":
             return None
-        return partial(BEAM_PATTERNS[self.beam_pattern], beam_width_rad=np.radians(sonar.beam_width_deg))
+        settings = {"beam_width_rad": math.radians(sonar.beam_width_deg), "steered": self.steered}
+        steer_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
+        if self.steered == "straight" and steer_deg > MAX_STEER_DEG:
+            raise Error(
+                f'acoustics: steered "straight" needs beams within ±{MAX_STEER_DEG:g}° of the boresight '
+                f'(got {steer_deg:.4g}°: one array cannot hear along its own line; take "alike")'
+            )
+        if self.beam_pattern == "gaussian":
+            return partial(gaussian_pattern, **settings)
+        return partial(line_array_pattern, taper=self.taper, side_lobe_db=self.side_lobe_db, **settings)
 
     def beam_reach_rad(self, sonar) -> float:
-        """How far from its axis a beam hears, radians: half a box, or a line array to its 4th null."""
+        """How far from its axis a beam hears, radians: half a box, a line array to its 4th null or so."""
         half = math.radians(sonar.beam_width_deg) / 2
         if self.beam_pattern == "box":
             return half
-        return math.asin(min(1.0, LOBES * math.sin(half) / HALF_POWER))
+        lobe = Lobe(self.beam_pattern, 2 * half, self.taper, self.side_lobe_db)
+        gaussian = self.beam_pattern == "gaussian"
+        sine = lobe.sine_at(GAUSSIAN_LEVEL) if gaussian else lobe.last_null()
+        reach = math.asin(min(1.0, sine))
+        if self.steered == "straight":  # furthest of the outermost beam, away from the boresight
+            steer = float(np.abs(sonar.azimuth_rad).max())
+            reach = max(reach, math.asin(min(1.0, math.sin(steer) + sine)) - steer)
+        return reach
+
+    def transmit_function(self, sonar):
+        """Function (azimuth_rad) -> linear power of the projector, 1 on the boresight; None if even."""
+        if self.transmit_width_deg is None:
+            return None
+        width = math.radians(self.transmit_width_deg)
+        settings = {"taper": self.transmit_taper, "side_lobe_db": self.side_lobe_db}
+        return partial(line_array_pattern, steer_azimuth_rad=0.0, beam_width_rad=width, **settings)
+
+    def _elevation_lobe(self, sonar) -> Lobe:
+        width = math.radians(sonar.elevation_fov_deg)
+        return Lobe(self.elevation_pattern, width, self.elevation_taper, self.side_lobe_db, both_ways=True)
+
+    def elevation_function(self, sonar):
+        """Function (sine of elevation) -> linear power both ways, 1 on the boresight; None for a box.
+
+        Transmitter and receiver are alike, upright, and not steered.
+        """
+        if self.elevation_pattern == "box":
+            return None
+        lobe = self._elevation_lobe(sonar)
+        return lambda sine: lobe.power(sine) ** 2
 
     def meta(self) -> dict:
         """The fields as plain values, for a ping's record."""

@@ -16,8 +16,14 @@ OPEN = 1.01  # 1/x over that of the sample there: a vertex at the foot of a body
 
 
 @compiled
-def count_samples(plane_echo, body_id, u, v, tan_elevation, r_first, per_metre, gain, hits, echo):
-    """Add one sector's samples to (bodies + 1,) counts and sums of μ cos θ ΔΩ G, in aperture and range."""
+def count_samples(
+    plane_echo, body_id, u, v, tan_elevation, r_first, per_metre, gain, elevation, hits, echo
+):  # fmt: skip
+    """Add one sector's samples to (bodies + 1,) counts and sums of μ cos θ ΔΩ G, in aperture and range.
+
+    elevation : of `footprint.accumulate`, taken at the nearest sine
+    """
+    per_sine = (elevation.shape[0] - 1) / 2 * math.sqrt(1 / tan_elevation**2 + 1)
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
     limit = tan_elevation * tan_elevation
@@ -32,12 +38,14 @@ def count_samples(plane_echo, body_id, u, v, tan_elevation, r_first, per_metre, 
             L = math.sqrt(1.0 + uc * uc + vc * vc)
             k = (L / q - r_first) * per_metre
             if 0.0 <= k < K:
+                place = int((elevation.shape[0] - 1) / 2 + vc / L * per_sine + 0.5)
+                heard = elevation[place] if elevation.shape[0] else 1.0
                 hits[body_id[j, i]] += 1.0
-                echo[body_id[j, i]] += plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)]
+                echo[body_id[j, i]] += plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)] * heard
 
 
-def census(views, n_bodies: int, sonar: Sonar, gain) -> tuple[np.ndarray, np.ndarray]:
-    """(bodies + 1,) samples that met each body, and about the echo of each."""
+def census(views, n_bodies: int, sonar: Sonar, gain, elevation) -> tuple[np.ndarray, np.ndarray]:
+    """(bodies + 1,) samples that met each body, and about the echo of each; `sonar` as drawn."""
     hits, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
     for sector, plane_echo, body_id in views:
         count_samples(
@@ -49,6 +57,7 @@ def census(views, n_bodies: int, sonar: Sonar, gain) -> tuple[np.ndarray, np.nda
             sonar.range_min_m,
             1.0 / sonar.bin_size_m,
             gain,
+            elevation,
             hits,
             echo,
         )

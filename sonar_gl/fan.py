@@ -73,6 +73,13 @@ def half_of(sampling: Sampling) -> Sampling:
     )
 
 
+def up_to(sampling: Sampling, sonar: Sonar, drawn: Sonar) -> Sampling:
+    """The same rows to a degree over the higher aperture of `drawn`."""
+    taller = math.tan(math.radians(drawn.elevation_fov_deg) / 2)
+    taller /= math.tan(math.radians(sonar.elevation_fov_deg) / 2)
+    return replace(sampling, rows=min(math.ceil(sampling.rows * taller - 1e-9), MAX_ROWS))
+
+
 @dataclass(frozen=True, eq=False)
 class Fan:
     """All that the samples of a sonar need, fixed once per run.
@@ -135,13 +142,18 @@ def make_fan(
     return Fan(sonar, sampling, sectors, frozen_array(edges, np.float64, (None,), "column edges"))
 
 
-def beam_weights(fan: Fan, pattern, reach_rad: float) -> tuple[np.ndarray, np.ndarray]:
+def beam_weights(
+    fan: Fan, pattern, reach_rad: float, transmit=None, elevation=None
+) -> tuple[np.ndarray, np.ndarray]:
     """What a beam hears of each column, over the beam's solid angle.
 
     Parameters
     ----------
     pattern : function (azimuth_rad, steer_rad) -> power pattern, 1 on the axis, or None for a box
     reach_rad : the pattern counts as zero further than this from the axis
+    transmit : function (azimuth_rad) -> power pattern of the projector, which the beam's solid angle does not
+        hold: where it is weak the beams are; or None for an even one
+    elevation : function (sine of elevation) -> power pattern both ways, or None for a box
 
     Returns
     -------
@@ -167,12 +179,20 @@ def beam_weights(fan: Fan, pattern, reach_rad: float) -> tuple[np.ndarray, np.nd
     high = edges[first[:, None] + np.arange(width) + 1] - axes[:, None]
     low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
     heard = high - low
+    nodes, shares = np.polynomial.legendre.leggauss(8)
+    steer, echoed = axes[:, None, None], 1.0
+    azimuths = steer + low[..., None] + heard[..., None] * (nodes + 1) / 2
     if pattern is not None:
-        nodes, shares = np.polynomial.legendre.leggauss(8)
-        offsets = low[..., None] + heard[..., None] * (nodes + 1) / 2
-        steer = axes[:, None, None]
-        heard = heard * (pattern(steer + offsets, steer) @ (shares / 2))
-    solid_angle = heard.sum(axis=1) * 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+        echoed = pattern(azimuths, steer)
+        heard = heard * (echoed @ (shares / 2))
+    top = math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+    height = 2 * top
+    if elevation is not None:
+        sines, parts = np.polynomial.legendre.leggauss(64)
+        height = top * (elevation(top * sines) @ parts)
+    solid_angle = heard.sum(axis=1) * height
+    if transmit is not None:
+        heard = (high - low) * ((echoed * transmit(azimuths)) @ (shares / 2))
     # a column hears of its whole width: its sums already hold the azimuth
     share = heard / np.diff(edges)[first[:, None] + np.arange(width)]
     return first - origin, np.ascontiguousarray(share / solid_angle[:, None], np.float32)

@@ -162,7 +162,7 @@ def _find_borders(work, first, last, q_unseen, v_limit):
 
 
 @compiled
-def _find_shapes(work, first, last, uc, width, moment):
+def _find_shapes(work, first, last, uc, width, v_limit, elevation):
     """What `spread_footprints` takes, of a strip's samples from `first` to before `last`."""
     rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
     u2 = 1.0 + uc * uc
@@ -176,9 +176,12 @@ def _find_shapes(work, first, last, uc, width, moment):
         work[S, m] = at * one_over_L
         work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * width / 2
         work[B, m] = abs(along_v[m] - at * vc * one_over_L2) * one_over_L * height / 2
-    if moment:
-        for m in range(first, last):
-            work[ENERGY, m] *= math.atan2((border[m] + border[m + 1]) / 2, math.sqrt(u2))
+    middle, v2 = (elevation.shape[0] - 1) / 2, v_limit * v_limit
+    for m in range(first, last if elevation.shape[0] else first):
+        vc = (border[m] + border[m + 1]) / 2
+        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
+        i = min(max(int(place), 0), elevation.shape[0] - 2)
+        work[ENERGY, m] *= elevation[i] + (place - i) * (elevation[i + 1] - elevation[i])
 
 
 @compiled
@@ -197,7 +200,7 @@ def _drop(work, sums, spans, c, u, nearest, step, bottom_row, first, last, r_fir
 @compiled
 def accumulate(
     plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width,
-    bin_edges_m, tables, flat, footprint, body, moment, sums, spans,
+    bin_edges_m, tables, flat, footprint, elevation, body, sums, spans,
 ):  # fmt: skip
     """Sum some of one sector's samples into columns.
 
@@ -211,24 +214,21 @@ def accumulate(
     u, v, tan_elevation : of `fan.Sector`
     part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m, tables, flat : (K + 1,), of `bin_tables`; footprint : False drops samples whole into one bin
-    body : 0 for all, or the one body to add; moment : sum the echo times its elevation, radians
+    elevation : what echoes are multiplied by, at even sines across the aperture, or of no length
+    body : 0 for all, or the one body to add
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
     spans : (columns, 2) int64, first bin and past the last beyond which a row of sums is zero; overwritten
     """
-    K = sums.shape[1]
+    R, K = plane_echo.shape[0], sums.shape[1]
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
-    R = plane_echo.shape[0]
     work = np.empty((LAST + 1, R + 1))
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
         if p == 0 or part_column[p - 1] != c:
-            row = uint64(c)
-            for k in range(uint64(spans[c, 0]), uint64(spans[c, 1])):
-                sums[row, k] = 0.0
+            sums[c, spans[c, 0] : spans[c, 1]] = 0.0
             spans[c, 0], spans[c, 1] = K, 0
-        u2 = 1.0 + uc * uc
-        v_limit = tan_elevation * math.sqrt(u2)
+        v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)
         nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
         last_row = nearest - step * R
         if max(nearest, last_row) <= -1.0 or min(nearest, last_row) >= plane_echo.shape[1]:
@@ -243,7 +243,7 @@ def accumulate(
         last += 1
         work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
         _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
-        _find_shapes(work, first, last, uc, part_width[p], moment)
+        _find_shapes(work, first, last, uc, part_width[p], v_limit, elevation)
         if footprint:
             spread_footprints(work, first, last, sums, spans, c, tables, flat, r_first, per_metre)
         else:

@@ -10,12 +10,13 @@ from sonar_gl.scene import Scene
 from sonar_gl.sonar import Sonar
 
 
-def why_nothing(scene: Scene, where, sonar: Sonar, pose, views) -> str:
+def why_nothing(scene: Scene, where, sonar: Sonar, drawn: Sonar, pose, views) -> str:
     """What was nearest, and why nothing came back.
 
     Parameters
     ----------
     where : Whereabouts of the bodies
+    sonar, drawn : as given, and of `Acoustics.drawn_sonar`; ranges are told as the sonar shows them
     views : (sector, (R, C, 4) plane and echo, _) of each sector, as rendered
     """
     if not scene.bodies:
@@ -24,7 +25,7 @@ def why_nothing(scene: Scene, where, sonar: Sonar, pose, views) -> str:
         return "no echo came back: all bodies of the scene were taken away"
     inside = _nearest_in_view(views)
     if inside is not None:
-        range_m, echo = inside
+        range_m, echo = inside[0] * sonar.range_max_m / drawn.range_max_m, inside[1]
         where = f"the nearest surface in the fan lies at {range_m:.2f} m"
         if range_m >= sonar.range_max_m:
             return f"no echo came back: {where}, beyond range_max_m = {sonar.range_max_m:g}"
@@ -40,7 +41,7 @@ def why_nothing(scene: Scene, where, sonar: Sonar, pose, views) -> str:
     return (
         f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {range_m:.2f} m away at "
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
-        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{sonar.elevation_fov_deg / 2:g}°; turn or move the sonar"
+        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{drawn.elevation_fov_deg / 2:.4g}°; turn or move the sonar"
     )
 
 

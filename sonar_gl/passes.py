@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.fan import Fan, Sampling, beam_weights, make_fan, rung_sampling
+from sonar_gl.fan import Fan, Sampling, beam_weights, make_fan, rung_sampling, up_to
 from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.lattice import SHEAR
 from sonar_gl.reduce import Reducer
@@ -31,10 +31,12 @@ class Pass:
 
     def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear=SHEAR):
         reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
+        drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
         self.sampling = sampling
-        self.fan: Fan = make_fan(sonar, sampling, reach, pattern is None, shear)
+        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, pattern is None, shear)
         self.renderer = Renderer(gpu.context, gpu, self.fan)
-        self.reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
+        weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
+        self.reducer = Reducer(self.fan, *weights, heard)
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
 
     def views(self, pose, labels: bool = False, whole: bool = False, where=None) -> list:
@@ -60,10 +62,15 @@ class Passes:
     Parameters
     ----------
     gpu, sonar, acoustics : as for `Pass`
+
+    Attributes
+    ----------
+    drawn : of `Acoustics.drawn_sonar`
     """
 
     def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics):
         self.gpu, self.sonar, self.acoustics = gpu, sonar, acoustics
+        self.drawn = acoustics.drawn_sonar(sonar)
         self.kept: dict[tuple, Pass] = {}
 
     def of(self, sampling: Sampling, shear: float = SHEAR) -> Pass:

@@ -99,6 +99,7 @@ class Planner:
     def __init__(self, passes: Passes, tolerance: float):
         self.tolerance = check_tolerance(tolerance)
         self.passes, self.sonar, self.stock = passes, passes.sonar, passes.gpu.stock
+        self.drawn = passes.drawn
         self.extent = Extent(self.stock.bodies)
         self.reach_rad = passes.acoustics.beam_reach_rad(self.sonar)
         self.finest = FINEST_RUNG
@@ -206,10 +207,11 @@ class Planner:
             views = fine.views(pose, labels=True, where=where)
             made = views, fine.intensity(views)
         views, intensity = made
-        hits, echo = census(views, len(self.stock.bodies), self.sonar, fine.gain)
+        counted = len(self.stock.bodies), self.drawn, fine.gain, fine.reducer.elevation
+        hits, echo = census(views, *counted)
         views = coarse.views(pose, labels=True, where=where)
         difference = np.abs(intensity - coarse.intensity(views)).sum(dtype=np.float64)
-        _, other = census(views, len(self.stock.bodies), self.sonar, fine.gain)
+        _, other = census(views, *counted)
         whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
         self._watch.looked(pose, where, whole)
         error = ERROR * float(difference / whole) if whole > 0 else 0.0
@@ -219,11 +221,11 @@ class Planner:
             steps = 0.0  # nothing to judge by, and none the wiser for coarser samples
         # A body's own echo: by the samples that met it, and by what the two lattices make of it. Of one that
         # few met the echo is not known: it counts if it could be strong, unless it is hidden.
-        strength = self.extent.solid_angle(where, pose, self.sonar, self.reach_rad) * self.extent.reflectivity
+        strength = self.extent.solid_angle(where, pose, self.drawn, self.reach_rad) * self.extent.reflectivity
         heard = echo > COUNTS * total
         for body in np.flatnonzero(~heard & (hits < FEW) & (strength * fine.gain.max() > COUNTS * total)):
             one = self.stock.bodies[body - 1], where.poses[body - 1]
-            heard[body] = in_plain_sight(made[0], *one, pose, self.sonar)
+            heard[body] = in_plain_sight(made[0], *one, pose, self.drawn)
         apart = np.where(hits < SOME, APART * np.abs(echo - other) / np.maximum(echo, 1e-30), 0.0)
         luck = np.maximum(_luck(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * heard
         worst = int(luck.argmax())

@@ -119,13 +119,14 @@ def shoot(first, block, log2_blocks, keys, start_rad, span_rad, top, near_m, azi
 
 
 @compiled
-def land(azimuth, ray, near_m, hits, faces, nodes, hat, heard, bins, gain, sums, bodies):
+def land(azimuth, ray, near_m, hits, strength, faces, nodes, hat, heard, bins, gain, sums, bodies):
     """Add the echoes of rays to bins.
 
     Parameters
     ----------
     azimuth, ray, near_m : of `shoot`
     hits : Embree's tfar, Ng, u, v, geomID, primID
+    strength : (n,) of each ray's echo
     faces : first face of each body, reflectivity of each face, (F, 3, 3) normals of each face's corners in
         the sonar frame, or (0, 3, 3); a normal of no length leaves the face flat
     nodes : (N,) rising azimuths, which enclose these rays
@@ -166,7 +167,7 @@ def land(azimuth, ray, near_m, hits, faces, nodes, hat, heard, bins, gain, sums,
                 same_side = (sx * nx + sy * ny + sz * nz) * cosine >= 0.0
                 cosine = -(sx * dx + sy * dy + sz * dz) / math.sqrt(shading2)
                 cosine = max(cosine if same_side else -cosine, 0.0)
-        echo = reflectivity[face] * min(abs(cosine), 1.0)
+        echo = reflectivity[face] * min(abs(cosine), 1.0) * strength[n]
         k = min(int(share), K - 1)
         i = np.searchsorted(nodes, azimuth[n], side="right") - 1
         i = min(max(i, 0), nodes.shape[0] - 2)

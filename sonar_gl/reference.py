@@ -165,9 +165,11 @@ class _Fan:
         if stop - self.start >= 2 * np.pi:
             self.start, stop = -np.pi, np.pi
         self.span, self.hat = stop - self.start, pattern is not None
-        self.top = np.sin(np.radians(sonar.elevation_fov_deg) / 2)
+        drawn, self.elevation = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
+        self.transmit = acoustics.transmit_function(sonar)
+        self.top = np.sin(np.radians(drawn.elevation_fov_deg) / 2)
         self.solid_angle = self.span * 2 * self.top
-        self.bins = (sonar.range_min_m, 1 / sonar.bin_size_m)
+        self.bins = (drawn.range_min_m, 1 / drawn.bin_size_m)
         self.gain, self.shape = acoustics.gain(sonar.range_m, sonar), (sonar.n_beams, sonar.n_bins)
         if self.hat:
             step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
@@ -178,7 +180,10 @@ class _Fan:
             ends = _turn(np.concatenate([axes - reach, axes + reach]), self.start)
             self.nodes = np.unique(np.clip(np.append(ends, [self.start, stop]), self.start, stop))
             heard = 1.0
-        beam_solid_angle = heard * 2 * reach * 2 * self.top
+        height = 2 * self.top
+        if self.elevation is not None:
+            height *= self.elevation(self.top * ((np.arange(1024) + 0.5) / 512 - 1)).mean()
+        beam_solid_angle = heard * 2 * reach * height
         self.log2_blocks = int(np.clip(np.ceil(np.log2(len(self.nodes) / 8)), 3, 10))
         edges = np.linspace(self.start, stop, 2**self.log2_blocks + 1)
         self.blocks = []
@@ -208,7 +213,7 @@ class _Half:
     def __init__(self, target: Target, fan: _Fan, seeds: np.random.SeedSequence):
         self.target, self.fan, self.keys = target, fan, seeds.generate_state(4, np.uint32)
         self.sums, self.bodies, self.done = np.zeros(fan.shape), np.zeros(target.n_bodies + 1), 0
-        self.room = (np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32))
+        self.room, self.even = (np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32)), np.ones(BATCH)
         azimuth = [self._shoot(number, 0, 1)[0][0] for number in range(len(fan.blocks))]
         self.numbers = np.argsort(azimuth)  # of the blocks, in the sequence
 
@@ -223,9 +228,18 @@ class _Half:
                 azimuth, origin, ray = self._shoot(number, first, min(BATCH, per_block - first))
                 hits = self.target.hits(origin, ray)
                 at = (self.target.faces, nodes, fan.hat, heard, fan.bins, fan.gain)
-                land(azimuth, ray, NEAR_M, hits, *at, sums, self.bodies)
+                land(azimuth, ray, NEAR_M, hits, self._strength(azimuth, ray), *at, sums, self.bodies)
             hear(sums, beams, weights, self.sums)
         self.done = per_block
+
+    def _strength(self, azimuth, ray):
+        """How strongly each ray is sounded and heard: the projector in azimuth, both ways in elevation."""
+        fan, strength = self.fan, self.even[: len(azimuth)]
+        if fan.transmit is not None:
+            strength = strength * fan.transmit(azimuth)
+        if fan.elevation is not None:
+            strength = strength * fan.elevation(ray[:, 2])
+        return strength
 
     def _shoot(self, number: int, first: int, count: int):
         """Azimuth, origin and direction of so many rays, valid until the next call."""

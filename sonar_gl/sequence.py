@@ -29,6 +29,8 @@ def about(sonar, acoustics, tolerance, scene, gl_renderer: str) -> dict:
     return {
         "sonar": asdict(sonar),
         "acoustics": acoustics.meta(),
+        "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
+        "sound_speed_m_s": acoustics.sound_speed(),
         "profile": acoustics.profile,
         "tolerance": tolerance,
         "bin_size_m": sonar.bin_size_m,
@@ -43,7 +45,8 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None."""
     scene, samples = simulator.scene, simulator._samples
     if whole <= 0:
-        warnings.warn(why_nothing(scene, where, simulator.sonar, pose, views), stacklevel=3)
+        sonars = simulator.sonar, simulator._passes.drawn
+        warnings.warn(why_nothing(scene, where, *sonars, pose, views), stacklevel=3)
     for array in (intensity, *found):
         if array is not None:
             array.setflags(write=False)

@@ -76,7 +76,8 @@ def test_small_bodies_get_the_samples_that_their_own_echo_asks_for():
 def rung_hits(simulator):
     now = simulator._samples.now
     with simulator._drawing():
-        return census(now.views(np.eye(4), labels=True), len(simulator.scene.bodies), SONAR, now.gain)[0]
+        views, evenly = now.views(np.eye(4), labels=True), now.reducer.elevation
+        return census(views, len(simulator.scene.bodies), SONAR, now.gain, evenly)[0]
 
 
 @pytest.mark.parametrize("tolerance, radius", [(0.05, 0.008), (0.01, 0.02)])

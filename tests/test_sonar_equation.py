@@ -1,0 +1,92 @@
+"""The level of a flat floor against the sonar equation; ranges where a wrong speed of sound puts them."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+
+import sonar_equation
+
+WITHIN_DB = 0.1
+
+
+@pytest.mark.parametrize("name", sonar_equation.CASES)
+def test_floor_follows_the_sonar_equation(name):
+    case = sonar_equation.CASES[name]
+    measured, expected = sonar_equation.measured_db(*case), sonar_equation.expected_db(*case)
+    np.testing.assert_allclose(measured, np.broadcast_to(expected, measured.shape), rtol=0, atol=WITHIN_DB)
+
+
+def test_the_table_is_printed(capsys):
+    sonar_equation.main()
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 1 + len(sonar_equation.CASES)
+    assert all(float(row.split()[-2]) < WITHIN_DB for row in rows[1:])
+
+
+WRONG = {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1500.0}
+SONAR = sg.Sonar("narrow", 900e3, 5, 480, 1.0, 1.0, 1.0, 2.0, 14.0)
+
+
+def wall(distance):
+    return sg.Scene([sg.Body("wall", trimesh.creation.box((0.002, 50, 50)), sg.pose(distance + 0.001, 0, 0))])
+
+
+def ping(scene, acoustics, sonar=SONAR):
+    with sg.Simulator(scene, sonar, acoustics) as simulator:
+        return simulator.ping(np.eye(4))
+
+
+@pytest.mark.parametrize("make", [ping, lambda s, a: sg.reference_ping(s, SONAR, np.eye(4), a, 0.05)])
+def test_a_wrong_speed_of_sound_scales_ranges(make):
+    """10 m, the sonar set to 1500 m/s in water of 1450: it shows 10.345 m, on the axis that was asked for."""
+    result = make(wall(10.0), sg.Acoustics.physical(**WRONG))
+    shown = 10.0 * 1500 / 1450
+    np.testing.assert_allclose(result.range_m, SONAR.range_m, rtol=1e-12)
+    assert set(result.intensity.argmax(axis=1)) == {int((shown - 2.0) / SONAR.bin_size_m)}
+    assert result.meta["sonar"]["range_max_m"] == SONAR.range_max_m
+    assert result.meta["acoustics"]["sonar_sound_speed_m_s"] == 1500.0
+    # what the same water gives a sonar that is set right, k = 20 at shown ranges apart
+    right = make(wall(10.0), sg.Acoustics.physical(sound_speed_m_s=1450.0))
+    gain = sg.Acoustics.physical(**WRONG).gain(np.array([shown]), SONAR)[0]
+    assert result.intensity.sum() / right.intensity.sum() == pytest.approx(gain, rel=2e-3)
+
+
+@pytest.mark.parametrize("law", ["constant", "printed", "inverse", "sonar_equation"])
+def test_gain_of_shown_ranges(law):
+    """Loss over the true range, TVG over the shown one, written out."""
+    acoustics = sg.Acoustics.physical(
+        range_law=law, absorption_db_m=0.3, tvg_k=30.0, tvg_absorption_db_m=0.2, **WRONG
+    )
+    shown = SONAR.range_m
+    true = shown * 1450 / 1500
+    expected = {
+        "constant": np.ones_like(shown),
+        "printed": (shown / SONAR.range_max_m) ** 2,
+        "inverse": np.minimum(1, true**-2.0),
+        "sonar_equation": true**-2 * 10 ** (-0.06 * true) * shown**3 * 10 ** (0.04 * shown),
+    }[law]
+    np.testing.assert_allclose(acoustics.gain(shown, SONAR), expected, rtol=1e-12)
+    if law == "sonar_equation":
+        np.testing.assert_allclose(acoustics.tvg(shown, SONAR), shown**3 * 10 ** (0.04 * shown), rtol=1e-12)
+
+
+def test_what_is_too_far_is_told_as_the_sonar_shows_it():
+    with pytest.warns(UserWarning, match=r"lies at 14\.48 m, beyond range_max_m = 14$"):
+        ping(wall(14.0), sg.Acoustics.physical(**WRONG))
+
+
+def test_a_sonar_set_right_changes_nothing():
+    for settings in (
+        {"sound_speed_m_s": 1450.0},
+        {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1450.0},
+    ):
+        acoustics = sg.Acoustics.physical(**settings)
+        assert acoustics.drawn_sonar(SONAR) is SONAR
+        assert ping(wall(10.0), acoustics).intensity.tobytes() == ping(wall(10.0), None).intensity.tobytes()
