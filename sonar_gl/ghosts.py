@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import uint64
 
 from sonar_gl.compiled import compiled
 from sonar_gl.footprint import (
@@ -42,6 +41,14 @@ def _carry(m, x, u, v, out):
 
 
 @compiled
+def _heard(elevation, top, sine):
+    """What both ways together make of an elevation, from a table at even sines up to `top`."""
+    place = (sine / top + 1.0) * (elevation.shape[0] - 1) / 2
+    k = min(max(int(place), 0), elevation.shape[0] - 2)
+    return max(elevation[k] + (place - k) * (elevation[k + 1] - elevation[k]), 0.0)
+
+
+@compiled
 def _inverse_range(m, q, u, v, otherwise, out):
     """2 / (r + r') of the point where 1/x is q on the ray (1, −u, v)."""
     if q <= 1e-9:
@@ -51,7 +58,7 @@ def _inverse_range(m, q, u, v, otherwise, out):
 
 @compiled
 def _weigh(
-    work, ways, first, last, uc, own, other, ceiling, from_mirror, picture, sectors, other_picture,
+    work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors, other_picture,
     other_sectors, plane, needs_surface, loss,
 ):  # fmt: skip
     """Of a strip's samples: what the mirror leaves, and the echo per steradian between both ways.
@@ -88,6 +95,9 @@ def _weigh(
         seen, ahead = look_up(there[0], there[1], there[2], other_picture, other_sectors)
         if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
             ways[1, m] = min(work[ECHO, m] * side / range_there, 1.0)
+            if elevation.shape[0]:  # sounded in one direction, heard in the other
+                here = _heard(elevation, top, vc / math.sqrt(1.0 + uc * uc + vc * vc))
+                ways[1, m] *= math.sqrt(here * _heard(elevation, top, there[2] / range_there))
 
 
 @compiled
@@ -119,14 +129,14 @@ def _find_both(work, ways, first, last, uc, width, other):
 @compiled
 def accumulate_ghosts(
     plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, flat,
-    own, other, ceiling, from_mirror, once, picture, sectors, other_picture, other_sectors, plane,
+    elevation, own, other, ceiling, from_mirror, once, picture, sectors, other_picture, other_sectors, plane,
     needs_surface, loss, sums, spans,
 ):  # fmt: skip
     """Sum some of one sector's samples into columns, as a mirror makes them heard.
 
     Parameters
     ----------
-    plane_echo .. flat : as of `footprint.accumulate`; of the sonar's own view, or of its image's
+    plane_echo .. elevation : as of `footprint.accumulate`; of the sonar's own view, or of its image's
     own, other : (3, 4) from this sector's frame to its own sonar's and to the other one's
     ceiling : (4,) a · x > offset of what lies above the water's surface, in this sector's frame
     from_mirror : this is the image's view: echoes that meet the mirror twice are summed, too
@@ -140,12 +150,11 @@ def accumulate_ghosts(
     per_metre = K / (r_last - r_first)
     R = plane_echo.shape[0]
     work, ways = np.empty((LAST + 1, R + 1)), np.empty((2, R + 1))
+    top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
         if p == 0 or part_column[p - 1] != c:
-            row = uint64(c)
-            for k in range(uint64(spans[c, 0]), uint64(spans[c, 1])):
-                sums[row, k] = 0.0
+            sums[c, spans[c, 0] : spans[c, 1]] = 0.0
             spans[c, 0], spans[c, 1] = K, 0
         v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)
         nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
@@ -162,11 +171,11 @@ def accumulate_ghosts(
         work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
         _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
         _weigh(
-            work, ways, first, last, uc, own, other, ceiling, from_mirror, picture, sectors,
+            work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors,
             other_picture, other_sectors, plane, needs_surface, loss,
         )  # fmt: skip
         if from_mirror:
-            _find_shapes(work, first, last, uc, part_width[p], False)
+            _find_shapes(work, first, last, uc, part_width[p], v_limit, elevation)
             for m in range(first, last):
                 work[ENERGY, m] *= ways[0, m] * ways[0, m]
             spread_footprints(work, first, last, sums, spans, c, tables, flat, r_first, per_metre)

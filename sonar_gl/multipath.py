@@ -90,7 +90,7 @@ class Multipath:
             turned = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=turned)
         self.images = Passes(passes.gpu, sonar, acoustics)
-        self.wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / 1500.0
+        self.wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
         self.scene, self.mirrors = None, []
         self.look(scene)
 

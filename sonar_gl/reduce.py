@@ -142,7 +142,7 @@ class Reducer:
         def work(half):
             for owner, index, parts in self.jobs:
                 if owner == half:
-                    tables = self.edges, self.tables, self.flat
+                    tables = self.edges, self.tables, self.flat, self.elevation
                     add(views[index], parts, tables, self.sums, self.spans)
 
         self._both(work)
