@@ -58,8 +58,8 @@ def _inverse_range(m, q, u, v, otherwise, out):
 
 @compiled
 def _weigh(
-    work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors, other_picture,
-    other_sectors, plane, needs_surface, loss,
+    work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors,
+    other_picture, other_sectors, plane, needs_surface, loss,
 ):  # fmt: skip
     """Of a strip's samples: what the mirror leaves, and the echo per steradian between both ways.
 

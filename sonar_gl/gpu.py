@@ -65,6 +65,7 @@ class SceneOnGpu:
         self.indices, self.rows, self.draws = Growing(context), Growing(context), Growing(context)
         self.n_points, self.programs, self.arrays = 0, {}, {}
         self.stock = Stock(self.sifts)
+        self.stock.surface_z_m = scene.surface_z_m
         self.add(scene.bodies)
 
     def add(self, bodies) -> None:

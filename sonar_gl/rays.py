@@ -29,6 +29,8 @@ class Target:
                 "\"pip install 'sonar_gl[reference]'\""
             ) from None
         self.embree = EmbreeScene(robust=True)  # no ray slips through between two triangles
+        z = scene.surface_z_m
+        self.ceiling = None if z is None or pose[2, 3] >= z else (pose[2, :3], z - pose[2, 3])
         self.n_bodies = len(scene.bodies)
         self._keep, reflectivity, normals = [], [np.zeros(0)], [np.zeros((0, 3, 3), np.float32)]
         smooth = any(body.normals is not None for body in scene.bodies)
@@ -50,6 +52,9 @@ class Target:
     def hits(self, origin, ray):
         """Embree's tfar, Ng, u, v, geomID, primID; other Python threads go on meanwhile."""
         found = self.embree.run(origin, ray, output=True)
+        if self.ceiling is not None:  # what is met above the water's surface is not
+            up, height = self.ceiling
+            found["geomID"][(origin + found["tfar"][:, None] * ray) @ up > height] = -1
         return tuple(found[key] for key in ("tfar", "Ng", "u", "v", "geomID", "primID"))
 
 

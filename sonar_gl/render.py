@@ -107,7 +107,7 @@ class Renderer:
         poses, wheres : of the sonar, and for each the Whereabouts of the bodies, or None
         labels : read the bodies' numbers too
         whole : draw the empty water, too
-        planes : of each pose a plane before which all lies that is drawn, or None; see `draws.Placed`
+        planes : of each pose a plane before which all lies that is drawn, or None: the water's surface
         """
         gpu, out = self.gpu, self.out
         planes = planes or [None] * len(poses)
@@ -120,11 +120,11 @@ class Renderer:
         self._fit(max(one.width for one in self.drawn), max(one.height for one in self.drawn))
         if out.counts["draws"]:
             gpu.upload(rows, out)
-        for picture, parts, plane in zip(self.drawn, draws, planes, strict=True):
+        for picture, parts, seen in zip(self.drawn, draws, placed, strict=True):
             picture.labels = labels
             if picture.width:
                 picture.fit(self.context, self.size)
-                self._draw(picture, picture.clear(), rows, parts, plane)
+                self._draw(picture, picture.clear(), rows, parts, seen.plane)
         for picture in self.drawn:  # while one is read the driver's threads may fill the next
             if picture.width:
                 picture.read()

@@ -31,11 +31,12 @@ class Stock:
     bodies : list of Body, in the order of their numbers
     where : Whereabouts, unless a ping is told otherwise
     rows : (n, PER_BODY) float32, places not filled in
+    surface_z_m : of the water, which ends there for a sonar in it; or None
     sifts : whether triangles that meet no sample are left out beforehand, and small ones filled in
     """
 
     def __init__(self, sifts: bool = False):
-        self.sifts = sifts
+        self.sifts, self.surface_z_m = sifts, None
         self.bodies, self.where = [], Whereabouts(np.empty((0, 4, 4)), np.empty(0, bool))
         self.rows = np.empty((0, PER_BODY), np.float32)
         self.roots, self.closed = np.empty((0, 2), np.int64), np.empty(0, np.int64)
@@ -118,6 +119,8 @@ class Stock:
         about = where.poses, where.shown, self.centres, self.bounds, self.closed
         outside = place(*about, pose, NEAR_M, matrices, rows)
         shown, cut = where.shown, np.zeros(len(where.shown), bool)
+        if plane is None and self.surface_z_m is not None and pose[2, 3] < self.surface_z_m:
+            plane = np.append(-pose[2, :3], self.surface_z_m - pose[2, 3])
         if plane is not None:
             nearest, furthest = self._beyond(matrices, plane)
             shown, cut = shown & (furthest > 0), nearest < 0

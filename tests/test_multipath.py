@@ -153,6 +153,37 @@ def test_ghosts_are_those_of_rays_that_are_mirrored(perfect, name):
     assert truth.sum() > 0.1 * scene_echo(scene, pose)
 
 
+def test_ghosts_are_heard_as_the_pattern_hears_both_ways(perfect):
+    scene, pose, mirrors = SCENES["floor, rolled and pitched"]
+    perfect(*mirrors)
+    gaussian = replace(GHOSTS, elevation_pattern="gaussian")
+    sonar = replace(SONAR, elevation_fov_deg=25.0)
+    drawn, heard = gaussian.drawn_sonar(sonar), gaussian.elevation_function(sonar)
+    top = np.sin(np.radians(drawn.elevation_fov_deg) / 2)
+    sines, parts = np.polynomial.legendre.leggauss(64)
+    narrower = top * (heard(top * sines) @ parts) / (2 * top)  # than all of what is drawn
+    a, b = (TwoBounces(scene, drawn, pose, mirrors, heard=heard).ping(1_000_000, seed) for seed in (1, 2))
+    truth = (a + b) / 2 / narrower
+    allowed = np.abs(a - b).sum() / (a + b).sum() + 0.03  # as above
+    assert np.abs(ghosts(scene, pose, gaussian, sonar) - truth).sum() / truth.sum() < allowed
+
+
+def test_nothing_is_seen_above_the_water(perfect):
+    perfect()
+    pile = sg.Body("pile", trimesh.creation.cylinder(0.3, 6.0), sg.pose(6, 0, 0), 0.8)
+    cut = sg.Body("pile", trimesh.creation.cylinder(0.3, 3.0), sg.pose(6, 0, -1.5), 0.8)
+    pose = sg.pose(0, 0, -1, 0, -0.1)
+    for make in (
+        lambda scene: sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02),
+        lambda scene: sg.Simulator(scene, SONAR, IDEAL, FINE).ping(pose),
+    ):
+        crossing = make(sg.Scene([pile], surface_z_m=0.0)).intensity
+        above = make(sg.Scene([pile])).intensity
+        below = make(sg.Scene([cut])).intensity
+        assert np.abs(crossing - below).sum() < 0.01 * below.sum()  # of samples at the edge
+        assert above.sum() > 1.2 * below.sum()
+
+
 def scene_echo(scene, pose):
     with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
         return simulator.ping(pose).intensity.sum()

@@ -16,8 +16,8 @@ class TwoBounces:
     mirrors : names of bodies; reflection : |R|² of every mirror, at all angles
     """
 
-    def __init__(self, scene, sonar, pose, mirrors, reflection=1.0, multipath="incoherent"):
-        self.sonar, self.pose, self.scene = sonar, pose, scene
+    def __init__(self, scene, sonar, pose, mirrors, reflection=1.0, multipath="incoherent", heard=None):
+        self.sonar, self.heard = sonar, heard or np.ones_like  # both ways, of the sine of an elevation
         self.embree, self.keep = EmbreeScene(robust=True), []
         self.mu = np.array([float(body.reflectivity) for body in scene.bodies])
         self.mirror = np.array([body.name in mirrors for body in scene.bodies])
@@ -78,7 +78,7 @@ class TwoBounces:
         out = np.zeros((sonar.n_beams, sonar.n_bins))
         # both ways over the mirror
         incidence = -(turned * face).sum(axis=1)
-        self._put(out, azimuth, bounced, mu * incidence * loss**2)
+        self._put(out, azimuth, bounced, mu * incidence * loss**2 * self.heard(rays[:, 2]))
         # one way straight: the place must be seen, from the same side, and within the fan
         straight = np.linalg.norm(place, axis=1)
         back = -place / straight[:, None]
@@ -91,6 +91,7 @@ class TwoBounces:
             seen &= place @ self.surface[0] < self.surface[1]
         mean = (straight + bounced) / 2
         energy = self.once * mu * other * loss * (mean / straight) ** 2 * seen
+        energy *= np.sqrt(self.heard(rays[:, 2]) * self.heard(np.clip(place[:, 2] / straight, -top, top)))
         self._put(out, azimuth, mean, energy)
         self._put(out, there, mean, energy)
         beam = 2 * half / sonar.n_beams
