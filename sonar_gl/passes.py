@@ -44,10 +44,10 @@ class Pass:
         self.renderer.render([pose], [where], labels, whole)
         return list(self.renderer.views())
 
-    def views_of(self, poses, wheres, labels: bool = False) -> list[list]:
+    def views_of(self, poses, wheres, labels: bool = False, planes=None) -> list[list]:
         """The same of several poses, drawn at once; none of it is written to by the next drawing."""
         self.renderer.turn()
-        self.renderer.render(poses, wheres, labels)
+        self.renderer.render(poses, wheres, labels, planes=planes)
         n, views = len(self.fan.sectors), list(self.renderer.views())
         return [views[k : k + n] for k in range(0, len(views), n)]
 
