@@ -189,23 +189,22 @@ def room():
 @pytest.mark.parametrize(
     "settings",
     [
-        {"elevation_pattern": "line_array"},
-        {"elevation_pattern": "gaussian", "beam_pattern": "box"},
-        {"elevation_pattern": "line_array", "elevation_taper": "chebyshev", "transmit_width_deg": 25.0},
-        {"taper": "taylor", "steered": "straight"},
-        {"beam_pattern": "box", "transmit_width_deg": 25.0, "transmit_taper": "hamming"},
+        {"elevation_pattern": "line_array", "transmit_width_deg": 25.0},
+        {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+        {"taper": "taylor", "steered": "straight", "fan": 130.0},
     ],
     ids=str,
 )
 def test_patterns_against_the_reference(settings):
-    acoustics = sg.Acoustics.physical(**settings)
-    truth = sg.reference_ping(sg.Scene(room()), SONAR, np.eye(4), acoustics, 0.01)
+    sonar = replace(SONAR, azimuth_fov_deg=settings.get("fan", 32.0))
+    acoustics = sg.Acoustics.physical(**{key: settings[key] for key in settings if key != "fan"})
+    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.02)
     assert truth.meta["converged"]
-    ours = ping(room(), acoustics, tolerance=0.01)
-    assert ping_error(ours, truth) < 0.01
+    ours = ping(room(), acoustics, sonar, tolerance=0.005)
+    assert ping_error(ours, truth) < 0.01  # the truth's own error, 2e-3, is in it
     np.testing.assert_allclose(ours.body_echo[1:], truth.body_echo[1:], rtol=0.01)
-    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), tolerance=0.01)
-    assert ping_error(plain, truth) > 0.02  # the pattern is no trifle here
+    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), sonar, tolerance=0.01)
+    assert ping_error(plain, truth) > 0.04  # the pattern is no trifle here
 
 
 @pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
