@@ -43,12 +43,12 @@ class Acoustics:
     sound_speed_m_s : the speed of sound; None = by sound_speed_formula
     sonar_sound_speed_m_s : what the sonar is set to, None = the right speed; ranges that it shows are the
         true ones times this over the right speed
-    taper, side_lobe_db : of the receiving line array in azimuth: "uniform", "hamming", "taylor" or
-        "chebyshev"; the last two have side lobes so many dB down
+    taper : of the receiving line array in azimuth: "uniform", "hamming", "taylor" or "chebyshev"
+    side_lobe_db : how far down the side lobes of "taylor" and "chebyshev" are, in all arrays
     steered : "alike": every beam has the width of the data sheet; "straight": one straight array, whose
         beams broaden as 1/cos of the angle that they are steered to
     transmit_width_deg, transmit_taper : −3 dB width in azimuth of the projector's beam about the boresight;
-        None = it sounds the fan evenly
+        None = it sounds the fan evenly. beam_width_deg stays that of the receiving beams
     elevation_pattern : "box": a beam hears all of elevation_fov_deg alike; "line_array", "gaussian":
         transmitter and receiver alike, and their product is elevation_fov_deg wide at −3 dB
     elevation_taper : of the line array in elevation

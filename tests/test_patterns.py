@@ -209,16 +209,16 @@ def test_patterns_against_the_reference(settings):
 
 @pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
 def test_a_sphere_about_the_sonar_still_reads_its_reflectivity(settings):
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)
-    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 1 degree stand 0.5 degrees askew
+    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 2 degrees stand 1 degree askew
     truth = sg.reference_ping(sg.Scene([ball]), SONAR, np.eye(4), sg.Acoustics.physical(**settings), 0.1)
     np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.3, rtol=2e-3)
 
 
 def test_the_projector_weighs_the_beams():
     """In a sphere narrow beams read what the projector sends their way."""
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     acoustics = sg.Acoustics.physical(beam_pattern="gaussian", transmit_width_deg=24.0)
     totals = ping([ball], acoustics, replace(SONAR, beam_width_deg=0.5)).intensity.sum(axis=1)
     sent = line_array_pattern(SONAR.azimuth_rad, 0.0, np.radians(24.0))
