@@ -32,7 +32,7 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
     Fourier transform", Proc. IEEE 66, 51-83, 1978 (Hamming)
 
     >>> [round(f, 4) for f in taper_series("taylor", 30.0)]
-    [0.2926, -0.0158, 0.0022]
+    [0.2927, -0.0158, 0.0022]
     """
     if taper == "uniform":
         return ()

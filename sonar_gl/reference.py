@@ -192,8 +192,8 @@ class _Fan:
             last = min(np.searchsorted(self.nodes, high, side="left") + 1, len(self.nodes))
             nodes = self.nodes[first:last]
             places = nodes if self.hat else np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
-            offset = np.abs(_turn(places - axes[:, None], -np.pi))
-            weights = (offset <= reach * (1 + 1e-9)).astype(float)
+            offset = _turn(places - axes[:, None], -np.pi)
+            weights = (np.abs(offset) <= reach * (1 + 1e-9)).astype(float)
             beams = np.flatnonzero(weights.any(axis=1))
             weights, offset = weights[beams], offset[beams]
             if self.hat:

@@ -189,37 +189,36 @@ def room():
 @pytest.mark.parametrize(
     "settings",
     [
-        {"elevation_pattern": "line_array"},
-        {"elevation_pattern": "gaussian", "beam_pattern": "box"},
-        {"elevation_pattern": "line_array", "elevation_taper": "chebyshev", "transmit_width_deg": 25.0},
-        {"taper": "taylor", "steered": "straight"},
-        {"beam_pattern": "box", "transmit_width_deg": 25.0, "transmit_taper": "hamming"},
+        {"elevation_pattern": "line_array", "transmit_width_deg": 25.0},
+        {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+        {"taper": "taylor", "steered": "straight", "fan": 130.0},
     ],
     ids=str,
 )
 def test_patterns_against_the_reference(settings):
-    acoustics = sg.Acoustics.physical(**settings)
-    truth = sg.reference_ping(sg.Scene(room()), SONAR, np.eye(4), acoustics, 0.01)
+    sonar = replace(SONAR, azimuth_fov_deg=settings.get("fan", 32.0))
+    acoustics = sg.Acoustics.physical(**{key: settings[key] for key in settings if key != "fan"})
+    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.02)
     assert truth.meta["converged"]
-    ours = ping(room(), acoustics, tolerance=0.01)
-    assert ping_error(ours, truth) < 0.01
+    ours = ping(room(), acoustics, sonar, tolerance=0.005)
+    assert ping_error(ours, truth) < 0.01  # the truth's own error, 2e-3, is in it
     np.testing.assert_allclose(ours.body_echo[1:], truth.body_echo[1:], rtol=0.01)
-    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), tolerance=0.01)
-    assert ping_error(plain, truth) > 0.02  # the pattern is no trifle here
+    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), sonar, tolerance=0.01)
+    assert ping_error(plain, truth) > 0.04  # the pattern is no trifle here
 
 
 @pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
 def test_a_sphere_about_the_sonar_still_reads_its_reflectivity(settings):
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)
-    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 1 degree stand 0.5 degrees askew
+    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 2 degrees stand 1 degree askew
     truth = sg.reference_ping(sg.Scene([ball]), SONAR, np.eye(4), sg.Acoustics.physical(**settings), 0.1)
     np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.3, rtol=2e-3)
 
 
 def test_the_projector_weighs_the_beams():
     """In a sphere narrow beams read what the projector sends their way."""
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     acoustics = sg.Acoustics.physical(beam_pattern="gaussian", transmit_width_deg=24.0)
     totals = ping([ball], acoustics, replace(SONAR, beam_width_deg=0.5)).intensity.sum(axis=1)
     sent = line_array_pattern(SONAR.azimuth_rad, 0.0, np.radians(24.0))
