@@ -8,7 +8,8 @@ import numpy as np
 
 from sonar_gl.lattice import Sector
 
-PER_BODY = 14  # floats: the rows of sonar_from_body, reflectivity, number
+PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
+LOBE = 14  # of them, the strength
 MARGIN = 2  # samples about what is seen, so that the outermost of a window meet nothing
 
 

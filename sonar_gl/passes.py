@@ -33,7 +33,7 @@ class Pass:
         reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
         self.sampling = sampling
         self.fan: Fan = make_fan(sonar, sampling, reach, pattern is None, shear)
-        self.renderer = Renderer(gpu.context, gpu, self.fan)
+        self.renderer = Renderer(gpu.context, gpu, self.fan, getattr(acoustics, "specular", False))
         self.reducer = Reducer(self.fan, *beam_weights(self.fan, pattern, reach))
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
 

@@ -72,11 +72,12 @@ def _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, n, places):
 
 
 @compiled
-def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals, start, mu, u, v, turn):
+def _shade(first, last, places, values, corners, mu, u, v, turn):
     """Echo of a triangle's samples by the normals at its corners a, b, c, where these have any.
 
     turn : (3, 3) body_from_sector
     """
+    columns, rows, depths, a, b, c, normals, start = corners
     ai, aj, bi, bj, ci, cj = columns[a], rows[a], columns[b], rows[b], columns[c], rows[c]
     for s in range(first, last):
         i, j, q, along, up = places[s, 0], places[s, 1], values[s, 0], values[s, 1], values[s, 2]
@@ -99,6 +100,19 @@ def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals,
 
 
 @compiled
+def _shine(first, last, places, values, mu, strength, slope, u, v):
+    """μ cos θ and the lobe of a triangle's samples, whose echo is cos θ so far; see `specular_lobe`."""
+    for s in range(first, last):
+        at_u = u[0] + u[1] * places[s, 0] + u[2] * places[s, 1]
+        at_v = v[0] + v[1] * places[s, 0] + v[2] * places[s, 1]
+        range_m = math.sqrt(1.0 + at_u * at_u + at_v * at_v) / values[s, 0]
+        c = min(max(values[s, 3] / range_m, 1e-3), 1.0)
+        square, s2 = c * c, slope * slope
+        lobe = strength * math.exp(-0.5 * (1.0 - square) / (square * s2)) / (8.0 * s2 * square * square * c)
+        values[s, 3] = mu * values[s, 3] + lobe * range_m
+
+
+@compiled
 def sift_patches(
     chosen, first_vertex, n_vertices, first_face, n_faces, points, normals, reflectivity, faces,
     matrices, body_rows, closed, sector, inverse, corner, size, near_m, outside, row, first_index,
@@ -111,7 +125,7 @@ def sift_patches(
     chosen : (K, 2) of `see`, or a part of it
     first_vertex .. faces : of all meshes' `detail.Levels`; points : (W, 3) float32 of their vertices
     normals, reflectivity : (W, 3) and (W,) float32 of these, or of no length
-    body_rows : (n, 14), of which the last but one is the reflectivity
+    body_rows : (n, 16), of which 12 is the reflectivity, 14 and 15 strength and slope of the lobe
     matrices, closed, sector, inverse, corner, near_m, outside : as for `see`
     size : columns and rows of the sector's lattice
     row : of the table of bodies, where this pose's begin
@@ -211,30 +225,18 @@ def sift_patches(
                     at_u, at_v = u[0] + u[1] * ai + u[2] * aj, v[0] + v[1] * ai + v[2] * aj
                     ahead = qa - along * at_u - up * at_v
                     mu = body_rows[body, 12] * (reflectivity[start + a] if reflectivity.shape[0] else one)
-                    echo = mu / math.sqrt(ahead * ahead + along * along + up * up)
+                    lobe = body_rows[body, 14]
+                    weight = one if lobe > 0.0 else mu
+                    echo = weight / math.sqrt(ahead * ahead + along * along + up * up)
                     for s in range(filled, more):
                         values[s, 0] = qa + by_column * (places[s, 0] - ai) + by_row * (places[s, 1] - aj)
                         values[s, 1], values[s, 2], values[s, 3] = along, up, echo
                         bodies[s] = body + 1
                     if smooth:
-                        _shade(
-                            filled,
-                            more,
-                            places,
-                            values,
-                            columns,
-                            rows,
-                            depths,
-                            a,
-                            b,
-                            c,
-                            normals,
-                            start,
-                            mu,
-                            u,
-                            v,
-                            to_body,
-                        )
+                        corners = columns, rows, depths, a, b, c, normals, start
+                        _shade(filled, more, places, values, corners, weight, u, v, to_body)
+                    if lobe > 0.0:
+                        _shine(filled, more, places, values, mu, lobe, body_rows[body, 15], u, v)
                     filled = more
                     continue
             elif max(depths[a], depths[b], depths[c]) < near_m:

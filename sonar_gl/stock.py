@@ -8,7 +8,7 @@ import numpy as np
 
 from sonar_gl.cull import draw_patches, place, see
 from sonar_gl.detail import Levels
-from sonar_gl.draws import PER_BODY, Draws, Placed, SectorView, Whereabouts, window_of
+from sonar_gl.draws import LOBE, PER_BODY, Draws, Placed, SectorView, Whereabouts, window_of
 from sonar_gl.pair import Pair
 from sonar_gl.prepared import prepare
 from sonar_gl.sift import sift_patches
@@ -16,7 +16,7 @@ from sonar_gl.sift import sift_patches
 # Nearer than this the sonar looks through things: its own face is not an echo.
 NEAR_M = 1e-3
 # A patch stands in for its mesh where it strays by no more than so many samples, and where its echo changes
-# by no more than so much per radian of a sample's width.
+# by no more than so much per radian of a sample's width; not at all where its normals make a lobe.
 STRAY_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 TWO_THREADS = 4000  # faces, below which one sifts as quickly
 LAYERS = 2  # samples that are filled in, for each of a sector; of more triangles are drawn
@@ -64,7 +64,8 @@ class Stock:
                 self._known[key] = (n_patches, end), one.closed, one.centre, one.bounds
                 n_patches = end
                 made.append(one)
-            row = [0.0] * 12 + [1.0 if split else body.reflectivity, number]
+            mu = 1.0 if split else body.reflectivity
+            row = [0.0] * 12 + [mu, number, body.specular, body.roughness_rad]
             for name, value in zip(columns, (*self._known[key], row), strict=True):
                 columns[name].append(value)
         self._take(made)
@@ -111,10 +112,12 @@ class Stock:
         fill = [np.broadcast_to(none, (len(one.points), *none.shape)) for one in made]
         return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
 
-    def place(self, pose, where: Whereabouts | None = None) -> Placed:
-        """The bodies as seen from `pose`, world_from_sonar."""
+    def place(self, pose, where: Whereabouts | None = None, specular: bool = False) -> Placed:
+        """The bodies as seen from `pose`, world_from_sonar; without their lobes unless `specular`."""
         where = where or self.where
         matrices, rows = np.zeros((len(where.poses), 3, 4)), self.rows.copy()
+        if not specular:
+            rows[:, LOBE] = 0.0
         about = where.poses, where.shown, self.centres, self.bounds, self.closed
         outside = place(*about, pose, NEAR_M, matrices, rows)
         return Placed(matrices, rows, where.shown, outside)
@@ -152,7 +155,7 @@ class Stock:
             far_m,
             range_max_m,
             STRAY_SAMPLES * view.sample_rad,
-            ECHO_PER_RAD * view.sample_rad,
+            np.where(placed.rows[:, LOBE] > 0, 0.0, ECHO_PER_RAD * view.sample_rad),
             placed.outside,
             self._chosen,
             found,
