@@ -72,12 +72,11 @@ def _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, n, places):
 
 
 @compiled
-def _shade(first, last, places, values, corners, mu, u, v, turn):
+def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals, start, mu, u, v, turn):
     """Echo of a triangle's samples by the normals at its corners a, b, c, where these have any.
 
     turn : (3, 3) body_from_sector
     """
-    columns, rows, depths, a, b, c, normals, start = corners
     ai, aj, bi, bj, ci, cj = columns[a], rows[a], columns[b], rows[b], columns[c], rows[c]
     for s in range(first, last):
         i, j, q, along, up = places[s, 0], places[s, 1], values[s, 0], values[s, 1], values[s, 2]
@@ -141,9 +140,8 @@ def sift_patches(
     n_closed, n_draws, n_indices, n_samples : the first of the draws are those of closed bodies
     """
     n, n_closed, used, last, filled = 0, 0, 0, -1, 0
-    one = np.float32(1.0)
-    to_body = np.empty((3, 3))
-    m, p = np.empty((3, 4)), np.empty((3, 4))
+    one, lobe = np.float32(1.0), np.float32(0.0)
+    m, p, to_body = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 3))
     columns, rows, depths = np.empty(0), np.empty(0), np.empty(0)
     cell_column, cell_row = np.empty(0, np.int32), np.empty(0, np.int32)
     candidates = np.empty(0, np.int64)
@@ -166,6 +164,7 @@ def sift_patches(
                 for i in range(3):
                     if j < 3:
                         to_body[j, i] = m[i, j]
+            lobe = body_rows[body, 14]
             offset = abs(m[0, 3]) + abs(m[1, 3]) + abs(m[2, 3])
             if n and draws[n - 1, 0] == 0:  # nothing of the body before is drawn
                 n -= 1
@@ -225,7 +224,6 @@ def sift_patches(
                     at_u, at_v = u[0] + u[1] * ai + u[2] * aj, v[0] + v[1] * ai + v[2] * aj
                     ahead = qa - along * at_u - up * at_v
                     mu = body_rows[body, 12] * (reflectivity[start + a] if reflectivity.shape[0] else one)
-                    lobe = body_rows[body, 14]
                     weight = one if lobe > 0.0 else mu
                     echo = weight / math.sqrt(ahead * ahead + along * along + up * up)
                     for s in range(filled, more):
@@ -233,8 +231,10 @@ def sift_patches(
                         values[s, 1], values[s, 2], values[s, 3] = along, up, echo
                         bodies[s] = body + 1
                     if smooth:
-                        corners = columns, rows, depths, a, b, c, normals, start
-                        _shade(filled, more, places, values, corners, weight, u, v, to_body)
+                        _shade(
+                            filled, more, places, values, columns, rows, depths, a, b, c, normals, start,
+                            weight, u, v, to_body,
+                        )  # fmt: skip
                     if lobe > 0.0:
                         _shine(filled, more, places, values, mu, lobe, body_rows[body, 15], u, v)
                     filled = more
