@@ -146,6 +146,9 @@ def test_flat_faces_and_rounded_ones_filled_in_or_drawn(monkeypatch):
         both.append(ping(bodies, sampling=sg.Sampling(3, 200), pose=sg.pose(pitch=0.1)).intensity)
     # but for samples on edges of triangles, which fall to either side
     assert np.abs(both[0] - both[1]).sum() < 2e-3 * both[0].sum()
+    monkeypatch.setattr(gpu, "INDIRECT_GL", 999)  # as if the driver had no draws from a buffer
+    again = ping(bodies, sampling=sg.Sampling(3, 200), pose=sg.pose(pitch=0.1)).intensity
+    np.testing.assert_array_equal(again, both[1])
 
 
 def test_without_lobes_a_ping_is_as_if_there_were_none():
