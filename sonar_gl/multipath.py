@@ -22,7 +22,7 @@ from sonar_gl.render import Picture
 BIAS_M = 1e-3  # a mirror's own surface is not drawn from behind
 FACES = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
 # Ghosts err by their share of the echo: of samples a quarter will do where that is less than this, else half.
-STRONG = 0.2
+STRONG = 0.1
 BOTH_WAYS = 3.0  # an echo may meet the mirror on its way out, on its way back, or on both
 
 
@@ -106,7 +106,8 @@ class Multipath:
     """
 
     def __init__(self, passes: Passes, scene, tolerance: float):
-        sonar, acoustics = passes.sonar, passes.acoustics
+        sonar = passes.sonar
+        acoustics = replace(passes.acoustics, specular=False)  # lobes are those of echoes straight back
         self.acoustics, self.tolerance, self.gpu = acoustics, tolerance, passes.gpu
         self.own = Passes(passes.gpu, sonar, acoustics)
         if sonar.beam_azimuths_deg is not None:

@@ -34,7 +34,7 @@ class Pass:
         drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
         self.sampling = sampling
         self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, pattern is None, shear)
-        self.renderer = Renderer(gpu.context, gpu, self.fan)
+        self.renderer = Renderer(gpu.context, gpu, self.fan, acoustics.specular)
         weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
         self.reducer = Reducer(self.fan, *weights, heard)
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)

@@ -28,21 +28,6 @@ NODES_PER_WIDTH = 64  # a smooth pattern is drawn by straight lines: off by 2e-4
 WIDEST_DEG = 16.0  # what counts as a beam's width there, for patterns of wide beams end in a step
 
 
-def cos_incidence(normal, direction):
-    """Lambert: per steradian the echo is the cosine of incidence, never above 1 or below 0.
-
-    Parameters
-    ----------
-    normal : (..., 3) unit, on the side of the sonar; direction : (..., 3) unit, from the sonar
-
-    GLSL twin: shaders/echo.glsl.
-
-    >>> float(cos_incidence(np.array([-1.0, 0, 0]), np.array([1.0, 0, 0])))
-    1.0
-    """
-    return np.clip(-(normal * direction).sum(axis=-1), 0.0, 1.0)
-
-
 def reference_ping(
     scene: Scene,
     sonar: Sonar,
@@ -91,7 +76,7 @@ def reference_ping(
         "seed": seed,
         "version": __version__,
     }
-    target = Target(scene, pose)
+    target = Target(scene, pose, acoustics.specular)
     fan = _Fan(sonar, acoustics)
     halves = [_Half(target, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
     blocks = len(fan.blocks)
@@ -227,7 +212,7 @@ class _Half:
             for first in range(self.done, per_block, BATCH):
                 azimuth, origin, ray = self._shoot(number, first, min(BATCH, per_block - first))
                 hits = self.target.hits(origin, ray)
-                at = (self.target.faces, nodes, fan.hat, heard, fan.bins, fan.gain)
+                at = (self.target.faces, self.target.lobes, nodes, fan.hat, heard, fan.bins, fan.gain)
                 land(azimuth, ray, NEAR_M, hits, self._strength(azimuth, ray), *at, sums, self.bodies)
             hear(sums, beams, weights, self.sums)
         self.done = per_block

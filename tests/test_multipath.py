@@ -146,8 +146,8 @@ def test_ghosts_are_those_of_rays_that_are_mirrored(perfect, name):
     a, b = (TwoBounces(scene, SONAR, pose, mirrors).ping(1_000_000, seed) for seed in (1, 2))
     truth = (a + b) / 2
     whole = truth.sum() + scene_echo(scene, pose)
-    # of rays alone, half of what two seeds differ by; the rest is for samples: edges of mirrors and shadows are
-    # found to half of one
+    # of rays alone, half of what two seeds differ by; the rest is for samples: edges of mirrors and shadows
+    # are found to half of one
     allowed = np.abs(a - b).sum() / 2 + 0.01 * whole
     assert np.abs(found - truth).sum() < allowed
     # straight echoes alone, the way of all who leave multipath out, miss many times that
