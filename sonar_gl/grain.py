@@ -66,36 +66,55 @@ class Grain:
         a = self._acoustics
         if a.get("range_law") != "sonar_equation":
             return np.ones(len(self.ping.range_m))
-        loss = a.get("tvg_absorption_db_m")
+        acoustics = Acoustics(**a)
+        loss = acoustics.tvg_absorption_db_m
         if loss is None:
-            loss = Acoustics(**a).absorption(self._sonar["frequency_hz"])
-        return tvg_gain(self.ping.range_m, a["tvg_k"], loss)
+            loss = acoustics.absorption(self._known("frequency_hz", "the absorption that its TVG makes good"))
+        return tvg_gain(self.ping.range_m, acoustics.tvg_k, loss)
+
+    def _known(self, key: str, what: str):
+        """Something that the ping's sonar must tell."""
+        if (value := self._sonar.get(key)) is None:
+            raise Error(f"noise: the ping must have {key} in meta['sonar'] for {what} (a Simulator's has)")
+        return value
+
+    def _heard(self, *levels_db: float) -> np.ndarray:
+        """(K,) float32 mean power of noise of these levels, TVG and all; up to 1e30."""
+        power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
+        return np.minimum(power, 1e30).astype(np.float32)
 
     def _frozen(self, term: str, look: int) -> np.ndarray:
         """(B, 2, K) field that belongs to the ping's pose."""
-        wanted = self.ping.pose, self._array.beam_width_rad, self._sonar.get("frequency_hz")
-        if any(part is None for part in wanted):
-            raise Error(
-                "noise: follow_motion needs a ping with a pose, and with beam_width_deg and frequency_hz of "
-                "its sonar in meta['sonar'] (a ping of a Simulator has all)"
-            )
-        pose, _, frequency_hz = wanted
+        why = "speckle that follows its motion"
+        self._known("beam_width_deg", why)
+        if self.ping.pose is None:
+            raise Error(f"noise: the ping must have a pose for {why} (a Simulator's has)")
 
         def random(cell_x, cell_y, chunk):
             return self.random(term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
 
-        wavelength_m = self._speed_m_s / frequency_hz
+        wavelength_m = self._speed_m_s / self._known("frequency_hz", why)
         shape = len(self.ping.range_m), self._bin_size_m, wavelength_m
-        return frozen_field(self._array, *shape, np.asarray(pose), random, self._pulse)
+        return frozen_field(self._array, *shape, np.asarray(self.ping.pose), random, self._pulse)
 
-    def _multiply(self, out, term: str, random, look: int = 0) -> None:
-        """Multiply out by |g|² of this term's field; `random`: unless it belongs to the pose."""
+    @cached_property
+    def _streams(self) -> dict:
+        return {}
+
+    def _stream(self, term: str):
+        """The generator of one term, which goes on from look to look."""
+        if term not in self._streams:
+            self._streams[term] = self.random(term)
+        return self._streams[term]
+
+    def _multiply(self, out, term: str, look: int = 0) -> None:
+        """Multiply out by |g|² of this term's field."""
         if self.noise.follow_motion:
             out *= np.square(self._frozen(term, look)).sum(1)
         else:
-            multiply_by_speckle(out, *self._array[:2], random, *self._array[2:])
+            multiply_by_speckle(out, *self._array[:2], self._stream(term), *self._array[2:])
 
-    def _look(self, out, power, number: int, speckle, receiver) -> None:
+    def _look(self, out, power, number: int) -> None:
         """One look, in place: |√E g + √N n|², with N `power`, (K,) or None, and g = 1 without speckle.
 
         g and n have the same correlation. Where both are new in each ping, one field of power E + N is
@@ -105,7 +124,7 @@ class Grain:
         if power is None or (noise.speckle and not noise.follow_motion):
             if power is not None:
                 out += power
-            self._multiply(out, "speckle", speckle, number)
+            self._multiply(out, "speckle", number)
             return
         total = np.zeros((len(out), 2, out.shape[1]), np.float32)
         if noise.speckle:
@@ -113,7 +132,7 @@ class Grain:
         else:
             np.sqrt(out, out=total[:, 0])
         amplitude = np.ascontiguousarray(np.broadcast_to(np.sqrt(power), out.shape))
-        add_field(total, amplitude, self._array, receiver)
+        add_field(total, amplitude, self._array, self._stream("receiver"))
         np.square(total, out=total)
         np.add(total[:, 0], total[:, 1], out=out)
 
@@ -121,26 +140,22 @@ class Grain:
         """Texture, speckle, receiver noise and interference, in place on (B, K) float32 echoes."""
         noise = self.noise
         levels = [db for db in (noise.electronic_db, noise.ambient_db) if db is not None]
-        power = None
-        if levels:
-            power = (self._tvg * math.fsum(10 ** (db / 10) for db in levels)).astype(np.float32)
+        power = self._heard(*levels) if levels else None
         if noise.speckle and noise.speckle_shape is not None:
             exponential = np.ones_like(out)
-            self._multiply(exponential, "texture", None if noise.follow_motion else self.random("texture"))
+            self._multiply(exponential, "texture")
             multiply_by_texture(out, exponential, noise.speckle_shape)
         if noise.speckle or power is not None:
             looks = noise.looks if noise.speckle else 1
-            speckle = None if noise.follow_motion else self.random("speckle")
-            receiver = self.random("receiver")
             echo = out.copy() if looks > 1 else None
-            self._look(out, power, 0, speckle, receiver)
+            self._look(out, power, 0)
             for number in range(1, looks):
                 more = echo.copy()
-                self._look(more, power, number, speckle, receiver)
+                self._look(more, power, number)
                 out += more
             if looks > 1:
                 out /= np.float32(looks)
         if noise.interference_lines:
-            level = self._tvg * 10 ** (noise.interference_db / 10)
-            more = self._array, self._bin_size_m, self._speed_m_s, self.random("interference")
-            add_interference(out, noise.interference_lines, level, *more)
+            power = self._heard(noise.interference_db)
+            more = self._array, self._bin_size_m, self._speed_m_s, self._stream("interference")
+            add_interference(out, noise.interference_lines, power, *more)
