@@ -15,6 +15,7 @@ from sonar_gl.speckle import Array, aperture_weights, aperture_width
 CELL_M = 0.5  # side of the squares of the sea, each of which has waves of its own
 FADE_M = 0.1  # between two of them
 CHUNK = 64  # waves that one stream of random numbers gives
+WAVES = 64  # that an aperture hears at least, so that it slides smoothly: those at its ends count in part
 
 
 def _anchors(place_m: float) -> list[tuple[int, float, float]]:
@@ -92,8 +93,11 @@ def frozen_field(array: Array, n_bins: int, bin_size_m: float, wavelength_m: flo
     """
     azimuth = np.arctan2(pose[1, 0], pose[0, 0]) + np.asarray(array.azimuth_rad)
     width = array.beam_width_rad
-    turns = max(1, int(2 * np.pi / (1.2 * np.ptp(azimuth) + 12 * width)))  # the sum's periods in a circle
-    length = aperture_width(array.series) * 2 * np.pi / (turns * width)  # in waves
+    waves = (
+        aperture_width(array.series) * 2 * np.pi / width
+    )  # in an aperture, if they are alike after a circle
+    turns = max(1, int(min(2 * np.pi / (1.2 * np.ptp(azimuth) + 12 * width), waves / WAVES)))
+    length = waves / turns  # for they are so `turns` times in it
     spacing_m = wavelength_m * turns / (2 * np.pi)
     response, reach = None, 1
     if pulse is not None and array.along is not None:

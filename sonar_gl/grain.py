@@ -66,11 +66,10 @@ class Grain:
         a = self._acoustics
         if a.get("range_law") != "sonar_equation":
             return np.ones(len(self.ping.range_m))
-        acoustics = Acoustics(**a)
-        loss = acoustics.tvg_absorption_db_m
-        if loss is None:
-            loss = acoustics.absorption(self._known("frequency_hz", "the absorption that its TVG makes good"))
-        return tvg_gain(self.ping.range_m, acoustics.tvg_k, loss)
+        if (loss := a.get("tvg_absorption_db_m")) is None:
+            frequency_hz = self._known("frequency_hz", "the absorption that its TVG makes good")
+            loss = Acoustics(**a).absorption(frequency_hz)
+        return tvg_gain(self.ping.range_m, a["tvg_k"], loss)
 
     def _known(self, key: str, what: str):
         """Something that the ping's sonar must tell."""

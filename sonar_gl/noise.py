@@ -112,11 +112,11 @@ class Noise:
     def physical(cls) -> Noise:
         """Speckle, and a receiver whose noise one sees in far shadows.
 
-        −85 dB becomes −38 dB of full scale at 30 m, where a TVG of 20 log r + 2αr at 900 kHz in sea water has
-        added 47 dB, and −55 dB at 10 m. It is 37 dB above the water's thermal noise of
+        −90 dB becomes −43 dB of full scale at 30 m, where a TVG of 20 log r + 2αr at 900 kHz in sea water has
+        added 47 dB, and −64 dB at 10 m. It is 32 dB above the water's thermal noise of
         `receiver.ambient_noise_db`: chosen by the look of such sonars' pictures, not measured.
         """
-        return cls(speckle=True, electronic_db=-85.0)
+        return cls(speckle=True, electronic_db=-90.0)
 
     @classmethod
     def parse(cls, text: str) -> Noise:

@@ -13,7 +13,7 @@ from sonar_gl.types import Error, nearest_names
 # F₁, F₂, … of a spectrum weighed by 1 + 2 Σ F_m cos(2πmf/B), |f| <= B/2
 PULSE_TAPERS = {"uniform": (), "hamming": (0.23 / 0.54,)}
 REST = 1e-3  # share of the energy that may lie outside a kernel
-FIELD_REST = 4e-3  # the same of a field: its correlation errs by less than 1 %
+FIELD_REST, FIELD_NULLS = 1e-4, 50  # the same of a field, or where it ends anyway, in c/2B
 PIECES = 2  # of c/2B, integrated over by so many nodes each: to 1e-9
 NODES = np.polynomial.legendre.leggauss(8)
 LONGEST = 1 << 16  # bins to each side that a kernel may have
@@ -116,9 +116,9 @@ def field_weights(
 ) -> np.ndarray:
     """What turns noise that differs from bin to bin into a field that the pulse correlates: (n,) float32.
 
-    The amplitude response at bins, of unit power, n odd, symmetric; but 4e-3 of its power is left out. Bins
-    coarser than c/2B see the spectrum folded, and the response is that of its root: so the correlation
-    over bins stays what it is for fine ones, sinc x for "uniform".
+    The amplitude response at bins, of unit power, n odd, symmetric; the last 1e-4 of its power is left out,
+    or what lies beyond 50 c/2B. Bins coarser than c/2B see the spectrum folded, and the response is that of
+    its root: so the correlation over bins stays what it is for fine ones, sinc x for "uniform".
 
     Parameters
     ----------
@@ -142,7 +142,8 @@ def field_weights(
         half = np.cos(2 * np.pi * np.outer(np.arange(reach + 1), f)) @ np.sqrt(power)
     half = np.where(np.abs(half) < 1e-9 * half[0], 0.0, half)  # nulls are nulls
     whole = half[0] ** 2 + 2 * (half[1:] ** 2).sum()
-    kernel = _mirrored(half[: _bins_within(half**2, (1 - FIELD_REST) * whole) + 1])
+    reach = min(_bins_within(half**2, (1 - FIELD_REST) * whole), int(FIELD_NULLS / min(ratio, 1)))
+    kernel = _mirrored(half[: reach + 1])
     return _frozen(kernel / np.sqrt((kernel**2).sum()))
 
 

@@ -47,7 +47,7 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
     of dB. Source: the active sonar equation, Urick, Principles of Underwater Sound, 3rd ed., 1983
 
     >>> round(float(ambient_noise_db(900e3, 30e3, 205.0)), 2)
-    -122.17
+    -122.16
     """
     level = thermal_noise_db(frequency_hz) + 10 * np.log10(np.asarray(bandwidth_hz, np.float64))
     return level - source_level_db - 10 * np.log10(4)
