@@ -130,8 +130,7 @@ class Grain:
             np.multiply(np.sqrt(out)[:, None], self._frozen("speckle", number), out=total)
         else:
             np.sqrt(out, out=total[:, 0])
-        amplitude = np.ascontiguousarray(np.broadcast_to(np.sqrt(power), out.shape))
-        add_field(total, amplitude, self._array, self._stream("receiver"))
+        add_field(total, np.sqrt(power)[None], self._array, self._stream("receiver"))
         np.square(total, out=total)
         np.add(total[:, 0], total[:, 1], out=out)
 

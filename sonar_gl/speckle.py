@@ -167,16 +167,21 @@ def _multiply(odd, even, first, out):
 
 @compiled
 def _add(odd, even, first, scale, total):
-    """Add scale (B, K) times (even ± odd) to bins of total (B, 2, K) from `first` on."""
+    """Add scale, (B, K) or (1, K), times (even ± odd) to bins of total (B, 2, K) from `first` on."""
     n, last = uint64(even.shape[1] // 2), uint64(first + even.shape[1] // 2)
+    only = uint64(len(scale) - 1)
     for b in range(uint64(len(even))):
         mirrored = uint64(len(total) - 1 - b)
-        weight, real, imaginary = scale[b, first:last], total[b, 0, first:last], total[b, 1, first:last]
+        weight, real, imaginary = (
+            scale[min(uint64(b), only), first:last],
+            total[b, 0, first:last],
+            total[b, 1, first:last],
+        )
         for k in range(n):
             real[k] += weight[k] * (even[b, k] + odd[b, k])
             imaginary[k] += weight[k] * (even[b, k + n] + odd[b, k + n])
         if mirrored >= len(even):
-            weight = scale[mirrored, first:last]
+            weight = scale[min(mirrored, only), first:last]
             real, imaginary = total[mirrored, 0, first:last], total[mirrored, 1, first:last]
             for k in range(n):
                 real[k] += weight[k] * (even[b, k] - odd[b, k])
@@ -189,7 +194,7 @@ def add_field(total: np.ndarray, amplitude: np.ndarray, array: Array, random) ->
     Parameters
     ----------
     total : (B, 2, K) float32, real and imaginary parts
-    amplitude : (B, K) float32: E|field|² is its square
+    amplitude : (B, K) float32, or (1, K) for all beams alike: E|field|² is its square
     array, random : of the correlation; numpy.random.Generator
     """
     scale = np.multiply(amplitude, np.float32(np.sqrt(0.5)), dtype=np.float32)
