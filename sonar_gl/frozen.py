@@ -109,10 +109,8 @@ def frozen_field(array: Array, n_bins: int, bin_size_m: float, wavelength_m: flo
     margin = int(np.ceil(CELL_M / bin_size_m)) + reach
     out = np.zeros((len(azimuth), 2, n_bins), np.float32)
     for (cx, x, wx), (cy, y, wy) in product(_anchors(pose[0, 3]), _anchors(pose[1, 3])):
-        along_m, aside_m = (
-            x * np.cos(azimuth) + y * np.sin(azimuth),
-            y * np.cos(azimuth) - x * np.sin(azimuth),
-        )
+        along_m = x * np.cos(azimuth) + y * np.sin(azimuth)
+        aside_m = y * np.cos(azimuth) - x * np.sin(azimuth)
         middle = 2 * aside_m / spacing_m
         start = np.ceil(middle - length / 2 - 0.5).astype(np.int64)
         waves = start[:, None] + np.arange(int(np.ceil(length)) + 1)

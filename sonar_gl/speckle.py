@@ -172,11 +172,8 @@ def _add(odd, even, first, scale, total):
     only = uint64(len(scale) - 1)
     for b in range(uint64(len(even))):
         mirrored = uint64(len(total) - 1 - b)
-        weight, real, imaginary = (
-            scale[min(uint64(b), only), first:last],
-            total[b, 0, first:last],
-            total[b, 1, first:last],
-        )
+        weight = scale[min(uint64(b), only), first:last]
+        real, imaginary = total[b, 0, first:last], total[b, 1, first:last]
         for k in range(n):
             real[k] += weight[k] * (even[b, k] + odd[b, k])
             imaginary[k] += weight[k] * (even[b, k + n] + odd[b, k + n])
