@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from sonar_gl.beams import Beams
+from sonar_gl.pulse import bin_weights
 from sonar_gl.settings import check
 from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
@@ -176,6 +177,13 @@ class Acoustics(Beams):
         """α, and what the TVG takes it for."""
         right = self.absorption(sonar.frequency_hz)
         return right, right if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
+
+    def pulse_weights(self, sonar) -> np.ndarray | None:
+        """(n,) float32 share of an echo that bins about its own get; None where that gets all of it."""
+        if self.bandwidth_hz is None:
+            return None
+        speed_m_s = self.sonar_sound_speed_m_s or self.sound_speed()  # of ranges as they are shown
+        return bin_weights(sonar.bin_size_m, self.bandwidth_hz, self.pulse_taper, speed_m_s)
 
     def meta(self) -> dict:
         """The fields as plain values, for a ping's record."""

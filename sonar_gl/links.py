@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl import mesh_files, meshes, texture
+from sonar_gl import maps, mesh_files, meshes
 from sonar_gl.frames import Scope, matrix_of, numbers
 from sonar_gl.materials import material
 from sonar_gl.resources import Finder, tag, tags
@@ -147,7 +147,7 @@ class ShapeReader:
         if path is None:
             return shape, mu
         try:
-            return texture.laid_from_above(shape, path)
+            return maps.laid_from_above(shape, path)
         except Error as why:
             raise Error(f"{where}: {why}") from None
 

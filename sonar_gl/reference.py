@@ -13,6 +13,7 @@ import numpy as np
 from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.noise import check_seed
+from sonar_gl.pulse import smear
 from sonar_gl.rays import Target, hear, land, shoot
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sonar import Sonar
@@ -110,6 +111,8 @@ def reference_ping(
         )
     scale = fan.solid_angle / (2 * per_block * blocks)
     intensity = ((halves[0].sums + halves[1].sums) * (fan.gain * scale)).astype(np.float32)
+    if (weights := acoustics.pulse_weights(sonar)) is not None:
+        intensity = smear(intensity, weights)
     body_echo = (halves[0].bodies + halves[1].bodies) * scale
     for array in (intensity, body_echo):
         array.setflags(write=False)

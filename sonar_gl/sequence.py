@@ -13,6 +13,7 @@ import numpy as np
 from sonar_gl._version import __version__
 from sonar_gl.multipath import STRONG
 from sonar_gl.nothing import why_nothing
+from sonar_gl.pulse import smear
 from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
@@ -48,6 +49,8 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     if whole <= 0:
         sonars = simulator.sonar, simulator._passes.drawn
         warnings.warn(why_nothing(scene, where, *sonars, pose, views), stacklevel=3)
+    if simulator._pulse is not None:
+        intensity = smear(intensity, simulator._pulse)
     for array in (intensity, *found):
         if array is not None:
             array.setflags(write=False)

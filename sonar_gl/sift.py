@@ -125,13 +125,12 @@ def sift_patches(
     first_vertex .. faces : of all meshes' `detail.Levels`; points : (W, 3) float32 of their vertices
     normals, reflectivity : (W, 3) and (W,) float32 of these, or of no length
     body_rows : (n, 16), of which 12 is the reflectivity, 14 and 15 strength and slope of the lobe
-    cut : (n,) bool, bodies of which the driver leaves a part out: nothing of them is filled in
+    cut : (n,) bool, bodies of which nothing is filled in, for the driver is to leave a part of them out
     matrices, closed, sector, inverse, corner, near_m, outside : as for `see`
     size : columns and rows of the sector's lattice
     row : of the table of bodies, where this pose's begin
     first_index : where `indices` stands in the index buffer
-    indices : uint32, overwritten
-    draws : (M, 5) uint32, as of `draw_patches`, one a body; overwritten
+    indices, draws : uint32; (M, 5) uint32, as of `draw_patches`, one a body; overwritten
     u, v : of the lattice
     places, values, bodies : (P, 2) int32 columns and rows, (P, 4) float32 and (P,) uint16 of samples, as the
         shader would write them; overwritten. Where they do not suffice triangles are drawn

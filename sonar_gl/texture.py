@@ -1,205 +1,67 @@
-"""Reflectivity maps: images laid on a mesh, baked into faces so small that each has one reflectivity."""
+"""Texture of the K distribution: echoes of few or uneven scatterers, whose speckle is spikier."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import lru_cache
 
 import numpy as np
+from numba import uint64
 
-from sonar_gl.meshes import make_shape
-from sonar_gl.scene import Body
-from sonar_gl.types import Error, frozen_array
+from sonar_gl.compiled import compiled
 
-WIDEST = 1.5  # texels, of an edge: the diagonal of a texel is not split further
-MAX_FACES = 2_000_000
-SPOTS = 4  # a face's mean is taken at SPOTS² places
+PLACES, OCTAVES = 64, (-30, 6)  # of the table: straight lines between 64 places an octave
+_SHIFT = 23 - 6  # what is left of a float32's mantissa, below its 6 bits that count PLACES
+_FIRST = (OCTAVES[0] + 127) * PLACES
 
 
-def textured_body(
-    name: str, mesh, image, uv=None, pose=None, normals=None, specular=None, roughness_rad=None
-) -> Body:
-    """A body whose reflectivity is an image on its mesh.
+@lru_cache(maxsize=8)
+def gamma_from_exponential(shape: float) -> tuple[np.ndarray, np.ndarray]:
+    """Table that turns an exponential of mean 1 into a Gamma(shape, 1/shape), also of mean 1; float32.
+
+    Both have the same chance of being exceeded, e^-x; x from 2^-30 to 2^6, 64 places an octave, and what
+    a step of 2^-17 of a place adds.
+    """
+    places = (np.arange((OCTAVES[1] - OCTAVES[0]) * PLACES + 1) + _FIRST).astype(np.int32) << _SHIFT
+    x = places.view(np.float32).astype(np.float64)
+    # the density over the logarithm of the size, summed from each end, so both tails are exact
+    low = (np.log(x[0]) + np.log(shape) * 0.5) / min(shape, 1.0) - 30
+    grid = np.linspace(low, np.log(shape + 12 * np.sqrt(shape * x[-1]) + 2 * x[-1]), 200_001)
+    decay = shape * grid - np.exp(grid)
+    density = np.exp(decay - decay.max())
+    steps = (density[1:] + density[:-1]) / 2
+    below, above = np.append(0.0, np.cumsum(steps)), np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    share, rest = below / (below + above), above / (below + above)
+    with np.errstate(divide="ignore"):  # −log of being exceeded, by whichever tail is the smaller
+        chance = np.where(share < rest, -np.log1p(-np.minimum(share, 0.5)), -np.log(rest))
+    known = np.isfinite(chance) & (chance > 0)
+    found = np.exp(np.interp(np.log(x), np.log(chance[known]), grid[known])) / shape
+    found[-1] = found[-2]
+    found = found.astype(np.float32)
+    slope = np.append(np.diff(found) / np.float32(1 << _SHIFT), np.float32(0))
+    return found, slope.astype(np.float32)
+
+
+@compiled
+def _multiply(bits, sizes, slopes, first, shift, out):
+    """Multiply out (N,) float32 by the table's values at exponentials, given as the bits of float32."""
+    last, rest = len(sizes) - 1, (1 << shift) - 1
+    for i in range(uint64(len(out))):
+        place = min(max((bits[i] >> shift) - first, 0), last)
+        out[i] *= sizes[place] + slopes[place] * np.float32(bits[i] & rest)
+
+
+def multiply_by_texture(out: np.ndarray, exponential: np.ndarray, shape: float) -> None:
+    """Multiply out by the K distribution's texture, a Gamma(shape, 1/shape), so times speckle is K.
 
     Parameters
     ----------
-    name, pose, normals, specular, roughness_rad : as for `Body`; mesh : before its faces are split
-    image, uv : of `textured`; uv None takes those that trimesh read with the mesh (`mesh.visual.uv`)
+    out : (B, K) float32, contiguous; exponential : (B, K) float32 of mean 1, a field's |g|², contiguous
+    shape : ν; speckle times this has contrast √(1 + 2/ν)
 
-    Raises
-    ------
-    Error
-        as `textured` and `Body` do, or if there are no texture coordinates.
+    The texture is as alike in neighbouring bins as the exponential is: over a resolution cell.
+    Source: Jakeman, Pusey, "A model for non-Rayleigh sea echo", IEEE Trans. Antennas Propag. 24, 806-814,
+    1976; Abraham, Lyons, "Novel physical interpretations of K-distributed reverberation", IEEE J. Oceanic
+    Eng. 27, 800-813, 2002
     """
-    where, own = f"body {name!r}", getattr(getattr(mesh, "visual", None), "uv", None)
-    if uv is None and own is None:
-        raise Error(f"{where}: a mesh with an image needs texture coordinates (give uv, (V, 2))")
-    try:
-        (triangles, normals), reflectivity = textured(mesh, own if uv is None else uv, image, normals)
-    except Error as why:
-        raise Error(f"{where}: {why}") from None
-    return Body(name, triangles, pose, reflectivity, normals, specular, roughness_rad)
-
-
-def textured(mesh, uv, image, normals=None):
-    """Split faces until the image is about constant over each.
-
-    Edges are split as wholes, in both faces that they join, so that no cracks arise.
-
-    Parameters
-    ----------
-    mesh : (V, 3) vertices and (F, 3) faces
-    uv : (V, 2), as of glTF and OBJ that trimesh has loaded: (0, 0) is the lower left corner of the image,
-        (1, 1) the upper right; beyond, the image is repeated
-    image : (H, W) reflectivity, 0..1, first row on top; whole numbers are divided by the most that their
-        type holds; or the path of an image of 8 or 16 bits. Colours are averaged. A texel has one value
-    normals : None or (V, 3), rounded between vertices as the driver would
-
-    Returns
-    -------
-    shape : (Triangles, normals or None)
-    reflectivity : (F,) float64, mean of the image over each face
-
-    Raises
-    ------
-    Error
-        if a shape or a number makes no sense, or there would be more than two million faces.
-    """
-    image = read_image(image)
-    faces = np.asarray(mesh.faces, np.int64)
-    vertices = frozen_array(mesh.vertices, np.float64, (None, 3), "mesh vertices")
-    uv = frozen_array(uv, np.float64, (len(vertices), 2), "texture coordinates")
-    columns = [vertices, texels(uv, image)]
-    if normals is not None:
-        columns.append(frozen_array(normals, np.float64, (len(vertices), 3), "normals"))
-    columns = np.concatenate(columns, axis=1)
-    place = np.unique(vertices, axis=0, return_inverse=True)[1].ravel()  # one for all sides of a seam
-    changes = _changes(image)
-    while True:
-        at = columns[faces, 3:5]
-        long = np.linalg.norm(at - np.roll(at, -1, axis=1), axis=2) > WIDEST  # edges ab, bc, ca
-        wide = np.flatnonzero(long.any(axis=1))
-        long[wide] &= _varies(at[wide], changes)[:, None]
-        if not long.any():
-            break
-        columns, faces, place = _split(columns, faces, place, long)
-        if len(faces) > MAX_FACES:
-            raise Error(
-                f"a mesh with an image must have at most {MAX_FACES} faces of a texel each (got more, of an "
-                f"image of {image.shape[1]} x {image.shape[0]}; make it smaller, or repeat it less often)"
-            )
-    mean = _means(columns[faces, 3:5], image)
-    return make_shape(columns[:, :3], faces, None if normals is None else columns[:, 5:]), mean
-
-
-def laid_from_above(shape, image):
-    """As `textured`, the image over the x-y extent of a shape, its first row at the highest y."""
-    mesh, normals = shape
-    low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
-    if (high <= low).any():
-        raise Error(f"an image laid from above needs a shape with some width (got {(high - low).tolist()} m)")
-    return textured(mesh, (mesh.vertices[:, :2] - low) / (high - low), image, normals)
-
-
-def read_image(image) -> np.ndarray:
-    """(H, W) float64, 0..1, of an array or a path; see `textured`."""
-    what = "an image"
-    if isinstance(image, (str, Path)):
-        import cv2
-
-        what = str(image)
-        if not Path(image).is_file():
-            raise Error(f"{image}: there is no such file")
-        image = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise Error(f"{what}: must be an image that OpenCV reads (such as PNG of 8 or 16 bits)")
-    image = np.asarray(image)
-    scale = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
-    if image.ndim == 3:
-        image = image[:, :, :3].mean(axis=2)
-    image = frozen_array(image / scale, np.float64, (None, None), f"{what}: its values")
-    if not image.size:
-        raise Error(f"{what}: must have a texel at least (got {image.shape[1]} x {image.shape[0]})")
-    if image.min() < 0 or image.max() > 1:
-        raise Error(f"{what}: reflectivity must lie in 0..1 (got {image.min():g} to {image.max():g})")
-    return image
-
-
-def texels(uv, image) -> np.ndarray:
-    """(..., 2) column and row of texture coordinates; texel (i, j) reaches from there to one more."""
-    rows, columns = image.shape
-    return np.stack([uv[..., 0] * columns, (1 - uv[..., 1]) * rows], axis=-1)
-
-
-def _changes(image) -> tuple[np.ndarray, np.ndarray]:
-    """(H + 1, W + 1) sums over all texels above and left: from how many the next one, to the right, differs.
-
-    And from how many the one below.
-    """
-    right, below = np.zeros(image.shape, np.int64), np.zeros(image.shape, np.int64)
-    right[:, :-1], below[:-1] = image[:, :-1] != image[:, 1:], image[:-1] != image[1:]
-    return tuple(np.pad(k.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))) for k in (right, below))
-
-
-def _varies(at, changes) -> np.ndarray:
-    """(n,) whether the image does so in the box about each of (n, 3, 2) triangles."""
-    size = np.array(changes[0].shape)[::-1] - 1
-    low = np.floor(at.min(axis=1) + 1e-9).astype(np.int64)
-    high = np.maximum(np.ceil(at.max(axis=1) - 1e-9).astype(np.int64) - 1, low)
-    turns = low // size
-    low, high = low - turns * size, high - turns * size
-    over = (high >= size).any(axis=1)  # into the next repetition
-    (i, j), (k, m) = low.T, np.minimum(high, size - 1).T
-
-    def count(table, last_row, last_column):
-        ends = table[last_row, last_column] - table[j, last_column] - table[last_row, i]
-        return ends + table[j, i]
-
-    found = count(changes[0], m + 1, k) + count(changes[1], m, k + 1)
-    return (found > 0) | (over & (changes[0][-1, -1] + changes[1][-1, -1] > 0))
-
-
-def _split(columns, faces, place, long):
-    """Halve the long edges, wherever they occur: columns, faces and places as they are then."""
-    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)  # ab, bc, ca
-    joined = np.sort(place[edges], axis=2)
-    _, spot = np.unique(joined[..., 0] * (place.max() + 1) + joined[..., 1], return_inverse=True)
-    spot = spot.reshape(faces.shape)
-    cut = np.zeros(spot.max() + 1, bool)
-    cut[spot[long]] = True
-    cut = cut[spot]
-    key, first, number = np.unique(
-        edges[cut][:, 0] * len(columns) + edges[cut][:, 1], return_index=True, return_inverse=True
-    )
-    ends = np.stack([key // len(columns), key % len(columns)])
-    middle = np.full(faces.shape, -1)
-    middle[cut] = len(columns) + number.ravel()
-    place = np.concatenate([place, place.max() + 1 + spot[cut][first]])
-    columns = np.concatenate([columns, columns[ends].mean(axis=0)])
-    out, n_cut = [faces[~cut.any(axis=1)]], cut.sum(axis=1)
-    for n in (1, 2, 3):
-        some = n_cut == n
-        # turned so that the edges that are cut come first
-        turn = np.argmax(cut[some], axis=1) if n == 1 else (np.argmin(cut[some], axis=1) + 1) % 3
-        order = (np.arange(3) + turn[:, None]) % 3
-        a, b, c = np.take_along_axis(faces[some], order, axis=1).T
-        ab, bc, ca = np.take_along_axis(middle[some], order, axis=1).T
-        parts = {
-            1: ((a, ab, c), (ab, b, c)),
-            2: ((ab, b, bc), (a, ab, bc), (a, bc, c)),
-            3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
-        }[n]
-        out += [np.stack(part, axis=1) for part in parts]
-    return columns, np.concatenate(out), place
-
-
-def _means(at, image) -> np.ndarray:
-    """(F,) means of the image over (F, 3, 2) triangles: at the middles of SPOTS² parts of each."""
-    rows, columns = image.shape
-    total = np.zeros(len(at))
-    for i in range(SPOTS):
-        for j in range(SPOTS - i):
-            for shift in (1, 2) if i + j < SPOTS - 1 else (1,):
-                b, c = (i + shift / 3) / SPOTS, (j + shift / 3) / SPOTS
-                spot = np.floor((1 - b - c) * at[:, 0] + b * at[:, 1] + c * at[:, 2]).astype(np.int64)
-                total += image[spot[:, 1] % rows, spot[:, 0] % columns]
-    return total / SPOTS**2
+    table = gamma_from_exponential(float(shape))
+    _multiply(exponential.view(np.int32).reshape(-1), *table, _FIRST, _SHIFT, out.reshape(-1))

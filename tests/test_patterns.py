@@ -13,7 +13,7 @@ from sonar_gl.patterns import (
     aperture_pattern,
     box_pattern,
     chebyshev_pattern,
-    first_at,
+    first_of,
     gaussian_pattern,
     line_array_pattern,
     taper_series,
@@ -34,7 +34,7 @@ def test_line_array_half_power(width_deg, steer_deg):
 
 def test_line_array_lobes():
     """First null, first side lobe, width in λ/L: a uniform aperture's textbook numbers."""
-    half_power = first_at("uniform", 30.0, 0.5)
+    half_power = first_of((), 0.5)
     assert half_power == pytest.approx(0.885893 / 2, abs=2.5e-7)
     width = np.radians(1.0)
     apertures = half_power / np.sin(width / 2)  # L/λ
@@ -92,7 +92,7 @@ X = np.linspace(0, 40, 400_001)
 )
 def test_tapers(taper, side_lobe_db, width, highest_db, loss_db):
     """−3 dB width in λ/L, highest side lobe and loss of gain, textbook numbers."""
-    assert 2 * first_at(taper, side_lobe_db, 0.5) == pytest.approx(width, rel=2e-4)
+    assert 2 * first_of(taper_series(taper, side_lobe_db), 0.5) == pytest.approx(width, rel=2e-4)
     pattern = aperture_pattern(X, taper, side_lobe_db)
     assert pattern[0] == 1.0
     assert peak_db(pattern, X) == pytest.approx(highest_db, abs=0.02)
@@ -143,7 +143,7 @@ def test_the_width_is_exact(shape, taper, side_lobe_db, width_deg, both_ways):
 
 def test_two_ways_are_narrower():
     """The same array heard both ways: 0.637833 λ/L, 0.72 of one way."""
-    assert 2 * first_at("uniform", 30.0, math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
+    assert 2 * first_of((), math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
 
 
 @pytest.mark.parametrize(("shape", "taper", "side_lobe_db"), LOBES[1:])
@@ -259,7 +259,7 @@ def test_a_strong_target_shows_its_side_lobes_beside_it(taper, highest_db):
     heard = heard / heard.max()
     off = np.abs(np.degrees(sonar.azimuth_rad))
     reach = np.degrees(acoustics.beam_reach_rad(sonar))
-    null = np.degrees(math.asin(math.sin(math.radians(0.5)) / first_at(taper, 30.0, 0.5)))
+    null = np.degrees(math.asin(math.sin(math.radians(0.5)) / first_of(taper_series(taper, 30.0), 0.5)))
     if taper == "hamming":
         null *= 2
     elif taper == "taylor":

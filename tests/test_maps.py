@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl import meshes, texture
-from sonar_gl.texture import laid_from_above, read_image, textured
+from sonar_gl import maps, meshes
+from sonar_gl.maps import laid_from_above, read_image, textured
 from sonar_gl.verify import ping_error
 
 PLATE = meshes.plane(size=(10, 10))[0]
@@ -146,7 +146,7 @@ def test_images_that_are_none(image, words):
 
 
 def test_too_many_faces_are_refused(monkeypatch):
-    monkeypatch.setattr(texture, "MAX_FACES", 1000)
+    monkeypatch.setattr(maps, "MAX_FACES", 1000)
     with pytest.raises(sg.Error, match=r"at most 1000 faces .* image of 64 x 32; make it smaller"):
         textured(PLATE, UV, RANDOM.uniform(0, 1, (32, 64)))
     with pytest.raises(sg.Error, match="texture coordinates must have shape"):
