@@ -17,12 +17,12 @@ import numpy as np
 
 from sonar_gl import pose
 from sonar_gl.noise import Noise, add_noise
-from sonar_gl.speckle import APERTURE
+from sonar_gl.speckle import aperture_width
 from sonar_gl.types import Ping
 
 BEAMS, BINS, WIDTH_DEG, SPACING_DEG, BIN_M = 64, 256, 1.0, 0.25, 0.0125
 FREQUENCY_HZ, SPEED_M_S = 900e3, 1500.0
-LENGTH_M = APERTURE * SPEED_M_S / FREQUENCY_HZ / np.radians(WIDTH_DEG)  # of the aperture
+LENGTH_M = aperture_width() * SPEED_M_S / FREQUENCY_HZ / np.radians(WIDTH_DEG)  # of the aperture
 HALF_NULL_HZ = SPEED_M_S / (4 * BIN_M)  # a pulse whose c/2B is two bins
 HAMMING = 0.23 / 0.54
 
@@ -84,7 +84,7 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
     yield "speckle: dB bias", -2.50682, plain.db
     yield "speckle: dB std", 5.57004, plain.db_std
     for beams in (1, 2, 3):
-        x = APERTURE * beams * SPACING_DEG / WIDTH_DEG
+        x = aperture_width() * beams * SPACING_DEG / WIDTH_DEG
         found = Tally(pings(count, speckle), beams).alike
         yield f"beams {beams * SPACING_DEG:g} widths apart", np.sinc(x) ** 2, found
     for taper, correlation in (("uniform", np.sinc), ("hamming", hamming_correlation)):
