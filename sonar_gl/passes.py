@@ -48,6 +48,10 @@ class Pass:
         """The same of several poses, drawn at once; none of it is written to by the next drawing."""
         self.renderer.turn()
         self.renderer.render(poses, wheres, labels, planes=planes)
+        return self.last_views()
+
+    def last_views(self) -> list[list]:
+        """The views of each of the poses that were drawn last."""
         n, views = len(self.fan.sectors), list(self.renderer.views())
         return [views[k : k + n] for k in range(0, len(views), n)]
 
