@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import uint64
 
 from sonar_gl.compiled import compiled
 from sonar_gl.footprint import (
@@ -31,13 +32,10 @@ from sonar_gl.footprint import (
 )
 from sonar_gl.lookup import SAME_PLACE, look_up, mirrored
 
-
-@compiled
-def _carry(m, x, u, v, out):
-    """The point at depth x of the ray (1, −u, v) in another frame, by (3, 4) m; its distance there."""
-    for k in range(3):
-        out[k] = (m[k, 0] - m[k, 1] * u + m[k, 2] * v) * x + m[k, 3]
-    return math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
+NEVER = 1e-9  # 1/x of a plane past its horizon
+# Of each sample, for the other one: its place there, how far, whether that is before the surface; what the
+# mirror leaves of the sound; the echo between both ways.
+X, Y, Z, RANGE, SIDE, LEFT, BETWEEN = range(7)
 
 
 @compiled
@@ -49,87 +47,106 @@ def _heard(elevation, top, sine):
 
 
 @compiled
-def _inverse_range(m, q, u, v, otherwise, out):
-    """2 / (r + r') of the point where 1/x is q on the ray (1, −u, v)."""
-    if q <= 1e-9:
-        return otherwise
-    return 2.0 / (math.sqrt(1.0 + u * u + v * v) / q + _carry(m, 1.0 / q, u, v, out))
+def _reach(work, there, first, last, uc, other):
+    """Where what a strip's samples met is for the other one, how far, and on which side of it that is."""
+    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
+    a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
+    # the other's own place, in the frame of this sector
+    ox = -(a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
+    oy = -(b[0] * d[0] + b[1] * d[1] + b[2] * d[2])
+    oz = -(c[0] * d[0] + c[1] * d[1] + c[2] * d[2])
+    for m in range(uint64(first), uint64(last)):
+        vc = (border[m] + border[uint64(m + 1)]) / 2
+        depth = 1.0 / max(rest[m] + along_v[m] * vc, NEVER)
+        x = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
+        y = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
+        z = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
+        there[X, m], there[Y, m], there[Z, m] = x, y, z
+        there[RANGE, m] = math.sqrt(x * x + y * y + z * z)
+        there[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
 
 
 @compiled
 def _weigh(
-    work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors,
-    other_picture, other_sectors, plane, needs_surface, loss,
+    work, there, first, last, uc, elevation, top, own, ceiling, from_mirror, picture, sectors, other_picture,
+    other_sectors, plane, needs_surface, loss,
 ):  # fmt: skip
-    """Of a strip's samples: what the mirror leaves, and the echo per steradian between both ways.
-
-    ways : (2, n), overwritten
-    """
-    there, leg = np.empty(3), np.empty(3)
-    # the other's place, in the frame of this sector
-    ox = -(other[0, 0] * other[0, 3] + other[1, 0] * other[1, 3] + other[2, 0] * other[2, 3])
-    oy = -(other[0, 1] * other[0, 3] + other[1, 1] * other[1, 3] + other[2, 1] * other[2, 3])
-    oz = -(other[0, 2] * other[0, 3] + other[1, 2] * other[1, 3] + other[2, 2] * other[2, 3])
+    """Of a strip's samples: what the mirror leaves, and the echo per steradian between both ways."""
     for m in range(first, last):
-        ways[0, m] = ways[1, m] = 0.0
-        low, high = work[BORDER, m], work[BORDER, m + 1]
-        vc = (low + high) / 2
-        q = work[REST, m] + work[ALONG_V, m] * vc
-        if work[ECHO, m] <= 0.0 or high <= low or q <= 0.0:
+        there[LEFT, m] = there[BETWEEN, m] = 0.0
+        vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
+        q, side = work[REST, m] + work[ALONG_V, m] * vc, there[SIDE, m]
+        if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m] or q <= NEVER:
+            continue
+        if side <= 0.0 and not from_mirror:  # the other looks at the surface from behind
             continue
         if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
-        along_u, along_v = work[ALONG_U, m], work[ALONG_V, m]
-        side = 1.0 - ((work[REST, m] - along_u * uc) * ox - along_u * oy + along_v * oz)
-        if side <= 0.0 and not from_mirror:  # the other looks at the surface from behind
-            continue
-        range_there = _carry(other, 1.0 / q, uc, vc, there)
-        if from_mirror:
-            _carry(own, 1.0 / q, uc, vc, leg)
-        else:
-            leg[:] = there
+        x, y, z = there[X, m], there[Y, m], there[Z, m]
         # the image's directions are the sonar's with port and starboard exchanged
-        ways[0, m] = mirrored(leg[0], -leg[1], leg[2], picture, sectors, plane, needs_surface, loss)
-        if ways[0, m] == 0.0 or side <= 0.0:
+        if from_mirror:
+            leg_x, leg_z = (
+                own[0, 0] - own[0, 1] * uc + own[0, 2] * vc,
+                own[2, 0] - own[2, 1] * uc + own[2, 2] * vc,
+            )
+            leg_y = -(own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
+            left = mirrored(leg_x, leg_y, leg_z, picture, sectors, plane, needs_surface, loss)
+        else:
+            left = mirrored(x, -y, z, picture, sectors, plane, needs_surface, loss)
+        there[LEFT, m] = left
+        if left == 0.0 or side <= 0.0:
             continue
-        seen, ahead = look_up(there[0], there[1], there[2], other_picture, other_sectors)
+        seen, ahead = look_up(x, y, z, other_picture, other_sectors)
         if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
-            ways[1, m] = min(work[ECHO, m] * side / range_there, 1.0)
+            between = min(work[ECHO, m] * side / there[RANGE, m], 1.0)
             if elevation.shape[0]:  # sounded in one direction, heard in the other
                 here = _heard(elevation, top, vc / math.sqrt(1.0 + uc * uc + vc * vc))
-                ways[1, m] *= math.sqrt(here * _heard(elevation, top, there[2] / range_there))
+                between *= math.sqrt(here * _heard(elevation, top, z / there[RANGE, m]))
+            there[BETWEEN, m] = between
 
 
 @compiled
-def _find_both(work, ways, first, last, uc, width, other):
+def _find_both(work, there, first, last, uc, width, other, once):
     """What `spread_footprints` takes of echoes that go one way straight and the other over the mirror."""
-    there = np.empty(3)
-    for m in range(first, last):
-        work[ENERGY, m] = 0.0
-        if ways[1, m] == 0.0:
-            continue
-        low, high = work[BORDER, m], work[BORDER, m + 1]
-        vc, height = (low + high) / 2, high - low
-        rest, along_u, along_v = work[REST, m], work[ALONG_U, m], work[ALONG_V, m]
-        q = rest + along_v * vc
-        length = math.sqrt(1.0 + uc * uc + vc * vc)
-        range_there = _carry(other, 1.0 / q, uc, vc, there)
+    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
+    a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
+    e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
+    u2 = 1.0 + uc * uc
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, height = (low + high) / 2, max(high - low, 0.0)
+        q = max(rest[m] + along_v[m] * vc, NEVER)
+        length2 = u2 + vc * vc
+        length, range_there = math.sqrt(length2), there[RANGE, m]
         s = 2.0 / (length / q + range_there)
         # across, where strips are narrow, by how both ranges change with u
-        x, x_u = 1.0 / q, -along_u / (q * q)
-        r_u = (uc * x + (1.0 + uc * uc + vc * vc) * x_u) / length
-        for k in range(3):
-            r_u += (
-                there[k]
-                / range_there
-                * ((other[k, 0] - other[k, 1] * uc + other[k, 2] * vc) * x_u - other[k, 1] * x)
-            )
-        low_v = _inverse_range(other, rest + along_v * low, uc, low, s, there)
-        high_v = _inverse_range(other, rest + along_v * high, uc, high, s, there)
-        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * width / 4, abs(high_v - low_v) / 2
+        x, x_u = 1.0 / q, -along_u[m] / (q * q)
+        r_u = (uc * x + length2 * x_u) / length
+        r_u += there[X, m] / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
+        r_u += there[Y, m] / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
+        r_u += there[Z, m] / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
+        # up and down, where planes may run far, at both ends
+        low_x, high_x = (
+            1.0 / max(rest[m] + along_v[m] * low, NEVER),
+            1.0 / max(rest[m] + along_v[m] * high, NEVER),
+        )
+        tx, ty, tz = (
+            (e0 + c[0] * low) * low_x + d[0],
+            (e1 + c[1] * low) * low_x + d[1],
+            (e2 + c[2] * low) * low_x + d[2],
+        )
+        low_s = 2.0 / (math.sqrt(u2 + low * low) * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        tx, ty, tz = (
+            (e0 + c[0] * high) * high_x + d[0],
+            (e1 + c[1] * high) * high_x + d[1],
+            (e2 + c[2] * high) * high_x + d[2],
+        )
+        high_s = 2.0 / (math.sqrt(u2 + high * high) * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * width / 4, abs(high_s - low_s) / 2
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
-        work[ENERGY, m] = ways[0, m] * ways[1, m] * spreading * spreading * width * height / (length**3 * s)
+        strength = once * there[LEFT, m] * there[BETWEEN, m] * spreading * spreading
+        work[ENERGY, m] = strength * width * height / (length * length2 * s)
 
 
 @compiled
@@ -156,7 +173,7 @@ def accumulate_ghosts(
     r_first, r_last = bin_edges_m[0], bin_edges_m[K]
     per_metre = K / (r_last - r_first)
     R = plane_echo.shape[0]
-    work, ways = np.empty((LAST + 1, R + 1)), np.empty((2, R + 1))
+    work, there = np.empty((LAST + 1, R + 1)), np.empty((BETWEEN + 1, R + 1))
     top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
@@ -177,16 +194,15 @@ def accumulate_ghosts(
         last += 1
         work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
         _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
+        _reach(work, there, first, last, uc, other)
         _weigh(
-            work, ways, first, last, uc, elevation, top, own, other, ceiling, from_mirror, picture, sectors,
+            work, there, first, last, uc, elevation, top, own, ceiling, from_mirror, picture, sectors,
             other_picture, other_sectors, plane, needs_surface, loss,
         )  # fmt: skip
         if from_mirror:
             _find_shapes(work, first, last, uc, part_width[p], v_limit, elevation)
             for m in range(first, last):
-                work[ENERGY, m] *= ways[0, m] * ways[0, m]
+                work[ENERGY, m] *= there[LEFT, m] * there[LEFT, m]
             spread_footprints(work, first, last, sums, spans, c, tables, flat, r_first, per_metre)
-        _find_both(work, ways, first, last, uc, part_width[p], other)
-        for m in range(first, last):
-            work[ENERGY, m] *= once
+        _find_both(work, there, first, last, uc, part_width[p], other, once)
         spread_footprints(work, first, last, sums, spans, c, tables, flat, r_first, per_metre)

@@ -88,10 +88,11 @@ class Ghost:
 
 @dataclass(frozen=True, eq=False)
 class Ghosts:
-    """Those of one ping, and the passes that sum them: of the sonar, and of its image."""
+    """Those of one ping, and the passes that sum them: of the sonar, and of its image, coarse or not."""
 
     own: Pass
     image: Pass
+    coarse: bool
     mirrored: list[Ghost]
 
 
@@ -103,6 +104,11 @@ class Multipath:
     passes : Passes of the sonar
     scene : Scene
     tolerance : mirrors that can return no more than this share of the echo are left out
+
+    Attributes
+    ----------
+    strong : whether ghosts are summed from all samples, because those of the last ping were strong; `fixed`
+        holds it as it is
     """
 
     def __init__(self, passes: Passes, scene, tolerance: float):
@@ -115,7 +121,7 @@ class Multipath:
             sonar = replace(sonar, beam_azimuths_deg=turned)
         self.images = Passes(passes.gpu, sonar, acoustics)
         self.wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
-        self.scene, self.mirrors = None, []
+        self.scene, self.mirrors, self.strong, self.fixed = None, [], False, False
         self.look(scene)
 
     def look(self, scene) -> None:
@@ -124,11 +130,14 @@ class Multipath:
             self.scene, self.mirrors = scene, find_mirrors(scene, self.wavenumber_rad_m)
             self.brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
-    def draw(self, now: Pass, poses, wheres, finer: bool = False) -> list[Ghosts | None]:
-        """The ghosts of each of the pings that `now` drew last, from these poses; None without any.
+    def too_coarse(self, coarse: bool, ghosts: float, straight: float) -> bool:
+        """Whether ghosts should have been drawn finer, by their sum and that of the straight echoes."""
+        if not self.fixed:
+            self.strong = ghosts > (STRONG / 2 if self.strong else STRONG) * straight
+        return coarse and self.strong
 
-        `finer` is for one ping whose ghosts add more than `STRONG`.
-        """
+    def draw(self, now: Pass, poses, wheres) -> list[Ghosts | None]:
+        """The ghosts of each of the pings that `now` drew last, from these poses; None without any."""
         found, spots = [], []
         for number, (pose, where) in enumerate(zip(poses, wheres, strict=True)):
             seen, where = lookup(now.renderer.drawn[number]), where or self.gpu.stock.where
@@ -142,17 +151,19 @@ class Multipath:
         if not found:
             return out
         numbers = sorted({number for number, _ in found})
-        if finer:  # what was drawn will do
+        if self.strong:  # what was drawn will do
             own, image, views = now, self.images.of(now.sampling), now.last_views()
+            views = [views[n] for n in numbers]
         else:
             coarse = half_of(half_of(now.sampling))
             own, image = self.own.of(coarse), self.images.of(coarse)
             views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
-        own_of = dict(zip(numbers, zip(views, map(lookup, own.renderer.drawn), strict=True), strict=True))
+        pictures = [own.renderer.drawn[n] for n in numbers] if self.strong else own.renderer.drawn
+        own_of = dict(zip(numbers, zip(views, map(lookup, pictures), strict=True), strict=True))
         image_poses, image_wheres, clips = zip(*spots, strict=True)
         views = image.views_of(image_poses, image_wheres, planes=clips)
         for (number, about), *seen in zip(found, views, map(lookup, image.renderer.drawn), strict=True):
-            out[number] = out[number] or Ghosts(own, image, [])
+            out[number] = out[number] or Ghosts(own, image, not self.strong, [])
             out[number].mirrored.append(Ghost(*about, *own_of[number], *seen))
         return out
 

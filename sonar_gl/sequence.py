@@ -11,12 +11,12 @@ from dataclasses import asdict
 import numpy as np
 
 from sonar_gl._version import __version__
-from sonar_gl.multipath import STRONG
 from sonar_gl.nothing import why_nothing
 from sonar_gl.pulse import smear
 from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
+GHOST_POSES = 5  # of a planned sequence, that decide how finely ghosts are drawn
 
 
 def several(poses) -> Iterable:
@@ -130,16 +130,30 @@ def _add_up(simulator, now, views, ghosts, labels):
         made, more = _sum_ghosts(simulator, mirrored, now)
         if more:
             intensity += made
-        out.append((intensity, straight + more, _labels(simulator, now, seen, labels), straight, more))
+        ghosts = mirrored is not None and (mirrored.coarse, more)
+        out.append((intensity, straight + more, _labels(simulator, now, seen, labels), straight, ghosts))
     return out
 
 
-def _ghosts(simulator, now, poses, wheres, finer=False):
+def _ghosts(simulator, now, poses, wheres):
     """Of each pose what mirrors show of it, drawn now."""
     if simulator._multipath is None:
         return [None] * len(poses)
     simulator._multipath.look(simulator.scene)
-    return simulator._multipath.draw(now, poses, wheres, finer)
+    return simulator._multipath.draw(now, poses, wheres)
+
+
+def fix_ghosts(simulator, poses) -> None:
+    """Decide by some poses how finely ghosts are drawn, and stay with it."""
+    multipath, strong = simulator._multipath, False
+    if multipath is None:
+        return
+    multipath.fixed = multipath.strong = False
+    for at in np.unique(np.linspace(0, len(poses) - 1, GHOST_POSES).round().astype(int)):
+        alone(simulator, poses[at], simulator._world.where, labels=False)
+        strong |= multipath.strong
+        multipath.strong = False
+    multipath.strong, multipath.fixed = strong, True
 
 
 def _sum_ghosts(simulator, ghosts, now):
@@ -158,8 +172,8 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
     straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
     made, more = _sum_ghosts(simulator, ghosts, now)
-    if more > STRONG * straight:
-        (ghosts,) = _ghosts(simulator, now, [pose], [where], finer=True)
+    if ghosts is not None and simulator._multipath.too_coarse(ghosts.coarse, more, straight):
+        (ghosts,) = _ghosts(simulator, now, [pose], [where])
         made, more = _sum_ghosts(simulator, ghosts, now)
     if more:
         intensity += made
@@ -176,10 +190,11 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
 
 def _finished(simulator, batch, views, sampling, future, labels):
     """The pings of a batch that was drawn before."""
-    for (pose, where), seen, (*sums, straight, more) in zip(batch, views, future.result(), strict=True):
+    for (pose, where), seen, (*sums, straight, ghosts) in zip(batch, views, future.result(), strict=True):
         simulator._open_world()
         made = pose, where, sampling, seen, *sums
-        if simulator._samples.changed(straight) or straight <= 0 or more > STRONG * straight:
+        again = simulator._samples.changed(straight) or straight <= 0
+        if again or (ghosts and simulator._multipath.too_coarse(*ghosts, straight)):
             with simulator._drawing():
                 made = alone(simulator, pose, where, labels, look=True)
         yield made

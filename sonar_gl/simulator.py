@@ -16,7 +16,7 @@ from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import alone, finish, in_batches, several
+from sonar_gl.sequence import alone, finish, fix_ghosts, in_batches, several
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -114,6 +114,7 @@ class Simulator:
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
             plan = self._samples.fix(poses, self._world.where)
+            fix_ghosts(self, poses)
         self._warn()
         return plan
 
