@@ -73,11 +73,12 @@ def _turned(azimuth_rad, shown_m, velocity, sound_speed_m_s, set_speed_m_s):
 
 
 @compiled
-def _lay(powers, moved, edges, turn, out):
+def _lay(powers, cells, scale, shift, edges, turn, out):
     """Share what rows of cells hold among other cells, as these cover them.
 
-    powers : (rows, n) of cells between moved, (rows, n + 1), rising; edges : (m + 1,) of the others; out :
-        (rows, m), added to; turn : the edges come again after so much, 0 if they do not
+    powers : (rows, n); cells : (n + 1,) edges of them, rising, which lie in a row at scale × cells + shift;
+        scale, shift : (rows,); edges : (m + 1,) of the others; turn : after so much they come again, 0 if
+        they do not; out : (rows, m), added to
     """
     n_cells = edges.shape[0] - 1
     for row in range(powers.shape[0]):
@@ -86,13 +87,15 @@ def _lay(powers, moved, edges, turn, out):
                 continue
             begin = 0
             for i in range(powers.shape[1]):
-                low, high = moved[row, i] + way * turn, moved[row, i + 1] + way * turn
+                low = scale[row] * cells[i] + shift[row] + way * turn
+                high = scale[row] * cells[i + 1] + shift[row] + way * turn
                 while begin < n_cells and edges[begin + 1] <= low:
                     begin += 1
-                k = begin
+                if powers[row, i] == 0.0:
+                    continue
+                k, density = begin, powers[row, i] / (high - low)
                 while k < n_cells and edges[k] < high:
-                    covered = min(high, edges[k + 1]) - max(low, edges[k])
-                    out[row, k] += powers[row, i] * covered / (high - low)
+                    out[row, k] += density * (min(high, edges[k + 1]) - max(low, edges[k]))
                     k += 1
 
 
@@ -110,7 +113,7 @@ def in_motion(ping: Ping, velocity, acoustics) -> Ping:
     What a beam hears in a bin is shared among those that cover its new place, half way to the beams beside
     it, so that the sum over beams, each times the angle it covers, stays but for what leaves the fan and the
     range. What comes into the fan stays dark: the sound went out before. Numbers and elevations of bodies are
-    those of the nearest cell.
+    those of the nearest cell; `body_echo` stays.
 
     Parameters
     ----------
@@ -126,12 +129,16 @@ def in_motion(ping: Ping, velocity, acoustics) -> Ping:
     edges = sonar["range_min_m"] + ping.bin_size_m * np.arange(len(r) + 1)
     whole_turn = 2 * math.pi if azimuth[-1] - azimuth[0] > 2 * math.pi - 1e-9 else 0.0
     # first along each beam, then, as it depends on the range that is shown, across the beams
-    along, across = np.zeros(ping.intensity.shape), np.zeros(ping.intensity.shape[::-1])
-    moved = edges * _nearer(own, velocity, sound_speed)[:, None]
-    _lay(ping.intensity.astype(np.float64), moved, edges, 0.0, along)
-    moved = azimuth + _turned(azimuth, r[:, None], velocity, *speeds)
-    _lay(along.T * np.diff(azimuth), moved, azimuth, whole_turn, across)
-    intensity = (across / np.diff(azimuth)).T.astype(np.float32, order="C")
+    width = np.diff(azimuth)[:, None].astype(np.float32)
+    along, across = (
+        np.zeros(shape, np.float32) for shape in (ping.intensity.shape, ping.intensity.shape[::-1])
+    )
+    nearer, even = _nearer(own, velocity, sound_speed), np.ones(len(r))
+    _lay(ping.intensity, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
+    aside = azimuth + _turned(azimuth, 0.0, velocity, *speeds)
+    turned = _turned(0.0, r, velocity, *speeds) - _turned(0.0, 0.0, velocity, *speeds)
+    _lay(np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across)
+    intensity = np.ascontiguousarray(across.T / width)
     intensity.setflags(write=False)
     body_id, elevation = ping.body_id, ping.elevation_rad
     if body_id is not None:

@@ -19,7 +19,7 @@ CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
 LAYERS = 64  # of range, between the nearest bubble and the farthest
 THIN_M = 0.01  # a layer is no thinner
 WIDEST_RAD = math.radians(80.0)  # more than half of any sector
-NEAR_M = 0.1  # bubbles that are nearer are taken to be there: they would cover all of a cell
+NEAR_M = 0.1  # what bubbles do that are nearer is taken from here: σ / r² would exceed all directions
 
 
 @compiled
@@ -123,7 +123,7 @@ def _hear(points, middle, grid, tau, picture, sectors, out):
         tau_here -= own * points[n, 4] / (held * held * grid[3] * grid[4])
         turns = math.floor(true / (2 * math.pi) + 0.5)
         out[count, 0], out[count, 1], out[count, 2] = true - 2 * math.pi * turns, sine, r
-        out[count, 3] = math.pi * points[n, 3] / (r * r) * math.exp(-2.0 * max(tau_here, 0.0))
+        out[count, 3] = math.pi * points[n, 3] / (held * held) * math.exp(-2.0 * max(tau_here, 0.0))
         count += 1
     return count
 

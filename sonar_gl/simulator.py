@@ -114,7 +114,7 @@ class Simulator:
         if not (poses := [check_pose(pose) for pose in several(poses)]):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
-            plan = self._samples.fix(poses, self._world.where)
+            plan = self._samples.fix(poses, self._world.moved(None, None, self.acoustics.bubbles))
         self._warn()
         return plan
 

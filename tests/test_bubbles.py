@@ -389,6 +389,18 @@ def test_a_tolerance_is_kept_with_bubbles():
     assert np.abs(fast.intensity - fine.intensity).sum() < 0.02 * fine.intensity.sum()
 
 
+def test_inside_a_plume_and_with_ghosts():
+    """Bubbles on all sides, and on the sonar itself: no echo is infinite, none negative."""
+    plume = sg.Bubbles("plume", sg.pose(z=-1.0), rate_hz=2000)
+    sonar = replace(SONAR, range_min_m=0.0)
+    for multipath in ("none", "coherent"):
+        acoustics = sg.Acoustics.physical(multipath=multipath)
+        got = ping(wall(7.0), plume, still(np.zeros(3)), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
+        clear = ping(wall(7.0), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
+        assert np.isfinite(got.intensity).all() and (got.intensity >= 0).all()
+        assert 0 < got.intensity[:, 270:].sum() < 0.5 * clear.intensity[:, 270:].sum()
+
+
 def test_the_reference_knows_no_bubbles():
     scene = sg.Scene([wall(7.0), sg.Bubbles("plume", sg.pose(x=4))])
     with pytest.raises(sg.Error, match=r"the reference knows no bubbles .*'plume'.*bubbles=False"):
