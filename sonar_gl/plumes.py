@@ -1,8 +1,9 @@
 """What plumes do to a ping: the echoes of their bubbles, and what they leave of what lies behind.
 
 The sum over bubbles of what each takes out of the sound, over the cross-section that a cell of directions
-has at its range, is the optical depth τ; sound that goes there and back is left exp(−2τ) of. Cells are about
-as wide as the Fresnel zone, √(λr): narrower shadows do not form.
+has at its range, is the optical depth τ; sound that goes there and back is left exp(−2τ) of. The shadow of a
+bubble is spread over some centimetres, or a cell: about the Fresnel zone, √(λr) at most, and the aperture of
+a sonar, which looks around what is near. Narrower shadows do not form.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from sonar_gl.compiled import compiled
 from sonar_gl.lookup import Lookup, look_up
 
 CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
+SPREAD_M = 0.05  # a bubble's shadow is as wide, or as a cell
 LAYERS = 64  # of range, between the nearest bubble and the farthest
 THIN_M = 0.01  # a layer is no thinner
 WIDEST_RAD = math.radians(80.0)  # more than half of any sector
@@ -23,8 +25,14 @@ NEAR_M = 0.1  # what bubbles do that are nearer is taken from here: σ / r² wou
 
 
 @compiled
+def _share(i, x, half):
+    """What cell i has of something that lies evenly within `half` of x, in cells; half is 0.5 or more."""
+    return max(min(x + half, i + 0.5) - max(x - half, i - 0.5), 0.0) / (2 * half)
+
+
+@compiled
 def _add_depth(points, grid, tau):
-    """Share bubbles among the four cells about each of them, then sum τ up over range.
+    """Share bubbles among the cells about each of them, then sum τ up over range.
 
     Parameters
     ----------
@@ -35,14 +43,13 @@ def _add_depth(points, grid, tau):
     solid_angle = grid[3] * grid[4]
     for n in range(points.shape[0]):
         x, y = (points[n, 0] - grid[0]) / grid[3], (points[n, 1] - grid[1]) / grid[4]
-        i, j = int(x), int(y)
         layer = min(int((points[n, 2] - grid[2]) / grid[5]), tau.shape[2] - 2) + 1
         r = max(points[n, 2], NEAR_M)
-        depth, x, y = points[n, 4] / (r * r * solid_angle), x - i, y - j
-        tau[i, j, layer] += depth * (1 - x) * (1 - y)
-        tau[i + 1, j, layer] += depth * x * (1 - y)
-        tau[i, j + 1, layer] += depth * (1 - x) * y
-        tau[i + 1, j + 1, layer] += depth * x * y
+        depth, half = points[n, 4] / (r * r * solid_angle), max(0.5, SPREAD_M / (2 * r * CELL_RAD))
+        for i in range(max(int(x + 0.5 - half), 0), min(int(x + 1.5 + half), tau.shape[0])):
+            across = depth * _share(i, x, half)
+            for j in range(max(int(y + 0.5 - half), 0), min(int(y + 1.5 + half), tau.shape[1])):
+                tau[i, j, layer] += across * _share(j, y, half)
     for i in range(tau.shape[0]):
         for j in range(tau.shape[1]):
             for k in range(1, tau.shape[2]):
@@ -116,10 +123,12 @@ def _hear(points, middle, grid, tau, picture, sectors, out):
         # less what the bubble itself has put there
         across, up = (azimuth - grid[0]) / grid[3], (sine - grid[1]) / grid[4]
         along = (r - grid[2]) / grid[5]
-        across, up = across - int(across), up - int(up)
         along -= min(int(along), tau.shape[2] - 2)
-        own = (across * across + (1 - across) * (1 - across)) * (up * up + (1 - up) * (1 - up)) * along
         held = max(r, NEAR_M)
+        half, i, j = max(0.5, SPREAD_M / (2 * held * CELL_RAD)), int(across), int(up)
+        own = (i + 1 - across) * _share(i, across, half) + (across - i) * _share(i + 1, across, half)
+        own *= (j + 1 - up) * _share(j, up, half) + (up - j) * _share(j + 1, up, half)
+        own *= along
         tau_here -= own * points[n, 4] / (held * held * grid[3] * grid[4])
         turns = math.floor(true / (2 * math.pi) + 0.5)
         out[count, 0], out[count, 1], out[count, 2] = true - 2 * math.pi * turns, sine, r
@@ -155,17 +164,19 @@ def screen(seen: Lookup, bubbles: np.ndarray, pose, fan) -> np.ndarray:
     sine, azimuth = places[:, 2] / r, np.arctan2(places[:, 1], places[:, 0])
     edges, top = fan.column_edges_rad, math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
     off = np.abs(_turned(azimuth - (edges[0] + edges[-1]) / 2))
-    near = (off < (edges[-1] - edges[0]) / 2 + 2 * CELL_RAD) & (r < fan.sonar.range_max_m)
-    near &= np.abs(sine) < top + 2 * CELL_RAD
+    reach = np.maximum(SPREAD_M / (2 * np.maximum(r, NEAR_M)), CELL_RAD)  # of a bubble's shadow
+    near = (off < (edges[-1] - edges[0]) / 2 + reach) & (np.abs(sine) < top + reach)
+    near &= r < fan.sonar.range_max_m
     if not near.any():
         return np.empty((0, 4))
     # azimuths count from the middle of the plumes, so that they break where there are none
     x, y, _ = places[near].mean(axis=0)
     middle, radii = math.atan2(y, x), bubbles[near, 3]
     points = np.column_stack([_turned(azimuth - middle), sine, r])[near]
-    low, high = points.min(axis=0), points.max(axis=0)
+    apart = np.outer(reach[near], [1, 1, 0])
+    low, high = (points - apart).min(axis=0), (points + apart).max(axis=0)
     steps = np.array([CELL_RAD, CELL_RAD, max((high[2] - low[2]) / LAYERS, THIN_M)])
-    low[:2] -= CELL_RAD  # a cell to each side, from which τ falls to zero
+    low[:2] -= CELL_RAD
     cells = (np.ceil((high - low) / steps)[:2] + 2).astype(int)
     grid, tau = np.concatenate([low, steps]), np.zeros((*cells, LAYERS + 1))
     points = np.column_stack([points, bubble_strength(radii), bubble_extinction(radii)])

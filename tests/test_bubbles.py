@@ -398,7 +398,9 @@ def test_inside_a_plume_and_with_ghosts():
         got = ping(wall(7.0), plume, still(np.zeros(3)), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
         clear = ping(wall(7.0), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
         assert np.isfinite(got.intensity).all() and (got.intensity >= 0).all()
-        assert 0 < got.intensity[:, 270:].sum() < 0.5 * clear.intensity[:, 270:].sum()
+        left = got.intensity[:, 270:].sum() / clear.intensity[:, 270:].sum()
+        # what comes by way of the surface is weakened on the straight way alone
+        assert 0 < left < (0.2 if multipath == "none" else 0.7)
 
 
 def test_the_reference_knows_no_bubbles():
