@@ -2,8 +2,8 @@
 // 1/x is linear on the image plane: 1/x = p.x - p.y u + p.z v. gl_FragCoord.w is that 1/x, in full float32,
 // and its screen derivatives are the plane's slopes, so depth and normal come without a varying.
 // Out: attachment 0 = 1/x, its slopes along u and v, echo μ cos θ times range (which on a flat face is the same
-// for every ray, μ / |p|); attachment 1 (LABELS) = body's number.
-// Defines: SHADING_NORMALS, LABELS (each 0 or 1).
+// for every ray, μ / |p|), with the lobes of smooth faces (SPECULAR); attachment 1 (LABELS) = body's number.
+// Defines: SHADING_NORMALS, SPECULAR, LABELS (each 0 or 1).
 #version 330 core
 #include "echo.glsl"
 
@@ -13,6 +13,9 @@ uniform float far_m;
 
 flat in float v_reflectivity;
 flat in uint v_body;
+#if SPECULAR
+flat in vec2 v_lobe;
+#endif
 #if SHADING_NORMALS
 in vec3 v_normal;
 #endif
@@ -31,13 +34,20 @@ void main()
     vec3 plane = vec3(depth_inverse - dot(slopes, at), -slopes.x, slopes.y);
     float x = 1.0 / depth_inverse;
     float echo = inversesqrt(dot(plane, plane));
-#if SHADING_NORMALS
+#if SHADING_NORMALS || SPECULAR
     vec3 ray = vec3(1.0, -at.x, at.y);
+    float range = length(ray) * x;
+#endif
+#if SHADING_NORMALS
     // p . x = 1 > 0: minus p looks at the sonar, whichever side this is
     if (dot(v_normal, v_normal) > 1e-6)
-        echo = cos_incidence(normalize(v_normal) * sign(-dot(v_normal, plane)), normalize(ray)) * length(ray) * x;
+        echo = cos_incidence(normalize(v_normal) * sign(-dot(v_normal, plane)), normalize(ray)) * range;
 #endif
     plane_echo = vec4(depth_inverse, slopes, v_reflectivity * echo);
+#if SPECULAR
+    if (v_lobe.x > 0.0)
+        plane_echo.w += specular_lobe(echo / range, v_lobe.x, v_lobe.y) * range;
+#endif
 #if LABELS
     body_id = v_body + 1u;
 #endif

@@ -1,6 +1,6 @@
 // In: vertices about the middle of their mesh; a row of the table of bodies, by instance or, where the driver has no
-// draws from a buffer, as uniforms. Out: clip position, reflectivity, body.
-// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, LABELS, INDIRECT (each 0 or 1).
+// draws from a buffer, as uniforms. Out: clip position, reflectivity, body, lobe.
+// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, SPECULAR, LABELS, INDIRECT (each 0 or 1).
 #version 330 core
 #if INDIRECT
 #define PER_BODY in
@@ -12,7 +12,7 @@ uniform mat4 clip_from_sonar;
 uniform mat3 sector_from_sonar;
 
 PER_BODY vec4 body_x, body_y, body_z;  // rows of sonar_from_body
-PER_BODY vec2 body_echo;               // reflectivity; number, whole below 2^24
+PER_BODY vec4 body_echo;               // reflectivity; number, whole below 2^24; strength and slope of the lobe
 
 in vec3 in_position;
 #if SHADING_NORMALS
@@ -24,11 +24,17 @@ in float in_reflectivity;
 #endif
 flat out float v_reflectivity;
 flat out uint v_body;
+#if SPECULAR
+flat out vec2 v_lobe;
+#endif
 
 void main()
 {
     v_reflectivity = body_echo.x;
     v_body = uint(body_echo.y);
+#if SPECULAR
+    v_lobe = body_echo.zw;
+#endif
 #if FACE_REFLECTIVITY
     v_reflectivity *= in_reflectivity;
 #endif

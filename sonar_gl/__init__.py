@@ -28,6 +28,7 @@ _HOMES = {
     "paper": ("demarco_image",),
     "simulator": ("Simulator",),
     "sonar": ("Sonar", "load_sonar", "presets"),
+    "maps": ("textured_body",),
     "types": ("Error", "GBuffer", "Ping"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from sonar_gl.patterns import Lobe, gaussian_pattern, line_array_pattern
+from sonar_gl.beams import Beams
+from sonar_gl.pulse import bin_weights
 from sonar_gl.settings import check
-from sonar_gl.types import Error
 from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
 MAX_DECADES = 30.0  # gains are held within 10^±30, so that float32 echoes stay finite
-# Of smooth patterns: an elevation counts as far as the echo there, both ways, is above this; and so much of
-# a Gaussian beam counts in azimuth, one way.
-ELEVATION_LEVEL, GAUSSIAN_LEVEL = 1e-3, 1e-4
-MAX_ELEVATION_DEG = 85.0  # above the boresight: further up a perspective view cannot look
-MAX_STEER_DEG = 80.0  # of a straight array: nearer to its line a beam has no −3 dB edge on the far side
 
 
 @dataclass(frozen=True)
-class Acoustics:
+class Acoustics(Beams):
     """What happens to an echo on its way, and how beams hear.
 
     Parameters
@@ -43,12 +37,12 @@ class Acoustics:
     sound_speed_m_s : the speed of sound; None = by sound_speed_formula
     sonar_sound_speed_m_s : what the sonar is set to, None = the right speed; ranges that it shows are the
         true ones times this over the right speed
-    taper, side_lobe_db : of the receiving line array in azimuth: "uniform", "hamming", "taylor" or
-        "chebyshev"; the last two have side lobes so many dB down
+    taper : of the receiving line array in azimuth: "uniform", "hamming", "taylor" or "chebyshev"
+    side_lobe_db : how far down the side lobes of "taylor" and "chebyshev" are, in all arrays
     steered : "alike": every beam has the width of the data sheet; "straight": one straight array, whose
         beams broaden as 1/cos of the angle that they are steered to
     transmit_width_deg, transmit_taper : −3 dB width in azimuth of the projector's beam about the boresight;
-        None = it sounds the fan evenly
+        None = it sounds the fan evenly. beam_width_deg stays that of the receiving beams
     elevation_pattern : "box": a beam hears all of elevation_fov_deg alike; "line_array", "gaussian":
         transmitter and receiver alike, and their product is elevation_fov_deg wide at −3 dB
     elevation_taper : of the line array in elevation
@@ -136,12 +130,8 @@ class Acoustics:
 
     def drawn_sonar(self, sonar):
         """The sonar as its echoes lie: bins at true ranges, and as high an aperture as is heard at all."""
-        top_deg, scale = sonar.elevation_fov_deg / 2, self.shown_per_true()
-        if self.elevation_pattern != "box":
-            sine = self._elevation_lobe(sonar).sine_at(math.sqrt(ELEVATION_LEVEL))
-            heard_deg = math.degrees(math.asin(min(sine, 1.0)))
-            top_deg = max(top_deg, min(heard_deg, MAX_ELEVATION_DEG))
-        elif scale == 1.0:
+        top_deg, scale = self.elevation_reach_deg(sonar), self.shown_per_true()
+        if scale == 1.0 and 2 * top_deg == sonar.elevation_fov_deg:
             return sonar
         ranges = {key: getattr(sonar, key) / scale for key in ("range_min_m", "range_max_m")}
         return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
@@ -188,62 +178,12 @@ class Acoustics:
         right = self.absorption(sonar.frequency_hz)
         return right, right if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
 
-    def beam_pattern_function(self, sonar):
-        """Function (azimuth_rad, steer_azimuth_rad) -> linear power, 1 on the axis; None for a box.
-
-        Raises
-        ------
-        Error
-            if a straight array is to be steered along its own line.
-        """
-        if self.beam_pattern == "box":
+    def pulse_weights(self, sonar) -> np.ndarray | None:
+        """(n,) float32 share of an echo that bins about its own get; None where that gets all of it."""
+        if self.bandwidth_hz is None:
             return None
-        settings = {"beam_width_rad": math.radians(sonar.beam_width_deg), "steered": self.steered}
-        steer_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
-        if self.steered == "straight" and steer_deg > MAX_STEER_DEG:
-            raise Error(
-                f'acoustics: steered "straight" needs beams within ±{MAX_STEER_DEG:g}° of the boresight '
-                f'(got {steer_deg:.4g}°: one array cannot hear along its own line; take "alike")'
-            )
-        if self.beam_pattern == "gaussian":
-            return partial(gaussian_pattern, **settings)
-        return partial(line_array_pattern, taper=self.taper, side_lobe_db=self.side_lobe_db, **settings)
-
-    def beam_reach_rad(self, sonar) -> float:
-        """How far from its axis a beam hears, radians: half a box, a line array to its 4th null or so."""
-        half = math.radians(sonar.beam_width_deg) / 2
-        if self.beam_pattern == "box":
-            return half
-        lobe = Lobe(self.beam_pattern, 2 * half, self.taper, self.side_lobe_db)
-        gaussian = self.beam_pattern == "gaussian"
-        sine = lobe.sine_at(GAUSSIAN_LEVEL) if gaussian else lobe.last_null()
-        reach = math.asin(min(1.0, sine))
-        if self.steered == "straight":  # furthest of the outermost beam, away from the boresight
-            steer = float(np.abs(sonar.azimuth_rad).max())
-            reach = max(reach, math.asin(min(1.0, math.sin(steer) + sine)) - steer)
-        return reach
-
-    def transmit_function(self, sonar):
-        """Function (azimuth_rad) -> linear power of the projector, 1 on the boresight; None if even."""
-        if self.transmit_width_deg is None:
-            return None
-        width = math.radians(self.transmit_width_deg)
-        settings = {"taper": self.transmit_taper, "side_lobe_db": self.side_lobe_db}
-        return partial(line_array_pattern, steer_azimuth_rad=0.0, beam_width_rad=width, **settings)
-
-    def _elevation_lobe(self, sonar) -> Lobe:
-        width = math.radians(sonar.elevation_fov_deg)
-        return Lobe(self.elevation_pattern, width, self.elevation_taper, self.side_lobe_db, both_ways=True)
-
-    def elevation_function(self, sonar):
-        """Function (sine of elevation) -> linear power both ways, 1 on the boresight; None for a box.
-
-        Transmitter and receiver are alike, upright, and not steered.
-        """
-        if self.elevation_pattern == "box":
-            return None
-        lobe = self._elevation_lobe(sonar)
-        return lambda sine: lobe.power(sine) ** 2
+        speed_m_s = self.sonar_sound_speed_m_s or self.sound_speed()  # of ranges as they are shown
+        return bin_weights(sonar.bin_size_m, self.bandwidth_hz, self.pulse_taper, speed_m_s)
 
     def meta(self) -> dict:
         """The fields as plain values, for a ping's record."""

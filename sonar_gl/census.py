@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from sonar_gl.compiled import compiled
+from sonar_gl.echo import specular_lobe
 from sonar_gl.sonar import Sonar
 
 # Larger meshes are taken to show what their boxes would: adding up their faces costs too much.
@@ -102,13 +103,15 @@ def _area_m2(surface) -> float:
 
 
 class Extent:
-    """What each body of a scene could show at most, if nothing stood before it."""
+    """What each body of a scene could show at most, if nothing stood before it; `specular`: with its lobe."""
 
-    def __init__(self, bodies):
+    def __init__(self, bodies, specular: bool = False):
         surfaces = [body.surface for body in bodies]
         bounds = np.array([_bounds(surface) for surface in surfaces]).reshape(-1, 2, 3)
         self.centres, self.radii = bounds.mean(axis=1), np.linalg.norm(np.ptp(bounds, axis=1), axis=1) / 2
+        lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
         self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
+        self.reflectivity[1:] += lobes
         # the shadow of a surface is half of it at most, and inside that of its sphere
         self.area_m2 = np.minimum(
             np.pi * self.radii**2,

@@ -112,7 +112,7 @@ def see(
     limits : low and high u, low and high v of its lattice
     inverse, corner : (2, 2) samples per (u, v), and (u, v) of its first sample
     strays : a patch may stray from the mesh by so much, per metre of range
-    echoes : and its echo from what it stands for by this share
+    echoes : (n,) and its echo from what it stands for by this share, of each body
     outside : back faces of closed bodies are not seen
     chosen : (M, 2) int32, patch and body; overwritten
     found : low and high column, low and high row; stretched
@@ -170,7 +170,7 @@ def see(
                 else:
                     enough = error_m[i] <= strays * max(nearest, near_m)
                     own, stood = _form(moment[i], ray), _form(whole[i], ray)
-                    enough &= abs(own - stood) <= echoes * stood
+                    enough &= abs(own - stood) <= echoes[b] * stood
                 if not enough:
                     i += 1
                     continue

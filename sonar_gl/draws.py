@@ -8,7 +8,8 @@ import numpy as np
 
 from sonar_gl.lattice import Sector
 
-PER_BODY = 14  # floats: the rows of sonar_from_body, reflectivity, number
+PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
+LOBE = 14  # of them, the strength
 MARGIN = 2  # samples about what is seen, so that the outermost of a window meet nothing
 
 
@@ -105,3 +106,12 @@ def window_of(found, columns: int, rows: int) -> tuple[int, int, int, int]:
         out.append((first, max(last - first, 0)))
     (first_column, columns), (first_row, rows) = out
     return (first_column, first_row, columns, rows) if columns and rows else (0, 0, 0, 0)
+
+
+def before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarray]:
+    """How far before a plane, of `Placed`, boxes lie, at least and at most; (n, 3, 4) and (n, 2, 3)."""
+    middles, halves = bounds.mean(axis=1), np.ptp(bounds, axis=1) / 2
+    along = plane[:3] @ matrices[:, :, :3]
+    middle = (along * middles).sum(axis=1) + matrices[:, :, 3] @ plane[:3] + plane[3]
+    half = (np.abs(along) * halves).sum(axis=1)
+    return middle - half, middle + half

@@ -115,12 +115,18 @@ def _find_both(work, ways, first, last, uc, width, other):
         length = math.sqrt(1.0 + uc * uc + vc * vc)
         range_there = _carry(other, 1.0 / q, uc, vc, there)
         s = 2.0 / (length / q + range_there)
-        du = along_u * width / 2
-        low_u = _inverse_range(other, q - du, uc - width / 2, vc, s, there)
-        high_u = _inverse_range(other, q + du, uc + width / 2, vc, s, there)
+        # across, where strips are narrow, by how both ranges change with u
+        x, x_u = 1.0 / q, -along_u / (q * q)
+        r_u = (uc * x + (1.0 + uc * uc + vc * vc) * x_u) / length
+        for k in range(3):
+            r_u += (
+                there[k]
+                / range_there
+                * ((other[k, 0] - other[k, 1] * uc + other[k, 2] * vc) * x_u - other[k, 1] * x)
+            )
         low_v = _inverse_range(other, rest + along_v * low, uc, low, s, there)
         high_v = _inverse_range(other, rest + along_v * high, uc, high, s, there)
-        work[S, m], work[A, m], work[B, m] = s, abs(high_u - low_u) / 2, abs(high_v - low_v) / 2
+        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * width / 4, abs(high_v - low_v) / 2
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
         work[ENERGY, m] = ways[0, m] * ways[1, m] * spreading * spreading * width * height / (length**3 * s)
@@ -129,14 +135,15 @@ def _find_both(work, ways, first, last, uc, width, other):
 @compiled
 def accumulate_ghosts(
     plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, flat,
-    elevation, own, other, ceiling, from_mirror, once, picture, sectors, other_picture, other_sectors, plane,
-    needs_surface, loss, sums, spans,
+    elevation, fresh, own, other, ceiling, from_mirror, once, picture, sectors, other_picture, other_sectors,
+    plane, needs_surface, loss, sums, spans,
 ):  # fmt: skip
     """Sum some of one sector's samples into columns, as a mirror makes them heard.
 
     Parameters
     ----------
     plane_echo .. elevation : as of `footprint.accumulate`; of the sonar's own view, or of its image's
+    fresh : begin with sums of zero
     own, other : (3, 4) from this sector's frame to its own sonar's and to the other one's
     ceiling : (4,) a · x > offset of what lies above the water's surface, in this sector's frame
     from_mirror : this is the image's view: echoes that meet the mirror twice are summed, too
@@ -153,7 +160,7 @@ def accumulate_ghosts(
     top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
     for p in range(part_u.shape[0]):
         c, uc = part_column[p], part_u[p]
-        if p == 0 or part_column[p - 1] != c:
+        if fresh and (p == 0 or part_column[p - 1] != c):
             sums[c, spans[c, 0] : spans[c, 1]] = 0.0
             spans[c, 0], spans[c, 1] = K, 0
         v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)

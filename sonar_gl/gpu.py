@@ -88,10 +88,10 @@ class SceneOnGpu:
             self.n_points += len(one.points)
         self.arrays = {}
 
-    def array(self, labels: bool) -> moderngl.VertexArray:
-        """The vertex array whose program writes bodies' numbers too, or does not."""
-        if labels not in self.arrays:
-            defines = {**self.features, "LABELS": int(labels)}
+    def array(self, labels: bool, lobes: bool) -> moderngl.VertexArray:
+        """The vertex array whose program writes bodies' numbers, and adds lobes, or does not."""
+        if (labels, lobes) not in self.arrays:
+            defines = {**self.features, "LABELS": int(labels), "SPECULAR": int(lobes)}
             if (key := tuple(defines.values())) not in self.programs:
                 files = "gbuffer.vert", "gbuffer.frag"
                 self.programs[key] = compile_program(self.context, self.shader_folder, *files, defines)
@@ -103,9 +103,10 @@ class SceneOnGpu:
                 layout.append((self.reflectivity.buffer, "1f", "in_reflectivity"))
             if self.indirect:
                 names = "body_x", "body_y", "body_z", "body_echo"
-                layout.append((self.rows.buffer, "4f 4f 4f 2f/i", *names))
-            self.arrays[labels] = self.context.vertex_array(program, layout, index_buffer=self.indices.buffer)
-        return self.arrays[labels]
+                layout.append((self.rows.buffer, "4f 4f 4f 4f/i", *names))
+            array = self.context.vertex_array(program, layout, index_buffer=self.indices.buffer)
+            self.arrays[labels, lobes] = array
+        return self.arrays[labels, lobes]
 
     def upload(self, rows, out: Draws) -> None:
         """Bodies' rows and what is drawn of them to the driver."""

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl import mesh_files, meshes
+from sonar_gl import maps, mesh_files, meshes
 from sonar_gl.frames import Scope, matrix_of, numbers
-from sonar_gl.resources import Finder
-from sonar_gl.scene import Body
-from sonar_gl.types import Error
+from sonar_gl.materials import material
+from sonar_gl.resources import Finder, tag, tags
+from sonar_gl.scene import SLOPES, Body
+from sonar_gl.types import Error, nearest_names
 
 SONAR_WORDS = ("sonar", "fls", "multibeam")
 # of a model whose name speaks of a sonar, only these can be one: it may carry an IMU as well
 SEEING_SENSORS = {"camera", "depth", "depth_camera", "rgbd_camera", "ray", "gpu_ray", "lidar", "gpu_lidar"}
 KNOWN_SHAPES = "box, capsule, cylinder, ellipsoid, heightmap, mesh, plane, sphere"
+
+TAGS = ("material", "reflectivity_map", "roughness", "specular")  # of a shape, after sonar_gl:
+SILENT = 127.5  # laser_retro, of shapes that say nothing
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Link:
             [e for e in self.element.findall(kind) if e.find("geometry/empty") is None]
             for kind in ("collision", "visual")
         )
-        marked = [any(e.find("laser_retro") is not None for e in kind) for kind in (collisions, visuals)]
+        marked = [any(map(says, kind)) for kind in (collisions, visuals)]
         return visuals if not collisions or marked == [False, True] else collisions
 
     def world_pose(self) -> np.ndarray:
@@ -53,6 +57,44 @@ class Link:
         return np.linalg.inv(self.scope.find(self.name, self.where)) @ in_model
 
 
+def says(element) -> bool:
+    """Whether a collision or visual tells how it echoes."""
+    return element.find("laser_retro") is not None or bool(tags(element))
+
+
+def finish_of(element, where: str):
+    """μ, and strength and slope of the lobe, and the name of the material, as a collision or visual says.
+
+    What stands there by itself goes before the material, `<laser_retro>` for one.
+    """
+    for name in tags(element):
+        if name not in TAGS:
+            raise Error(f"{where}: unknown tag (got 'sonar_gl:{name}'; {nearest_names(name, TAGS)})")
+
+    def number(child, default, low, high, name):
+        if child is None:
+            return default
+        value = numbers(child, f"{where}/{name}", 1)[0]
+        if not low <= value <= high:
+            raise Error(f"{where}/{name}: must lie in {low:g}..{high:g} (got {value:g})")
+        return float(value)
+
+    made, named = None, tag(element, "material")
+    if named is not None:
+        try:
+            made = material((named.text or "").strip())
+        except Error as why:
+            raise Error(f"{where}/sonar_gl:material: {why}") from None
+    mu = number(element.find("laser_retro"), None, 0, 255, "laser_retro")
+    mu = getattr(made, "reflectivity", SILENT / 255) if mu is None else mu / 255
+    strength = getattr(made, "specular", 0.0)
+    strength = number(tag(element, "specular"), strength, 0, 1, "sonar_gl:specular")
+    slope = number(
+        tag(element, "roughness"), getattr(made, "roughness_rad", None), *SLOPES, "sonar_gl:roughness"
+    )
+    return mu, (strength, slope if strength else None), getattr(made, "name", None)
+
+
 class ShapeReader:
     """Makes the bodies of links; meshes that occur several times are read once."""
 
@@ -60,34 +102,54 @@ class ShapeReader:
         self.finder = finder
         self.meshes = {}
 
-    def body(self, link: Link, name: str):
-        """A link's shapes as one body in the link's frame (None without any), and whether all say their μ."""
-        shapes, reflectivities, complete = [], [], True
+    def bodies(self, link: Link, name: str):
+        """A link's shapes as bodies in the link's frame, and whether all say how they echo.
+
+        One body, or none; but shapes of other lobes than the first are bodies of their own, `name::shape`.
+        """
+        groups, complete = {}, True
         for element in link.shapes():
             where = f"{link.where}/{element.tag}[{element.get('name') or ''}]"
             matrix = link.pose_in_link(element, where)
             shape = self.shape(link, element, where)
             if shape is None:
                 continue
-            retro, laser_retro = element.find("laser_retro"), 127.5
-            complete &= retro is not None
-            if retro is not None:
-                laser_retro = numbers(retro, f"{where}/laser_retro", 1)[0]
-                if not 0 <= laser_retro <= 255:
-                    raise Error(f"{where}/laser_retro: must lie in 0..255 (got {laser_retro:g})")
-            shapes.append(meshes.transform(shape, matrix))
-            reflectivities.append(laser_retro / 255)
-        pose = link.world_pose()
-        if not shapes:
-            return None, True
-        mesh, normals = shapes[0] if len(shapes) == 1 else meshes.concatenate(shapes)
-        reflectivity = reflectivities[0]
-        if len(set(reflectivities)) > 1:
-            reflectivity = np.repeat(reflectivities, [len(shape[0].faces) for shape in shapes])
+            mu, lobe, made_of = finish_of(element, where)
+            chart = tag(element, "reflectivity_map")
+            if chart is not None:
+                shape, mu = self.charted(link, element, shape, mu, f"{where}/sonar_gl:reflectivity_map")
+            said = element.find("laser_retro"), tag(element, "material"), chart
+            complete &= any(child is not None for child in said)
+            own = f"{name}::{element.get('name')}" if groups and lobe not in groups else name
+            _, parts = groups.setdefault(lobe, (own, []))
+            parts.append((meshes.transform(shape, matrix), mu, made_of))
+        pose, bodies = link.world_pose(), []
+        for lobe, (own, parts) in groups.items():
+            shapes, mus, materials = zip(*parts, strict=True)
+            mesh, normals = shapes[0] if len(shapes) == 1 else meshes.concatenate(shapes)
+            mu = mus[0]
+            if len(mus) > 1 and (any(map(np.ndim, mus)) or len(set(mus)) > 1):
+                counts = [len(shape[0].faces) for shape in shapes]
+                mu = np.concatenate([np.broadcast_to(m, n) for m, n in zip(mus, counts, strict=True)])
+            made_of = materials[0] if len(set(materials)) == 1 else None
+            try:
+                bodies.append(Body(own, mesh, pose, mu, normals, *lobe, made_of))
+            except Error as why:
+                raise Error(f"{link.where}: {why}") from None
+        return bodies, complete
+
+    def charted(self, link: Link, element, shape, mu, where: str):
+        """A shape with an image laid on it from above, in its own frame, and μ of its faces."""
+        if element.tag == "collision" and element.find("geometry/plane") is not None:
+            raise Error(f"{where}: must lie on a shape of some size (the plane of a collision is infinite)")
+        uri = (tag(element, "reflectivity_map").text or "").strip()
+        path = self.finder.find(uri, link.scope.folder, where)
+        if path is None:
+            return shape, mu
         try:
-            return Body(name, mesh, pose, reflectivity, normals), complete
+            return maps.laid_from_above(shape, path)
         except Error as why:
-            raise Error(f"{link.where}: {why}") from None
+            raise Error(f"{where}: {why}") from None
 
     def shape(self, link: Link, element, where: str):
         """(mesh, normals) of a collision or visual, or None where its file is missing, which is noted."""

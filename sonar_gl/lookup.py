@@ -11,6 +11,7 @@ from sonar_gl.compiled import compiled
 
 # What two pictures show of one place may differ by so much of its distance; less on a mirror, which is flat.
 SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
+LEAST = 1e-4  # of the intensity: what leaves less is no mirror
 GRID = 48  # directions to each side of a sector that are tried
 
 
@@ -86,6 +87,11 @@ def mirrored(x, y, z, picture, sectors, plane, needs_surface, loss):
     sine = (plane[0] * x + plane[1] * y + plane[2] * z) / math.sqrt(x * x + y * y + z * z)
     if sine <= 1e-6:
         return 0.0
+    at = min(sine, 1.0) * (loss.shape[0] - 1)
+    k = min(int(at), loss.shape[0] - 2)
+    left = loss[k] + (at - k) * (loss[k + 1] - loss[k])
+    if left < LEAST:
+        return 0.0
     seen, ahead = look_up(x, y, z, picture, sectors)
     if seen < 0.0:
         return 0.0
@@ -93,9 +99,7 @@ def mirrored(x, y, z, picture, sectors, plane, needs_surface, loss):
     nearness = seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z)
     if nearness > 1.0 + SAME_PLANE or (needs_surface and nearness < 1.0 - SAME_PLANE):
         return 0.0
-    at = min(sine, 1.0) * (loss.shape[0] - 1)
-    k = min(int(at), loss.shape[0] - 2)
-    return loss[k] + (at - k) * (loss[k + 1] - loss[k])
+    return left
 
 
 @compiled

@@ -20,7 +20,19 @@ from sonar_gl.reflectors import Mirror, find_mirrors
 
 BIAS_M = 1e-3  # a mirror's own surface is not drawn from behind
 FACES = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
+# Ghosts err by their share of the echo: of samples a quarter will do where that is less than this, else half.
+STRONG = 0.1
 BOTH_WAYS = 3.0  # an echo may meet the mirror on its way out, on its way back, or on both
+
+
+def behind(plane) -> tuple[np.ndarray, np.ndarray]:
+    """Where the sonar's image is, (4, 4) sonar_from_image, and the plane in its frame, of `draws.Placed`."""
+    turned = np.eye(4)
+    turned[:3, :3] -= 2 * np.outer(plane[:3], plane[:3])
+    turned[:3, 3] = 2 * plane[3] * plane[:3]
+    out = turned @ FACES
+    offset = plane[3] - BIAS_M - plane[:3] @ out[:3, 3]
+    return out, np.append(-out[:3, :3].T @ plane[:3], offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +45,27 @@ class Ghost:
     plane : (4,) normal and offset of it, in the sonar's frame
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
     sonar_from_image : (4, 4)
-    seen : Lookup of what the sonar sees
-    image : Pass of the image; views, lookup : what it sees
+    own_views, seen : what the sonar sees, and to look it up
+    views, lookup : what its image sees
     """
 
     mirror: Mirror
     plane: np.ndarray
     ceiling: np.ndarray
     sonar_from_image: np.ndarray
+    own_views: list
     seen: Lookup
-    image: Pass
     views: list
     lookup: Lookup
+
+
+@dataclass(frozen=True, eq=False)
+class Ghosts:
+    """Those of one ping, and the passes that sum them: of the sonar, and of its image."""
+
+    own: Pass
+    image: Pass
+    mirrored: list[Ghost]
 
 
 class Multipath:
@@ -53,12 +74,15 @@ class Multipath:
     Parameters
     ----------
     passes : Passes of the sonar
+    scene : Scene
     tolerance : mirrors that can return no more than this share of the echo are left out
     """
 
     def __init__(self, passes: Passes, scene, tolerance: float):
-        sonar, acoustics = passes.sonar, passes.acoustics
+        sonar = passes.sonar
+        acoustics = replace(passes.acoustics, specular=False)  # lobes are those of echoes straight back
         self.acoustics, self.tolerance, self.gpu = acoustics, tolerance, passes.gpu
+        self.own = Passes(passes.gpu, sonar, acoustics)
         if sonar.beam_azimuths_deg is not None:
             turned = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=turned)
@@ -73,47 +97,42 @@ class Multipath:
             self.scene, self.mirrors = scene, find_mirrors(scene, self.wavenumber_rad_m)
             self.brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
-    def draw(self, now: Pass, poses, wheres) -> list[list[Ghost]]:
-        """The ghosts of each of the pings that `now` drew last, from these poses."""
-        seen = [lookup(picture) for picture in now.renderer.drawn]
-        # half of the samples will do: ghosts are a fraction of the echo, and err by as much of it
-        image, found, spots = self.images.of(half_of(now.sampling)), [], []
+    def draw(self, now: Pass, poses, wheres, finer: bool = False) -> list[Ghosts | None]:
+        """The ghosts of each of the pings that `now` drew last, from these poses; None without any.
+
+        `finer` is for ghosts that add more than `STRONG`.
+        """
+        found, spots = [], []
         for number, (pose, where) in enumerate(zip(poses, wheres, strict=True)):
-            where = where or self.gpu.stock.where
+            seen, where = lookup(now.renderer.drawn[number]), where or self.gpu.stock.where
             for mirror in self.mirrors:
                 plane = self._plane(mirror, pose, where)
-                if plane is None or not self._counts(mirror, plane, seen[number], now):
-                    continue
-                turned = np.eye(4)
-                turned[:3, :3] -= 2 * np.outer(plane[:3], plane[:3])
-                turned[:3, 3] = 2 * plane[3] * plane[:3]
-                sonar_from_image = turned @ FACES
-                normal = -sonar_from_image[:3, :3].T @ plane[:3]
-                offset = plane[3] - BIAS_M - plane[:3] @ sonar_from_image[:3, 3]
-                found.append((number, mirror, plane, self._ceiling(pose), sonar_from_image))
-                spots.append((pose @ sonar_from_image, where, np.append(normal, offset)))
-        out = [[] for _ in poses]
-        if spots:
-            image.renderer.turn()
-            of_image, wheres, planes = zip(*spots, strict=True)
-            image.renderer.render(of_image, wheres, planes=planes)
-            n, views = len(image.fan.sectors), list(image.renderer.views())
-            for k, (number, *what) in enumerate(found):
-                ghost = Ghost(
-                    *what, seen[number], image, views[k * n : k * n + n], lookup(image.renderer.drawn[k])
-                )
-                out[number].append(ghost)
+                if plane is not None and self._counts(mirror, plane, seen, now):
+                    sonar_from_image, clip = behind(plane)
+                    found.append((number, (mirror, plane, self._ceiling(pose), sonar_from_image)))
+                    spots.append((pose @ sonar_from_image, where, clip))
+        out = [None] * len(poses)
+        if not found:
+            return out
+        sampling = half_of(now.sampling) if finer else half_of(half_of(now.sampling))
+        own, image = self.own.of(sampling), self.images.of(sampling)
+        numbers = sorted({number for number, _ in found})
+        views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
+        own_of = dict(zip(numbers, zip(views, map(lookup, own.renderer.drawn), strict=True), strict=True))
+        image_poses, image_wheres, clips = zip(*spots, strict=True)
+        views = image.views_of(image_poses, image_wheres, planes=clips)
+        for (number, about), *seen in zip(found, views, map(lookup, image.renderer.drawn), strict=True):
+            out[number] = out[number] or Ghosts(own, image, [])
+            out[number].mirrored.append(Ghost(*about, *own_of[number], *seen))
         return out
 
-    def add(self, now: Pass, views, ghosts: list[Ghost], intensity) -> float:
-        """Add to a ping's (B, K) intensity; the sum of what was added."""
-        whole = 0.0
-        for ghost in ghosts:
-            reducer = ghost.image.reducer
-            intensity += reducer.sum_with(self._adder(ghost, True), ghost.views, now.gain)[::-1]
-            intensity += now.reducer.sum_with(self._adder(ghost, False), views, now.gain)
-            whole += reducer.total + now.reducer.total
-        return whole
+    def sum(self, ghosts: Ghosts, gain) -> tuple[np.ndarray, float]:
+        """(B, K) of a ping's ghosts, and its sum."""
+        own = [(ghost.own_views, self._adder(ghost, False)) for ghost in ghosts.mirrored]
+        image = [(ghost.views, self._adder(ghost, True)) for ghost in ghosts.mirrored]
+        out = ghosts.own.reducer.sum_with(own, gain)
+        out += ghosts.image.reducer.sum_with(image, gain)[::-1]
+        return out, ghosts.own.reducer.total + ghosts.image.reducer.total
 
     def _plane(self, mirror: Mirror, pose, where: Whereabouts):
         """(4,) the mirror in the sonar's frame, its offset positive; None if it is not there."""
@@ -144,7 +163,7 @@ class Multipath:
         other = ghost.seen if from_image else ghost.lookup
         once = 2.0 if self.acoustics.multipath == "coherent" else 1.0
 
-        def add(view, parts, tables, sums, spans):
+        def add(view, parts, tables, fresh, sums, spans):
             sector, plane_echo, bodies = view
             own = np.eye(4)
             own[:3, :3] = sector.rotation().T
@@ -159,6 +178,7 @@ class Multipath:
                 sector.tan_elevation,
                 *parts,
                 *tables,
+                fresh,
                 own[:3],
                 (to_other @ own)[:3],
                 ceiling,
@@ -179,4 +199,5 @@ class Multipath:
 
     def close(self):
         """End the reducers' threads."""
+        self.own.close()
         self.images.close()

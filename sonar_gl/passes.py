@@ -48,7 +48,7 @@ class Pass:
         drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
         self.sampling, self.box = sampling, pattern is None
         self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, self.box, shear)
-        self.renderer = Renderer(gpu.context, gpu, self.fan)
+        self.renderer = Renderer(gpu.context, gpu, self.fan, acoustics.specular)
         weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
         self.reducer = Reducer(self.fan, *weights, heard)
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
@@ -58,10 +58,10 @@ class Pass:
         self.renderer.render([pose], [where], labels, whole)
         return self._behind_bubbles([pose], [where])[0]
 
-    def views_of(self, poses, wheres, labels: bool = False) -> list[Views]:
+    def views_of(self, poses, wheres, labels: bool = False, planes=None) -> list[Views]:
         """The same of several poses, drawn at once; none of it is written to by the next drawing."""
         self.renderer.turn()
-        self.renderer.render(poses, wheres, labels)
+        self.renderer.render(poses, wheres, labels, planes=planes)
         return self._behind_bubbles(poses, wheres)
 
     def _behind_bubbles(self, poses, wheres) -> list[Views]:

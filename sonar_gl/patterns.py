@@ -32,7 +32,7 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
     Fourier transform", Proc. IEEE 66, 51-83, 1978 (Hamming)
 
     >>> [round(f, 4) for f in taper_series("taylor", 30.0)]
-    [0.2926, -0.0158, 0.0022]
+    [0.2927, -0.0158, 0.0022]
     """
     if taper == "uniform":
         return ()
@@ -62,11 +62,19 @@ def aperture_pattern(x, taper: str = "uniform", side_lobe_db: float = 30.0) -> n
     >>> round(float(10 * np.log10(aperture_pattern(1.4303))), 3)
     -13.261
     """
+    return aperture_field(x, taper_series(taper, side_lobe_db)) ** 2
+
+
+def aperture_field(x, series: tuple[float, ...]) -> np.ndarray:
+    """Its amplitude, by the series of `taper_series`; not divided by that on the axis, which is 1.
+
+    Pulses have it, too: of a spectrum that is weighed so, over time.
+    """
     x = np.asarray(x, np.float64)
     field = np.sinc(x)
-    for m, share in enumerate(taper_series(taper, side_lobe_db), 1):
+    for m, share in enumerate(series, 1):
         field = field + share * (np.sinc(x - m) + np.sinc(x + m))
-    return field**2
+    return field
 
 
 def chebyshev_pattern(x, elements: int, side_lobe_db: float) -> np.ndarray:
@@ -86,23 +94,19 @@ def chebyshev_pattern(x, elements: int, side_lobe_db: float) -> np.ndarray:
     """
     ratio, order = 10 ** (side_lobe_db / 20), elements - 1
     z = np.abs(math.cosh(math.acosh(ratio) / order) * np.cos(np.pi * np.asarray(x, np.float64) / elements))
-    inside, outside = (
-        np.cos(order * np.arccos(np.minimum(z, 1))),
-        np.cosh(order * np.arccosh(np.maximum(z, 1))),
-    )
-    return (np.where(z > 1, outside, inside) / ratio) ** 2
+    inside, outside = np.arccos(np.minimum(z, 1)), np.arccosh(np.maximum(z, 1))
+    return (np.where(z > 1, np.cosh(order * outside), np.cos(order * inside)) / ratio) ** 2
 
 
 @lru_cache(maxsize=64)
-def first_at(taper: str, side_lobe_db: float, level: float) -> float:
-    """x at which the pattern of `aperture_pattern` has first fallen to this power, 0 < level < 1."""
+def first_of(series: tuple[float, ...], level: float) -> float:
+    """x at which the power of `aperture_field` has first fallen to this level, 0 < level < 1."""
     high = 0.01
-    while aperture_pattern(high, taper, side_lobe_db) > level:
+    while aperture_field(high, series) ** 2 > level:
         high += 0.01
     low = high - 0.01
     while low < (middle := (low + high) / 2) < high:
-        above = aperture_pattern(middle, taper, side_lobe_db) > level
-        low, high = (middle, high) if above else (low, middle)
+        low, high = (middle, high) if aperture_field(middle, series) ** 2 > level else (low, middle)
     return low
 
 
@@ -134,7 +138,7 @@ class Lobe:
     def _at(self, level: float) -> tuple[float, int]:
         """x of that power; the elements of a Chebyshev array, half a wavelength apart or a little less."""
         if self.taper != "chebyshev":
-            return first_at(self.taper, self.side_lobe_db, level), 0
+            return first_of(taper_series(self.taper, self.side_lobe_db), level), 0
         elements = math.ceil(2 * _chebyshev_at(1000, self.side_lobe_db, self._half) / self._edge)
         return _chebyshev_at(max(elements, 2), self.side_lobe_db, level), max(elements, 2)
 

@@ -99,8 +99,8 @@ class Planner:
     def __init__(self, passes: Passes, tolerance: float):
         self.tolerance = check_tolerance(tolerance)
         self.passes, self.sonar, self.stock = passes, passes.sonar, passes.gpu.stock
-        self.drawn = passes.drawn
-        self.extent = Extent(self.stock.bodies)
+        self.drawn, self.specular = passes.drawn, passes.acoustics.specular
+        self.extent = Extent(self.stock.bodies, self.specular)
         self.reach_rad = passes.acoustics.beam_reach_rad(self.sonar)
         self.finest = FINEST_RUNG
         # a guess: what most scenes need
@@ -202,7 +202,7 @@ class Planner:
         # in the mirror image of the lattice a rod that runs along its rows does not
         fine, coarse = self.passes.of(sampling), self.passes.of(half_of(sampling), -SHEAR)
         if len(self.extent.radii) < len(self.stock.bodies):  # some were added
-            self.extent = Extent(self.stock.bodies)
+            self.extent = Extent(self.stock.bodies, self.specular)
         if made is None:
             views = fine.views(pose, labels=True, where=where)
             made = views, fine.intensity(views)

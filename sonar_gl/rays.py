@@ -16,10 +16,10 @@ class Target:
 
     Attributes
     ----------
-    n_bodies : count of bodies; faces : of `land`
+    n_bodies : count of bodies; faces, lobes : of `land`
     """
 
-    def __init__(self, scene, pose):
+    def __init__(self, scene, pose, specular: bool = False):
         try:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
@@ -32,6 +32,8 @@ class Target:
         z = scene.surface_z_m
         self.ceiling = None if z is None or pose[2, 3] >= z else (pose[2, :3], z - pose[2, 3])
         self.n_bodies = len(scene.bodies)
+        lobes = [(body.specular * specular, body.roughness_rad) for body in scene.bodies]
+        self.lobes = np.array(lobes, np.float64).reshape(-1, 2)
         self._keep, reflectivity, normals = [], [np.zeros(0)], [np.zeros((0, 3, 3), np.float32)]
         smooth = any(body.normals is not None for body in scene.bodies)
         for body in scene.bodies:
@@ -124,23 +126,24 @@ def shoot(first, block, log2_blocks, keys, start_rad, span_rad, top, near_m, azi
 
 
 @compiled
-def land(azimuth, ray, near_m, hits, strength, faces, nodes, hat, heard, bins, gain, sums, bodies):
+def land(azimuth, ray, near_m, hits, heard_of, faces, lobes, nodes, hat, heard, bins, gain, sums, bodies):
     """Add the echoes of rays to bins.
 
     Parameters
     ----------
     azimuth, ray, near_m : of `shoot`
     hits : Embree's tfar, Ng, u, v, geomID, primID
-    strength : (n,) of each ray's echo
+    heard_of : (n,) what counts of each ray's echo
     faces : first face of each body, reflectivity of each face, (F, 3, 3) normals of each face's corners in
         the sonar frame, or (0, 3, 3); a normal of no length leaves the face flat
+    lobes : (M - 1, 2) strength and rms slope of each body's lobe
     nodes : (N,) rising azimuths, which enclose these rays
     hat : False: an echo goes to the last node before it; True: to both its neighbours, by closeness
     heard : (N,) how much of an echo at each node all beams together hear
     bins : range_min_m, bins per metre
     gain : (K,) of the bins
 
-    sums : (N, K) float64, μ cos θ; bodies : (M,) float64, by number of the body, as heard;
+    sums : (N, K) float64, μ cos θ and lobes; bodies : (M,) float64, by number of the body, as heard;
         both are added to
     """
     tfar, Ng, bary_u, bary_v, geom, prim = hits
@@ -172,7 +175,13 @@ def land(azimuth, ray, near_m, hits, strength, faces, nodes, hat, heard, bins, g
                 same_side = (sx * nx + sy * ny + sz * nz) * cosine >= 0.0
                 cosine = -(sx * dx + sy * dy + sz * dz) / math.sqrt(shading2)
                 cosine = max(cosine if same_side else -cosine, 0.0)
-        echo = reflectivity[face] * min(abs(cosine), 1.0) * strength[n]
+        cosine = min(abs(cosine), 1.0)
+        echo = reflectivity[face] * cosine
+        strength, slope = lobes[geom[n], 0], lobes[geom[n], 1]
+        if strength > 0.0 and cosine > 1e-3:
+            steep = (1.0 / (cosine * cosine) - 1.0) / (2.0 * slope * slope)
+            echo += strength / (8.0 * slope * slope) * math.exp(-steep) * cosine**-5
+        echo *= heard_of[n]
         k = min(int(share), K - 1)
         i = np.searchsorted(nodes, azimuth[n], side="right") - 1
         i = min(max(i, 0), nodes.shape[0] - 2)

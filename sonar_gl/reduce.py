@@ -169,14 +169,20 @@ class Reducer:
             elevation[stronger] = moment[stronger] / echo[stronger]
         return body_id, elevation, body_echo
 
-    def sum_with(self, add, views, gain) -> np.ndarray:
-        """(B, K) as of `intensity`, of what add(view, parts, tables, sums, spans) puts into columns."""
+    def sum_with(self, adders, gain) -> np.ndarray:
+        """(B, K) as of `intensity`, of what several put into columns, one after the other.
+
+        Parameters
+        ----------
+        adders : (views, function(view, parts, tables, fresh, sums, spans)) of each; the first one's are fresh
+        """
+        tables = self.edges, self.tables, self.flat, self.elevation
 
         def work(half):
-            for owner, index, parts in self.jobs:
-                if owner == half:
-                    tables = self.edges, self.tables, self.flat, self.elevation
-                    add(views[index], parts, tables, self.sums, self.spans)
+            for number, (views, add) in enumerate(adders):
+                for owner, index, parts in self.jobs:
+                    if owner == half:
+                        add(views[index], parts, tables, number == 0, self.sums, self.spans)
 
         self._both(work)
         return self._beams(self.sums, gain)

@@ -13,6 +13,7 @@ import numpy as np
 from sonar_gl._version import __version__
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.noise import check_seed
+from sonar_gl.pulse import smear
 from sonar_gl.rays import Target, hear, land, shoot
 from sonar_gl.scene import Scene, check_pose, without_bubbles
 from sonar_gl.sonar import Sonar
@@ -26,21 +27,6 @@ FIRST_RAYS = 2**19  # of a seed, before they are compared for the first time
 BATCH = 2**13  # rays and their hits fit the cache
 NODES_PER_WIDTH = 64  # a smooth pattern is drawn by straight lines: off by 2e-4 of its peak at most
 WIDEST_DEG = 16.0  # what counts as a beam's width there, for patterns of wide beams end in a step
-
-
-def cos_incidence(normal, direction):
-    """Lambert: per steradian the echo is the cosine of incidence, never above 1 or below 0.
-
-    Parameters
-    ----------
-    normal : (..., 3) unit, on the side of the sonar; direction : (..., 3) unit, from the sonar
-
-    GLSL twin: shaders/echo.glsl.
-
-    >>> float(cos_incidence(np.array([-1.0, 0, 0]), np.array([1.0, 0, 0])))
-    1.0
-    """
-    return np.clip(-(normal * direction).sum(axis=-1), 0.0, 1.0)
 
 
 def reference_ping(
@@ -91,7 +77,7 @@ def reference_ping(
         "seed": seed,
         "version": __version__,
     }
-    target = Target(without_bubbles(scene, acoustics), pose)
+    target = Target(without_bubbles(scene, acoustics), pose, acoustics.specular)
     fan = _Fan(sonar, acoustics)
     halves = [_Half(target, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
     blocks = len(fan.blocks)
@@ -125,6 +111,8 @@ def reference_ping(
         )
     scale = fan.solid_angle / (2 * per_block * blocks)
     intensity = ((halves[0].sums + halves[1].sums) * (fan.gain * scale)).astype(np.float32)
+    if (weights := acoustics.pulse_weights(sonar)) is not None:
+        intensity = smear(intensity, weights)
     body_echo = (halves[0].bodies + halves[1].bodies) * scale
     for array in (intensity, body_echo):
         array.setflags(write=False)
@@ -192,8 +180,8 @@ class _Fan:
             last = min(np.searchsorted(self.nodes, high, side="left") + 1, len(self.nodes))
             nodes = self.nodes[first:last]
             places = nodes if self.hat else np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
-            offset = np.abs(_turn(places - axes[:, None], -np.pi))
-            weights = (offset <= reach * (1 + 1e-9)).astype(float)
+            offset = _turn(places - axes[:, None], -np.pi)
+            weights = (np.abs(offset) <= reach * (1 + 1e-9)).astype(float)
             beams = np.flatnonzero(weights.any(axis=1))
             weights, offset = weights[beams], offset[beams]
             if self.hat:
@@ -227,7 +215,7 @@ class _Half:
             for first in range(self.done, per_block, BATCH):
                 azimuth, origin, ray = self._shoot(number, first, min(BATCH, per_block - first))
                 hits = self.target.hits(origin, ray)
-                at = (self.target.faces, nodes, fan.hat, heard, fan.bins, fan.gain)
+                at = (self.target.faces, self.target.lobes, nodes, fan.hat, heard, fan.bins, fan.gain)
                 land(azimuth, ray, NEAR_M, hits, self._strength(azimuth, ray), *at, sums, self.bodies)
             hear(sums, beams, weights, self.sums)
         self.done = per_block

@@ -15,7 +15,7 @@ MIN_AREA_M2, MIN_SHARE = 0.5, 0.02
 MAX_FACES = 50_000  # larger meshes are terrain, which is not flat
 MAX_PLANES = 6  # of a body, the largest
 FLAT = 1e-4  # metres, and radians, by which faces of one plane may differ
-ROUGH_M = 5e-4  # rms height of a flat body of which no more is known than its reflectivity
+ROUGH_M = 1e-3  # rms height of a flat body of which no more is known than its reflectivity
 TABLE = 257  # losses are looked up by the sine of the grazing angle
 
 

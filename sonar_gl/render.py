@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from sonar_gl.cull import merge
-from sonar_gl.draws import Draws, SectorView
+from sonar_gl.draws import LOBE, Draws, SectorView
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.gpu import SceneOnGpu
@@ -76,11 +76,11 @@ class Picture:
 class Renderer:
     """Draws a fan's sectors side by side, a picture for each pose, and reads them back.
 
-    Of each sector only the window that holds bodies is drawn.
+    Of each sector only the window that holds bodies is drawn. Lobes of smooth bodies are added if `specular`.
     """
 
-    def __init__(self, context: moderngl.Context, gpu: SceneOnGpu, fan: Fan):
-        self.context, self.gpu, self.fan = context, gpu, fan
+    def __init__(self, context: moderngl.Context, gpu: SceneOnGpu, fan: Fan, specular: bool = False):
+        self.context, self.gpu, self.fan, self.specular = context, gpu, fan, specular
         self.far_m = FAR_FACTOR * fan.sonar.range_max_m
         self.limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
@@ -111,7 +111,7 @@ class Renderer:
         """
         gpu, out = self.gpu, self.out
         planes = planes or [None] * len(poses)
-        placed = [gpu.stock.place(*spot) for spot in zip(poses, wheres, planes, strict=True)]
+        placed = [gpu.stock.place(*spot, self.specular) for spot in zip(poses, wheres, planes, strict=True)]
         rows = placed[0].rows if len(placed) == 1 else np.concatenate([one.rows for one in placed])
         self.pictures += [Picture() for _ in placed[len(self.pictures) :]]
         self.drawn = self.pictures[: len(placed)]
@@ -151,7 +151,7 @@ class Renderer:
         return draws
 
     def _draw(self, picture, framebuffer, rows, draws, plane):
-        array = self.gpu.array(picture.labels)
+        array = self.gpu.array(picture.labels, bool(rows[:, LOBE].any()))
         for (view, (i, j, columns, n_rows), left, _), (first, split, n) in zip(
             picture.parts, draws, strict=True
         ):

@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 from pathlib import Path
 from xml.parsers import expat
 
 from sonar_gl.types import Error
 
 MAX_XML_BYTES = 50_000_000
+NAMESPACE = "urn:sonar_gl"  # what the prefix stands for in our own tags, whatever a file says
 BUILT_IN = {  # Gazebo's own models, which worlds name and nobody ships
     "model://sun": "<sdf><light/></sdf>",
     "model://ground_plane": "<sdf><model name='ground_plane'><link name='link'><collision name='collision'>"
     "<geometry><plane/></geometry></collision></link></model></sdf>",
 }
+
+
+def declare(xml: bytes) -> bytes:
+    """A file in which the prefix sonar_gl stands for our namespace: Gazebo asks no file to declare its own.
+
+    >>> declare(b"<sdf><sonar_gl:material/></sdf>")
+    b'<sdf xmlns:sonar_gl="urn:sonar_gl"><sonar_gl:material/></sdf>'
+    """
+    if b"sonar_gl:" not in xml:
+        return xml
+    ours = f'xmlns:sonar_gl="{NAMESPACE}"'.encode()
+    xml, found = re.subn(rb"xmlns:sonar_gl\s*=\s*(\"[^\"]*\"|'[^']*')", ours, xml)
+    return xml if found else re.sub(rb"<(sdf|gazebo)(?=[\s>])", rb"<\1 " + ours, xml, count=1)
+
+
+def tag(element, name: str):
+    """The child `sonar_gl:name` of an element, or None."""
+    return element.find(f"{{{NAMESPACE}}}{name}")
+
+
+def tags(element) -> list[str]:
+    """Names of all children of our own, without the prefix."""
+    return [child.tag.partition("}")[2] for child in element if child.tag.startswith(f"{{{NAMESPACE}}}")]
 
 
 class Finder:
@@ -61,7 +87,7 @@ class Finder:
         try:
             if path.stat().st_size > MAX_XML_BYTES:
                 raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
-            root = parse(path, forbid_dtd=True).getroot()
+            root = parse(io.BytesIO(declare(path.read_bytes())), forbid_dtd=True).getroot()
         except ParseError as why:
             (line, column), text = why.position, expat.ErrorString(why.code)
             if text == "unbound prefix":

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.bubbles import Bubbles
+from sonar_gl.materials import material
 from sonar_gl.rigid import check_pose, pose
 from sonar_gl.types import Error, frozen_array
 
-__all__ = ["Body", "Scene", "check_pose", "pose"]  # the latter two for those who know scenes anyway
+__all__ = ["SLOPES", "Body", "Scene", "check_pose", "pose", "without_bubbles"]
+
+SLOPES = 0.01, 0.5  # roughness_rad: below, a lobe is narrower than samples; above, facets hide one another
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +26,19 @@ class Body:
     name : unique in its scene
     mesh : trimesh.Trimesh, metres; need not be closed, both sides echo
     pose : (4, 4) world_from_body
-    reflectivity : μ, 0..1, or an (F,) array, one value a face
+    reflectivity : μ, 0..1, or an (F,) array, one value a face; or the name of a material, which gives
+        `specular` and `roughness_rad` too, where these are left out
     normals : None (flat faces) or (V, 3) shading normals, which give cos θ alone
+    specular : |R|² of its smooth part at normal incidence, 0..1: the strength of the lobe that profiles with
+        `specular` add to the diffuse echo. No energy is made as long as μ + specular is at most 1; of a
+        material both together are its |R|²
+    roughness_rad : 0.01..0.5, rms slope of its facets along any one direction: the lobe's width
+    material : name of the material, if it was given by name
 
     Raises
     ------
     Error
-        if there are no faces, a vertex is not finite, or μ lies outside 0..1.
+        if there are no faces, a vertex is not finite, a number lies out of its bounds, or a name is unknown.
     """
 
     name: str
@@ -37,8 +46,9 @@ class Body:
     pose: np.ndarray = None
     reflectivity: float | np.ndarray = 0.5
     normals: np.ndarray | None = None
-    material = None
-    specular = 0.0
+    specular: float = None
+    roughness_rad: float = None
+    material: str | None = None
 
     def __post_init__(self):
         def put(key, value):
@@ -54,6 +64,22 @@ class Body:
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise Error(f"{where}: faces must name vertices 0..{len(vertices) - 1} (got {faces.max()})")
         put("pose", check_pose(np.eye(4) if self.pose is None else self.pose, f"{where}: pose"))
+        made_of = None
+        if isinstance(self.reflectivity, str):
+            try:
+                made_of = material(self.reflectivity)
+            except Error as why:
+                raise Error(f"{where}: {why}") from None
+            put("reflectivity", made_of.reflectivity)
+            put("material", made_of.name)
+        for key, default, (low, high) in (("specular", 0.0, (0, 1)), ("roughness_rad", 0.1, SLOPES)):
+            value = getattr(self, key)
+            if value is None:
+                value = getattr(made_of, key, None)
+            value = frozen_array(default if value is None else value, np.float64, (), f"{where}: {key}")
+            if not low <= value <= high:
+                raise Error(f"{where}: {key} must lie in {low:g}..{high:g} (got {value:g})")
+            put(key, float(value))
         mu = frozen_array(
             self.reflectivity,
             np.float64,

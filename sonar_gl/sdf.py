@@ -23,7 +23,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     A link is a body, named after its model, or `model::link` where a model has several links with geometry.
     Of a link the collisions count, unless it has none or `<laser_retro>` stands in its visuals alone.
-    Reflectivity is laser_retro / 255, or 0.5, with one warning, where the tag is absent. The sonar is the
+    Reflectivity is laser_retro / 255, or 0.5, with one warning, where the tag is absent. Beside that tag may
+    stand `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and `<sonar_gl:roughness>`, numbers of `Body`,
+    which go before the material, as laser_retro does; and `<sonar_gl:reflectivity_map>`, an image that is
+    laid on the shape from above, first row at the highest y, and goes before all others. Shapes of a link
+    whose lobes differ are bodies of their own, `model::shape`, after the first. The sonar is the
     first `<sensor type="custom">`, else the first sensor whose own name or plugin, else whose model, speaks
     of a sonar; the link that carries it does not echo. Tags of no acoustic meaning are passed over.
 
@@ -163,9 +167,8 @@ class _Reader:
             if link is carrier:
                 continue
             name = link.model if with_geometry[link.model] == 1 else f"{link.model}::{link.name}"
-            body, complete = self.shapes.body(link, name)
-            if body is not None:
-                bodies.append(body)
-            if body is not None and not complete:
+            found, complete = self.shapes.bodies(link, name)
+            bodies += found
+            if not complete:
                 silent.append(name)
         return bodies, sonar_pose, silent

@@ -13,7 +13,9 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.motion import in_motion
+from sonar_gl.multipath import STRONG
 from sonar_gl.nothing import why_nothing
+from sonar_gl.pulse import smear
 from sonar_gl.rigid import check_pose
 from sonar_gl.types import Error, Ping
 
@@ -68,6 +70,8 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     if whole <= 0:
         sonars = simulator.sonar, simulator._passes.drawn
         warnings.warn(why_nothing(scene, where, *sonars, pose, views), stacklevel=3)
+    if simulator._pulse is not None:
+        intensity = smear(intensity, simulator._pulse)
     for array in (intensity, *found):
         if array is not None:
             array.setflags(write=False)
@@ -143,45 +147,63 @@ def _gather(simulator, spots):
 
 def _add_up(simulator, now, views, ghosts, labels):
     """In the other thread; nobody else uses the pass meanwhile, see `Simulator._drawing`."""
-    return [
-        _complete(simulator, now, seen, of, labels, now.intensity(seen))
-        for seen, of in zip(views, ghosts, strict=True)
-    ]
+    out = []
+    for seen, mirrored in zip(views, ghosts, strict=True):
+        intensity = now.intensity(seen)
+        straight = now.reducer.total
+        made, more = _sum_ghosts(simulator, mirrored, now)
+        if more:
+            intensity += made
+        out.append((intensity, straight + more, _labels(simulator, now, seen, labels), straight, more))
+    return out
 
 
-def _ghosts(simulator, now, poses, wheres):
+def _ghosts(simulator, now, poses, wheres, finer=False):
     """Of each pose what mirrors show of it, drawn now."""
     if simulator._multipath is None:
-        return [[] for _ in poses]
+        return [None] * len(poses)
     simulator._multipath.look(simulator.scene)
-    return simulator._multipath.draw(now, poses, wheres)
+    return simulator._multipath.draw(now, poses, wheres, finer)
 
 
-def _complete(simulator, now, views, ghosts, labels, intensity):
-    """Intensity with ghosts and its sum, labels, and the sum of the straight echoes alone."""
-    straight, n_bodies = now.reducer.total, len(simulator.scene.bodies)
-    found = now.reducer.labels(views, now.gain, n_bodies) if labels else (None,) * 3
-    whole = straight
-    if ghosts:
-        whole += simulator._multipath.add(now, views, ghosts, intensity)
-    return intensity, whole, found, straight
+def _sum_ghosts(simulator, ghosts, now):
+    """What they add to the straight echoes, and its sum."""
+    return (0.0, 0.0) if ghosts is None else simulator._multipath.sum(ghosts, now.gain)
+
+
+def _labels(simulator, now, views, labels):
+    return now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
 
 
 def alone(simulator, pose, where, labels: bool, look: bool = False):
     """What `finish` makes a ping of."""
     views, intensity = simulator._samples.sense(pose, labels, where, look)
     now = simulator._samples.now
+    straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
-    *sums, _ = _complete(simulator, now, views, ghosts, labels, intensity)
-    return pose, where, now.sampling, views, *sums
+    made, more = _sum_ghosts(simulator, ghosts, now)
+    if more > STRONG * straight:
+        (ghosts,) = _ghosts(simulator, now, [pose], [where], finer=True)
+        made, more = _sum_ghosts(simulator, ghosts, now)
+    if more:
+        intensity += made
+    return (
+        pose,
+        where,
+        now.sampling,
+        views,
+        intensity,
+        straight + more,
+        _labels(simulator, now, views, labels),
+    )
 
 
 def _finished(simulator, batch, views, sampling, future, labels):
     """The pings of a batch that was drawn before."""
-    for (pose, where), seen, (*sums, straight) in zip(batch, views, future.result(), strict=True):
+    for (pose, where), seen, (*sums, straight, more) in zip(batch, views, future.result(), strict=True):
         simulator._open_world()
         made = pose, where, sampling, seen, *sums
-        if simulator._samples.changed(straight) or straight <= 0:
+        if simulator._samples.changed(straight) or straight <= 0 or more > STRONG * straight:
             with simulator._drawing():
                 made = alone(simulator, pose, where, labels, look=True)
         yield made

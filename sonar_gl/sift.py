@@ -99,6 +99,19 @@ def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals,
 
 
 @compiled
+def _shine(first, last, places, values, mu, strength, slope, u, v):
+    """μ cos θ and the lobe of a triangle's samples, whose echo is cos θ so far; see `specular_lobe`."""
+    for s in range(first, last):
+        at_u = u[0] + u[1] * places[s, 0] + u[2] * places[s, 1]
+        at_v = v[0] + v[1] * places[s, 0] + v[2] * places[s, 1]
+        range_m = math.sqrt(1.0 + at_u * at_u + at_v * at_v) / values[s, 0]
+        c = min(max(values[s, 3] / range_m, 1e-3), 1.0)
+        square, s2 = c * c, slope * slope
+        lobe = strength * math.exp(-0.5 * (1.0 - square) / (square * s2)) / (8.0 * s2 * square * square * c)
+        values[s, 3] = mu * values[s, 3] + lobe * range_m
+
+
+@compiled
 def sift_patches(
     chosen, first_vertex, n_vertices, first_face, n_faces, points, normals, reflectivity, faces,
     matrices, body_rows, cut, closed, sector, inverse, corner, size, near_m, outside, row, first_index,
@@ -111,14 +124,13 @@ def sift_patches(
     chosen : (K, 2) of `see`, or a part of it
     first_vertex .. faces : of all meshes' `detail.Levels`; points : (W, 3) float32 of their vertices
     normals, reflectivity : (W, 3) and (W,) float32 of these, or of no length
-    body_rows : (n, 14), of which the last but one is the reflectivity
-    cut : (n,) bool, bodies of which the driver leaves a part out: none of their triangles is filled in
+    body_rows : (n, 16), of which 12 is the reflectivity, 14 and 15 strength and slope of the lobe
+    cut : (n,) bool, bodies of which nothing is filled in, for the driver is to leave a part of them out
     matrices, closed, sector, inverse, corner, near_m, outside : as for `see`
     size : columns and rows of the sector's lattice
     row : of the table of bodies, where this pose's begin
     first_index : where `indices` stands in the index buffer
-    indices : uint32, overwritten
-    draws : (M, 5) uint32, as of `draw_patches`, one a body; overwritten
+    indices, draws : uint32; (M, 5) uint32, as of `draw_patches`, one a body; overwritten
     u, v : of the lattice
     places, values, bodies : (P, 2) int32 columns and rows, (P, 4) float32 and (P,) uint16 of samples, as the
         shader would write them; overwritten. Where they do not suffice triangles are drawn
@@ -128,9 +140,8 @@ def sift_patches(
     n_closed, n_draws, n_indices, n_samples : the first of the draws are those of closed bodies
     """
     n, n_closed, used, last, filled = 0, 0, 0, -1, 0
-    one = np.float32(1.0)
-    to_body = np.empty((3, 3))
-    m, p = np.empty((3, 4)), np.empty((3, 4))
+    one, lobe = np.float32(1.0), np.float32(0.0)
+    m, p, to_body = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 3))
     columns, rows, depths = np.empty(0), np.empty(0), np.empty(0)
     cell_column, cell_row = np.empty(0, np.int32), np.empty(0, np.int32)
     candidates = np.empty(0, np.int64)
@@ -153,6 +164,7 @@ def sift_patches(
                 for i in range(3):
                     if j < 3:
                         to_body[j, i] = m[i, j]
+            lobe = body_rows[body, 14]
             offset = abs(m[0, 3]) + abs(m[1, 3]) + abs(m[2, 3])
             if n and draws[n - 1, 0] == 0:  # nothing of the body before is drawn
                 n -= 1
@@ -212,30 +224,19 @@ def sift_patches(
                     at_u, at_v = u[0] + u[1] * ai + u[2] * aj, v[0] + v[1] * ai + v[2] * aj
                     ahead = qa - along * at_u - up * at_v
                     mu = body_rows[body, 12] * (reflectivity[start + a] if reflectivity.shape[0] else one)
-                    echo = mu / math.sqrt(ahead * ahead + along * along + up * up)
+                    weight = one if lobe > 0.0 else mu
+                    echo = weight / math.sqrt(ahead * ahead + along * along + up * up)
                     for s in range(filled, more):
                         values[s, 0] = qa + by_column * (places[s, 0] - ai) + by_row * (places[s, 1] - aj)
                         values[s, 1], values[s, 2], values[s, 3] = along, up, echo
                         bodies[s] = body + 1
                     if smooth:
                         _shade(
-                            filled,
-                            more,
-                            places,
-                            values,
-                            columns,
-                            rows,
-                            depths,
-                            a,
-                            b,
-                            c,
-                            normals,
-                            start,
-                            mu,
-                            u,
-                            v,
-                            to_body,
-                        )
+                            filled, more, places, values, columns, rows, depths, a, b, c, normals, start,
+                            weight, u, v, to_body,
+                        )  # fmt: skip
+                    if lobe > 0.0:
+                        _shine(filled, more, places, values, mu, lobe, body_rows[body, 15], u, v)
                     filled = more
                     continue
             elif max(depths[a], depths[b], depths[c]) < near_m:

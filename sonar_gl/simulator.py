@@ -69,7 +69,7 @@ class Simulator:
         world.users += 1
         self._world, self.gl_info = world, world.gl_info
         self._passes = Passes(world.gpu, sonar, self.acoustics)
-        self._multipath = None
+        self._multipath, self._pulse = None, self.acoustics.pulse_weights(sonar)
         with self._drawing():
             given = sampling is not None
             if self.acoustics.multipath != "none":

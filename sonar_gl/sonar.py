@@ -30,7 +30,7 @@ class Sonar:
     frequency_hz : centre frequency, 1e3..1e8
     n_beams, n_bins : counts of beams across the fan and of range bins in [range_min_m, range_max_m)
     azimuth_fov_deg : width of the fan, up to 360; beam b points at −fov/2 + (b + ½) fov / n_beams
-    elevation_fov_deg : height of a beam, up to 170
+    elevation_fov_deg : height of a beam, up to 170; at −3 dB both ways, if Acoustics has an elevation_pattern
     beam_width_deg : −3 dB width of a beam in azimuth; may exceed the spacing, beams then overlap
     range_min_m, range_max_m : slant range, metres
     beam_azimuths_deg : None, or a table of n_beams rising azimuths, positive to port, within the fan

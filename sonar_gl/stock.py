@@ -8,7 +8,7 @@ import numpy as np
 
 from sonar_gl.cull import draw_patches, place, see
 from sonar_gl.detail import Levels
-from sonar_gl.draws import PER_BODY, Draws, Placed, SectorView, Whereabouts, window_of
+from sonar_gl.draws import LOBE, PER_BODY, Draws, Placed, SectorView, Whereabouts, before_plane, window_of
 from sonar_gl.pair import Pair
 from sonar_gl.prepared import prepare
 from sonar_gl.sift import sift_patches
@@ -16,7 +16,7 @@ from sonar_gl.sift import sift_patches
 # Nearer than this the sonar looks through things: its own face is not an echo.
 NEAR_M = 1e-3
 # A patch stands in for its mesh where it strays by no more than so many samples, and where its echo changes
-# by no more than so much per radian of a sample's width.
+# by no more than so much per radian of a sample's width; not at all where its normals make a lobe.
 STRAY_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 TWO_THREADS = 4000  # faces, below which one sifts as quickly
 LAYERS = 2  # samples that are filled in, for each of a sector; of more triangles are drawn
@@ -65,7 +65,8 @@ class Stock:
                 self._known[key] = (n_patches, end), one.closed, one.centre, one.bounds
                 n_patches = end
                 made.append(one)
-            row = [0.0] * 12 + [1.0 if split else body.reflectivity, number]
+            mu = 1.0 if split else body.reflectivity
+            row = [0.0] * 12 + [mu, number, body.specular, body.roughness_rad]
             for name, value in zip(columns, (*self._known[key], row), strict=True):
                 columns[name].append(value)
         self._take(made)
@@ -112,27 +113,27 @@ class Stock:
         fill = [np.broadcast_to(none, (len(one.points), *none.shape)) for one in made]
         return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
 
-    def place(self, pose, where: Whereabouts | None = None, plane=None) -> Placed:
-        """The bodies as seen from `pose`, world_from_sonar; of `Placed.plane`, what lies before it."""
+    def place(self, pose, where: Whereabouts | None = None, plane=None, specular: bool = False) -> Placed:
+        """The bodies as seen from `pose`, world_from_sonar.
+
+        Parameters
+        ----------
+        plane : of `Placed`; None is the water's surface, if there is one
+        specular : with their lobes
+        """
         where = where or self.where
         matrices, rows = np.zeros((len(where.poses), 3, 4)), self.rows.copy()
+        if not specular:
+            rows[:, LOBE] = 0.0
         about = where.poses, where.shown, self.centres, self.bounds, self.closed
         outside = place(*about, pose, NEAR_M, matrices, rows)
         shown, cut = where.shown, np.zeros(len(where.shown), bool)
         if plane is None and self.surface_z_m is not None and pose[2, 3] < self.surface_z_m:
             plane = np.append(-pose[2, :3], self.surface_z_m - pose[2, 3])
         if plane is not None:
-            nearest, furthest = self._beyond(matrices, plane)
+            nearest, furthest = before_plane(plane, matrices, self.bounds)
             shown, cut = shown & (furthest > 0), nearest < 0
         return Placed(matrices, rows, shown, outside, plane, cut)
-
-    def _beyond(self, matrices, plane):
-        """How far before a plane the boxes of bodies lie, at least and at most."""
-        middles, halves = self.bounds.mean(axis=1), np.ptp(self.bounds, axis=1) / 2
-        along = plane[:3] @ matrices[:, :, :3]
-        middle = (along * middles).sum(axis=1) + matrices[:, :, 3] @ plane[:3] + plane[3]
-        half = (np.abs(along) * halves).sum(axis=1)
-        return middle - half, middle + half
 
     def see(self, view: SectorView, placed: Placed, far_m, range_max_m, row: int, out: Draws):
         """Add what a sector draws to `out`.
@@ -167,7 +168,7 @@ class Stock:
             far_m,
             range_max_m,
             STRAY_SAMPLES * view.sample_rad,
-            ECHO_PER_RAD * view.sample_rad,
+            np.where(placed.rows[:, LOBE] > 0, 0.0, ECHO_PER_RAD * view.sample_rad),
             placed.outside,
             self._chosen,
             found,

@@ -1,11 +1,13 @@
 """Settings, and gains against identities."""
 
+import doctest
 import json
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
+from sonar_gl import acoustics, beams, patterns, water
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.sonar import load_sonar
 from sonar_gl.types import Error
@@ -139,6 +141,11 @@ def test_tvg_over_the_loss_is_the_gain(sonar, believed):
 def test_other_range_laws_have_no_tvg(sonar):
     for law in ("constant", "printed", "inverse"):
         assert (Acoustics.physical(range_law=law).tvg(sonar.range_m, sonar) == 1).all()
+
+
+@pytest.mark.parametrize("module", [acoustics, beams, patterns, water])
+def test_examples(module):
+    assert doctest.testmod(module).failed == 0
 
 
 def test_meta_is_plain():

@@ -19,7 +19,7 @@ from command_line import BODY, BOX, SENSOR, SONAR, WALL, run
 from PIL import Image
 
 import sonar_gl as sg
-from sonar_gl import acoustics, cli, export, gl
+from sonar_gl import cli, export, gl, settings
 from sonar_gl.poses import read_poses
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
@@ -138,7 +138,7 @@ def test_pose_takes_the_place_of_the_scenes():
 
 def test_profile_is_that_of_the_simulator():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
-    for name in acoustics.PROFILES:
+    for name in settings.PROFILES:
         render("--profile", name, "--format", "npz")
         with sg.Simulator(scene, sonar, sg.Acoustics(name), tolerance=0.05) as simulator:
             np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4)).intensity)
@@ -156,7 +156,7 @@ def test_range_law_is_that_of_the_paper_s_profile():
 
 def test_choices_are_those_of_the_modules():
     choices = {p.name: getattr(p.type, "choices", None) for p in cli.render.params}
-    assert list(choices["profile"]) == list(acoustics.PROFILES)
+    assert list(choices["profile"]) == list(settings.PROFILES)
     assert set(choices["formats"]) == {"png", "npz", "gif", "mp4"}
 
 

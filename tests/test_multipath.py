@@ -145,12 +145,13 @@ def test_ghosts_are_those_of_rays_that_are_mirrored(perfect, name):
     found = ghosts(scene, pose)
     a, b = (TwoBounces(scene, SONAR, pose, mirrors).ping(1_000_000, seed) for seed in (1, 2))
     truth = (a + b) / 2
-    # of rays alone, half of what two seeds differ by; the rest is for samples: half of the ping's own,
-    # and edges of mirrors and shadows, which are found to half a sample
-    allowed = np.abs(a - b).sum() / truth.sum() / 2 + 0.03
-    assert np.abs(found - truth).sum() / truth.sum() < allowed
-    # straight echoes alone, the way of all who leave multipath out, miss a part that the scene cannot spare
-    assert truth.sum() > 0.1 * scene_echo(scene, pose)
+    whole = truth.sum() + scene_echo(scene, pose)
+    # of rays alone, half of what two seeds differ by; the rest is for samples: edges of mirrors and shadows
+    # are found to half of one
+    allowed = np.abs(a - b).sum() / 2 + 0.01 * whole
+    assert np.abs(found - truth).sum() < allowed
+    # straight echoes alone, the way of all who leave multipath out, miss many times that
+    assert truth.sum() > 5 * allowed
 
 
 def test_ghosts_are_heard_as_the_pattern_hears_both_ways(perfect):
@@ -233,7 +234,7 @@ def test_mirrors_that_return_too_little_are_not_drawn(perfect):
             with simulator._drawing():
                 simulator._samples.now.views(pose)
                 (left,) = found.draw(simulator._samples.now, [pose], [None])
-            assert len(left) == drawn, loss
+            assert (0 if left is None else len(left.mirrored)) == drawn, loss
 
 
 def test_a_tank_has_the_mirrors_that_a_diver_would_name():

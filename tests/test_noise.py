@@ -1,20 +1,26 @@
 """Statistics of each term of noise, its independence of the others, and the same bytes for the same seed."""
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sonar_gl
-from sonar_gl.noise import Noise, add_noise, stream
+from sonar_gl.noise import STREAMS, Noise, add_noise, stream
 from sonar_gl.normals import standard_normal
-from sonar_gl.speckle import APERTURE, _beams_from_elements, _halves, multiply_by_speckle
+from sonar_gl.speckle import _beams_from_elements, _halves, multiply_by_speckle
 from sonar_gl.types import Error, Ping
 
+APERTURE = 0.885892941379  # −3 dB width of a uniform line array in λ/L, twice the x of sinc²(x) = 1/2
+
+OVER = "dB over the echo of an all-round surface at 1 m"
+NO_SPECKLE = "says how speckle is, and there is none (switch speckle on)"
 SIGMAS = 5.0  # a tolerance of so many standard errors is missed by chance once in 1.7 million
 
 
@@ -206,14 +212,26 @@ def test_terms_do_not_move_one_another():
     hit_too = np.isin(add_noise(ping, Noise(True, 0.01, 0.1), seed=5).intensity, [0, 1])
     assert (hit_too >= hit).all()
     # and the streams themselves differ
-    first = {
-        term: stream(5, 0, term).random() for term in ("speckle", "gaussian", "salt_and_pepper", "cloud")
-    }
-    assert len(set(first.values())) == 4
+    first = {term: stream(5, 0, term).random() for term in STREAMS}
+    assert len(set(first.values())) == 7
+
+
+def test_streams_keep_their_numbers():
+    """Bytes would change."""
+    numbers = {"speckle": 1, "gaussian": 2, "salt_and_pepper": 3, "cloud": 4}
+    assert numbers | {"texture": 5, "receiver": 6, "interference": 7} == STREAMS
+
+
+def test_the_founding_papers_noise_keeps_its_bytes():
+    """From before there were other terms."""
+    ping = uniform_ping(64, 100)
+    ping = replace(ping, intensity=np.random.default_rng(0).random((64, 100), np.float32))
+    found = add_noise(ping, Noise.demarco2015(), seed=7, ping_number=3).intensity.tobytes()
+    assert hashlib.sha256(found).hexdigest()[:16] == "9c649b4619528638"
 
 
 def test_same_seed_same_bytes():
-    noise = Noise(True, 0.01, 0.01, 3)
+    noise = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, -20.0, -30.0, 3.0)
     ping = uniform_ping(64, 100)
     same = [add_noise(ping, noise, seed=9, ping_number=4).intensity.tobytes() for _ in range(3)]
     assert len(set(same)) == 1
@@ -272,7 +290,7 @@ def test_read_only_and_transposed_input():
 def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
-    assert Noise.physical() == Noise(speckle=True, gaussian=1e-5)
+    assert Noise.physical() == Noise(speckle=True, electronic_db=-90.0)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +302,12 @@ def test_profiles():
         ("gaussian=0.01,median=3", Noise(gaussian=0.01, median=3)),
         (" speckle , gaussian = 1e-3 ", Noise(speckle=True, gaussian=1e-3)),
         ("speckle=no", Noise()),
-        ("physical,median=3.0", Noise(speckle=True, gaussian=1e-5, median=3)),
+        ("physical,median=3.0", Noise(speckle=True, electronic_db=-90.0, median=3)),
+        ("speckle,follow_motion,looks=4", Noise(speckle=True, follow_motion=True, looks=4)),
+        ("speckle,speckle_shape=0.5,follow_motion=no", Noise(speckle=True, speckle_shape=0.5)),
+        ("electronic_db=-85,ambient_db=-100", Noise(electronic_db=-85.0, ambient_db=-100.0)),
+        ("physical,electronic_db=none,speckle_shape=none", Noise(speckle=True)),
+        ("interference_lines=2,interference_db=-30", Noise(interference_lines=2, interference_db=-30)),
     ],
 )
 def test_parse(text, noise):
@@ -301,13 +324,15 @@ def test_parse(text, noise):
         ),
         (
             "median=3,none",
-            "noise 'median=3,none': unknown name (got 'none'; known are cloud_gaussian_m, gaussian, median, "
-            "salt_and_pepper, speckle)",
+            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, speckle, speckle_shape)",
         ),
         (
             "none=1",
-            "noise 'none=1': unknown name (got 'none'; known are cloud_gaussian_m, gaussian, median, "
-            "salt_and_pepper, speckle)",
+            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, speckle, speckle_shape)",
         ),
         ("gaussian=a", "noise 'gaussian=a': gaussian must be a number, as in gaussian=0 (got 'a')"),
         ("median", "noise 'median': median must be a number, as in median=0 (got no number)"),
@@ -327,8 +352,9 @@ def test_wrong_text(text, message):
 
 def test_empty_text_names_what_there_is():
     assert refused(Noise.parse, "") == (
-        "noise '': unknown name (got ''; known are cloud_gaussian_m, demarco2015, gaussian, median, none, "
-        "physical, salt_and_pepper, speckle)"
+        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, electronic_db, "
+        "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
+        "salt_and_pepper, speckle, speckle_shape)"
     )
 
 
@@ -336,6 +362,32 @@ def test_empty_text_names_what_there_is():
     ("amounts", "message"),
     [
         ({"speckle": 0.5}, "noise: speckle must be True or False (got 0.5)"),
+        ({"follow_motion": 1}, "noise: follow_motion must be True or False (got 1)"),
+        (
+            {"speckle_shape": 0},
+            "noise: speckle_shape must lie in 0.05..10000 (got 0; below 1 is spiky, None is fully developed)",
+        ),
+        ({"speckle_shape": "K"}, "noise: speckle_shape must be a number (got 'K')"),
+        ({"looks": 0}, "noise: looks must be a whole number in 1..1000 (got 0)"),
+        ({"looks": 2.0}, "noise: looks must be a whole number in 1..1000 (got 2.0)"),
+        ({"looks": 2}, f"noise: looks {NO_SPECKLE}"),
+        (
+            {"follow_motion": True},
+            "noise: follow_motion says how speckle is, and there is none (switch speckle on)",
+        ),
+        (
+            {"electronic_db": np.nan},
+            f"noise: electronic_db must lie in -300..100 (got nan; {OVER})",
+        ),
+        (
+            {"ambient_db": 101},
+            f"noise: ambient_db must lie in -300..100 (got 101; {OVER})",
+        ),
+        (
+            {"interference_lines": -1},
+            "noise: interference_lines must lie in 0..1000 (got -1; a mean number in a ping)",
+        ),
+        ({"interference_db": None}, "noise: interference_db must be a number (got None)"),
         ({"gaussian": True}, "noise: gaussian must be a number (got True)"),
         ({"gaussian": "a"}, "noise: gaussian must be a number (got 'a')"),
         ({"median": True}, "noise: median must be 0, 3 or 5 (got True; 0 is none)"),

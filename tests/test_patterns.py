@@ -13,7 +13,7 @@ from sonar_gl.patterns import (
     aperture_pattern,
     box_pattern,
     chebyshev_pattern,
-    first_at,
+    first_of,
     gaussian_pattern,
     line_array_pattern,
     taper_series,
@@ -34,7 +34,7 @@ def test_line_array_half_power(width_deg, steer_deg):
 
 def test_line_array_lobes():
     """First null, first side lobe, width in λ/L: a uniform aperture's textbook numbers."""
-    half_power = first_at("uniform", 30.0, 0.5)
+    half_power = first_of((), 0.5)
     assert half_power == pytest.approx(0.885893 / 2, abs=2.5e-7)
     width = np.radians(1.0)
     apertures = half_power / np.sin(width / 2)  # L/λ
@@ -92,7 +92,7 @@ X = np.linspace(0, 40, 400_001)
 )
 def test_tapers(taper, side_lobe_db, width, highest_db, loss_db):
     """−3 dB width in λ/L, highest side lobe and loss of gain, textbook numbers."""
-    assert 2 * first_at(taper, side_lobe_db, 0.5) == pytest.approx(width, rel=2e-4)
+    assert 2 * first_of(taper_series(taper, side_lobe_db), 0.5) == pytest.approx(width, rel=2e-4)
     pattern = aperture_pattern(X, taper, side_lobe_db)
     assert pattern[0] == 1.0
     assert peak_db(pattern, X) == pytest.approx(highest_db, abs=0.02)
@@ -143,7 +143,7 @@ def test_the_width_is_exact(shape, taper, side_lobe_db, width_deg, both_ways):
 
 def test_two_ways_are_narrower():
     """The same array heard both ways: 0.637833 λ/L, 0.72 of one way."""
-    assert 2 * first_at("uniform", 30.0, math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
+    assert 2 * first_of((), math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
 
 
 @pytest.mark.parametrize(("shape", "taper", "side_lobe_db"), LOBES[1:])
@@ -189,37 +189,36 @@ def room():
 @pytest.mark.parametrize(
     "settings",
     [
-        {"elevation_pattern": "line_array"},
-        {"elevation_pattern": "gaussian", "beam_pattern": "box"},
-        {"elevation_pattern": "line_array", "elevation_taper": "chebyshev", "transmit_width_deg": 25.0},
-        {"taper": "taylor", "steered": "straight"},
-        {"beam_pattern": "box", "transmit_width_deg": 25.0, "transmit_taper": "hamming"},
+        {"elevation_pattern": "line_array", "transmit_width_deg": 25.0},
+        {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+        {"taper": "taylor", "steered": "straight", "fan": 130.0},
     ],
     ids=str,
 )
 def test_patterns_against_the_reference(settings):
-    acoustics = sg.Acoustics.physical(**settings)
-    truth = sg.reference_ping(sg.Scene(room()), SONAR, np.eye(4), acoustics, 0.01)
+    sonar = replace(SONAR, azimuth_fov_deg=settings.get("fan", 32.0))
+    acoustics = sg.Acoustics.physical(**{key: settings[key] for key in settings if key != "fan"})
+    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.02)
     assert truth.meta["converged"]
-    ours = ping(room(), acoustics, tolerance=0.01)
-    assert ping_error(ours, truth) < 0.01
+    ours = ping(room(), acoustics, sonar, tolerance=0.005)
+    assert ping_error(ours, truth) < 0.01  # the truth's own error, 2e-3, is in it
     np.testing.assert_allclose(ours.body_echo[1:], truth.body_echo[1:], rtol=0.01)
-    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), tolerance=0.01)
-    assert ping_error(plain, truth) > 0.02  # the pattern is no trifle here
+    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), sonar, tolerance=0.01)
+    assert ping_error(plain, truth) > 0.04  # the pattern is no trifle here
 
 
 @pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
 def test_a_sphere_about_the_sonar_still_reads_its_reflectivity(settings):
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)
-    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 1 degree stand 0.5 degrees askew
+    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 2 degrees stand 1 degree askew
     truth = sg.reference_ping(sg.Scene([ball]), SONAR, np.eye(4), sg.Acoustics.physical(**settings), 0.1)
     np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.3, rtol=2e-3)
 
 
 def test_the_projector_weighs_the_beams():
     """In a sphere narrow beams read what the projector sends their way."""
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     acoustics = sg.Acoustics.physical(beam_pattern="gaussian", transmit_width_deg=24.0)
     totals = ping([ball], acoustics, replace(SONAR, beam_width_deg=0.5)).intensity.sum(axis=1)
     sent = line_array_pattern(SONAR.azimuth_rad, 0.0, np.radians(24.0))
@@ -260,7 +259,7 @@ def test_a_strong_target_shows_its_side_lobes_beside_it(taper, highest_db):
     heard = heard / heard.max()
     off = np.abs(np.degrees(sonar.azimuth_rad))
     reach = np.degrees(acoustics.beam_reach_rad(sonar))
-    null = np.degrees(math.asin(math.sin(math.radians(0.5)) / first_at(taper, 30.0, 0.5)))
+    null = np.degrees(math.asin(math.sin(math.radians(0.5)) / first_of(taper_series(taper, 30.0), 0.5)))
     if taper == "hamming":
         null *= 2
     elif taper == "taylor":

@@ -11,9 +11,9 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl import gl
+from sonar_gl.echo import cos_incidence
 from sonar_gl.load import data_folder, import_pyrender
 from sonar_gl.meshes import closedness
-from sonar_gl.reference import cos_incidence
 
 BOX = trimesh.creation.box((1, 1, 1))
 

@@ -2,12 +2,15 @@
 
 import os
 import warnings
+import xml.etree.ElementTree as ElementTree
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
 
 from sonar_gl import frames, resources, sdf
+from sonar_gl.materials import material
 from sonar_gl.scene import pose
 from sonar_gl.sdf import read_sdf
 from sonar_gl.types import Error
@@ -709,3 +712,130 @@ def test_a_long_chain_of_frames_is_an_error_and_no_crash():
         scope.add(f"f{i}", frames.Frame(None, f"a.sdf: world/frame[f{i}]", f"f{i + 1}"))
     with pytest.raises(Error, match=r"frames must lead to the model or world \(got f0 -> f1 "):
         scope.find("f0", "a.sdf: world")
+
+
+def shape(tags, name="c", kind="collision", geometry=BOX):
+    return f"<{kind} name='{name}'>{geometry}{tags}</{kind}>"
+
+
+DECLARED = "xmlns:sonar_gl='http://example.org/anything'"
+
+
+@pytest.mark.parametrize("kind", ["collision", "visual"])
+@pytest.mark.parametrize("declared", ["", DECLARED])
+def test_a_material_by_its_tag_declared_or_not(tmp_path, kind, declared):
+    """No warning of a missing <laser_retro>, and Gazebo would read both."""
+    inside = model(link(shape=shape("<sonar_gl:material>Steel</sonar_gl:material>", kind=kind)))
+    path = tmp_path / "a.sdf"
+    path.write_text(f"<sdf version='1.9' {declared}><world name='w'>{inside}</world></sdf>")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (body,) = read_sdf(path).bodies
+    steel = material("steel")
+    assert (body.reflectivity, body.specular, body.material) == (steel.reflectivity, steel.specular, "steel")
+    assert body.roughness_rad == steel.roughness_rad
+
+
+def test_a_prefix_declared_on_its_own_element(tmp_path):
+    own = f"<sonar_gl:material {DECLARED}>rock</sonar_gl:material>"
+    path = write(tmp_path / "a.sdf", model(link(shape=shape(own))))
+    assert read_sdf(path).bodies[0].material == "rock"
+
+
+def test_what_stands_by_itself_goes_before_the_material(read):
+    tags = (
+        "<sonar_gl:material>steel</sonar_gl:material><laser_retro>51</laser_retro>"
+        "<sonar_gl:specular>0.25</sonar_gl:specular><sonar_gl:roughness>0.3</sonar_gl:roughness>"
+    )
+    (body,) = read(model(link(shape=shape(tags)))).bodies
+    assert (body.reflectivity, body.specular, body.roughness_rad) == (0.2, 0.25, 0.3)
+    assert body.material == "steel"
+
+
+def test_our_tags_in_visuals_alone_have_them_count(read):
+    both = shape("", "a") + shape("<sonar_gl:material>rock</sonar_gl:material>", "b", "visual", BALL)
+    (body,) = read(model(link(shape=both))).bodies
+    assert body.material == "rock"
+    assert len(body.surface.faces) > 12
+
+
+def test_shapes_of_other_lobes_are_bodies_of_their_own(read):
+    steel, rock = (f"<sonar_gl:material>{name}</sonar_gl:material>" for name in ("steel", "rock"))
+    shapes = shape(steel, "a") + shape(rock, "b", geometry=BALL) + shape(RETRO, "c") + shape(steel, "d")
+    bodies = read(model(link(shape=shapes))).bodies
+    assert [(one.name, one.material) for one in bodies] == [("m", "steel"), ("m::b", None)]
+    assert len(bodies[0].surface.faces) == 24
+    # rock and what <laser_retro> says: alike in having no lobe, so one body, a value a face
+    assert bodies[1].specular == 0
+    assert sorted(set(bodies[1].reflectivity)) == [material("rock").reflectivity, 1.0]
+
+
+def test_a_reflectivity_map_lies_on_a_shape_from_above(read, tmp_path):
+    image = np.array([[255, 0], [51, 102]], np.uint8)
+    cv2.imwrite(str(tmp_path / "map.png"), image)
+    plane = "<geometry><plane><normal>0 0 1</normal><size>4 4</size></plane></geometry>"
+    chart = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    (body,) = read(model(link("<pose>10 0 0 0 0 0</pose>", shape=shape(chart, "c", "visual", plane)))).bodies
+    x, y, _ = body.surface.vertices[body.surface.faces].mean(axis=1).T
+    # the first row at the highest y, the first column at the lowest x, as of a height map
+    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 0).astype(int)] / 255)
+    np.testing.assert_array_equal(body.pose, pose(10))
+
+
+def test_a_map_beside_a_plain_shape(read, tmp_path):
+    cv2.imwrite(str(tmp_path / "map.png"), np.array([[255, 0]], np.uint8))
+    chart = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    shapes = shape(chart, "a", geometry=BALL) + shape("<laser_retro>51</laser_retro>", "b")
+    (body,) = read(model(link(shape=shapes))).bodies
+    assert len(body.reflectivity) == len(body.surface.faces)
+    assert (body.reflectivity[-12:] == 0.2).all()
+    assert {0.0, 1.0} <= set(body.reflectivity[:-12])
+
+
+@pytest.mark.parametrize(
+    ("tags", "words"),
+    [
+        (
+            "<sonar_gl:material>steal</sonar_gl:material>",
+            "/sonar_gl:material: unknown material (got 'steal'; ",
+        ),
+        ("<sonar_gl:material/>", "/sonar_gl:material: unknown material (got ''; known are "),
+        (
+            "<sonar_gl:matter>x</sonar_gl:matter>",
+            ": unknown tag (got 'sonar_gl:matter'; did you mean 'material'",
+        ),
+        ("<sonar_gl:specular>2</sonar_gl:specular>", "/sonar_gl:specular: must lie in 0..1 (got 2)"),
+        ("<sonar_gl:specular>a</sonar_gl:specular>", "/sonar_gl:specular: must be 1 finite number (got 'a')"),
+        ("<sonar_gl:roughness>9</sonar_gl:roughness>", "/sonar_gl:roughness: must lie in 0.01..0.5 (got 9)"),
+        (
+            "<sonar_gl:reflectivity_map>a.sdf</sonar_gl:reflectivity_map>",
+            "/sonar_gl:reflectivity_map: a.sdf: must be an image that OpenCV reads",
+        ),
+        ("<sonar_gl:reflectivity_map>b.png</sonar_gl:reflectivity_map>", "models or files are missing:"),
+        ("<sonar_gl:reflectivity_map/>", "/sonar_gl:reflectivity_map: must name a file or a model (got '')"),
+    ],
+)
+def test_tags_that_make_no_sense(message, tags, words):
+    said = message(model(link(shape=shape(tags))))
+    assert words in said
+    assert "models or files" in words or "world/model[m]/link[link]/collision[c]" in said
+
+
+def test_a_map_on_an_infinite_plane_is_refused(message):
+    chart = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    plane = "<geometry><plane><normal>0 0 1</normal></plane></geometry>"
+    assert "the plane of a collision is infinite" in message(model(link(shape=shape(chart, geometry=plane))))
+
+
+def test_other_prefixes_must_still_be_declared(tmp_path):
+    path = tmp_path / "a.sdf"
+    path.write_text("<sdf version='1.9'><sonar_gl:x/><gz:y/></sdf>")
+    with pytest.raises(Error, match="unbound prefix"):
+        read_sdf(path)
+
+
+def test_tags_are_found_by_name():
+    root = ElementTree.fromstring(resources.declare(b"<sdf a='1'><sonar_gl:surface/><surface/></sdf>"))
+    assert resources.tag(root, "surface") is root[0]
+    assert resources.tag(root, "floor") is None
+    assert resources.tags(root) == ["surface"]

@@ -1,0 +1,40 @@
+"""Echo of a surface per steradian, before any gain: the twins of shaders/echo.glsl, of the same names."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def cos_incidence(normal, direction):
+    """Lambert: per steradian the echo is the cosine of incidence, never above 1 or below 0.
+
+    Parameters
+    ----------
+    normal : (..., 3) unit, on the side of the sonar; direction : (..., 3) unit, from the sonar
+
+    >>> float(cos_incidence(np.array([-1.0, 0, 0]), np.array([1.0, 0, 0])))
+    1.0
+    """
+    return np.clip(-(normal * direction).sum(axis=-1), 0.0, 1.0)
+
+
+def specular_lobe(cos_incidence, strength, slope):
+    """Facets of a smooth surface that look at the sonar: echo per steradian, beside the diffuse μ cos θ.
+
+    |R|² / (8 s² cos⁵ θ) · exp(−tan² θ / (2 s²)): of the backscattering cross section per area, whose cos⁴ the
+    solid angle in place of the area makes a cos⁵. A sphere of radius a echoes a² |R|² / 4 (1 + s²) in all.
+
+    Parameters
+    ----------
+    cos_incidence : cos θ, 0..1, held above 0.001
+    strength : |R|² at normal incidence
+    slope : s, rms slope of the facets along any one direction
+
+    Source: Kirchhoff's approximation at high frequency, as in Brekhovskikh, Lysanov, "Fundamentals of Ocean
+    Acoustics", 3rd ed. 2003, ch. 9
+
+    >>> round(float(specular_lobe(1.0, 0.8, 0.1)), 9)
+    10.0
+    """
+    c, s2 = np.clip(np.asarray(cos_incidence, np.float64), 1e-3, 1.0), np.square(slope)
+    return strength * np.exp(-(1 - c**2) / (2 * s2 * c**2)) / (8 * s2 * c**5)

@@ -1,0 +1,133 @@
+#!/usr/bin/env python
+"""Prints what theory says of speckle and noise beside what many pings give.
+
+    python tools/noise_statistics.py                # 1000 pings of each kind, 15 seconds
+    python tools/noise_statistics.py --pings 100
+
+A ping is an even echo of 1 in 64 beams x 256 bins. `found` is over all bins of all pings; `off` is how far
+that is from theory, in percent of it, but for correlations and the bias, where it is the difference.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from sonar_gl import pose
+from sonar_gl.noise import Noise, add_noise
+from sonar_gl.speckle import aperture_width
+from sonar_gl.types import Ping
+
+BEAMS, BINS, WIDTH_DEG, SPACING_DEG, BIN_M = 64, 256, 1.0, 0.25, 0.0125
+FREQUENCY_HZ, SPEED_M_S = 900e3, 1500.0
+LENGTH_M = aperture_width() * SPEED_M_S / FREQUENCY_HZ / np.radians(WIDTH_DEG)  # of the aperture
+HALF_NULL_HZ = SPEED_M_S / (4 * BIN_M)  # a pulse whose c/2B is two bins
+HAMMING = 0.23 / 0.54
+
+
+def even_ping(where=None, level: float = 1.0, **acoustics) -> Ping:
+    azimuth = np.radians(SPACING_DEG) * (np.arange(BEAMS) - (BEAMS - 1) / 2)
+    sonar = {"beam_width_deg": WIDTH_DEG, "frequency_hz": FREQUENCY_HZ}
+    meta = {"sonar": sonar, "acoustics": acoustics}
+    intensity = np.full((BEAMS, BINS), level, np.float32)
+    return Ping(intensity, azimuth, 1 + BIN_M * (np.arange(BINS) + 0.5), pose=where, meta=meta)
+
+
+def hamming_correlation(x):
+    """Transform of a squared Hamming taper, 1 at 0."""
+    f = HAMMING
+    around = [np.sinc(x - m) + np.sinc(x + m) for m in (1, 2)]
+    return ((1 + 2 * f * f) * np.sinc(x) + 2 * f * around[0] + f * f * around[1]) / (1 + 2 * f * f)
+
+
+class Tally:
+    """Sums over pings: moments of the intensity, and products with what lies some beams or bins aside."""
+
+    def __init__(self, made: Iterator[np.ndarray], beams: int = 0, bins: int = 0):
+        sums, count = np.zeros(5), 0
+        for x in made:
+            y = x.astype(np.float64)
+            db = 10 * np.log10(np.maximum(y, 1e-30))
+            a, b = y[: BEAMS - beams, : BINS - bins], y[beams:, bins:]
+            sums += [y.mean(), (y**2).mean(), db.mean(), (db**2).mean(), (a * b).mean()]
+            count += 1
+        self.mean, square, self.db, db2, product = sums / count
+        self.contrast = np.sqrt(square - self.mean**2) / self.mean
+        self.db_std = np.sqrt(db2 - self.db**2)
+        self.alike = (product - self.mean**2) / (square - self.mean**2)
+
+
+def pings(count: int, noise: Noise, ping: Ping | None = None) -> Iterator[np.ndarray]:
+    ping = even_ping() if ping is None else ping
+    return (add_noise(ping, noise, 1, number).intensity for number in range(count))
+
+
+def moved_alike(count: int, step, bins: int = 0, **acoustics) -> float:
+    """Correlation of frozen patterns before and after a step (x, y, yaw), looked at some bins aside."""
+    noise, a, b = Noise(speckle=True, follow_motion=True), [], []
+    for seed in range(count):
+        for to, (x, y, yaw) in ((a, (0, 0, 0)), (b, step)):
+            ping = even_ping(pose(0.2 + x, 0.2 + y, 0, 0, 0, yaw), **acoustics)
+            to.append(add_noise(ping, noise, seed).intensity[BEAMS // 2 - 1 : BEAMS // 2 + 1])
+    a, b = np.array(a)[..., bins:], np.array(b)[..., : BINS - bins]
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+def rows(count: int) -> Iterator[tuple[str, float, float]]:
+    """(what, theory, found) of each number."""
+    speckle = Noise(speckle=True)
+    plain = Tally(pings(count, speckle))
+    yield "speckle: mean", 1.0, plain.mean
+    yield "speckle: contrast", 1.0, plain.contrast
+    yield "speckle: dB bias", -2.50682, plain.db
+    yield "speckle: dB std", 5.57004, plain.db_std
+    for beams in (1, 2, 3):
+        x = aperture_width() * beams * SPACING_DEG / WIDTH_DEG
+        found = Tally(pings(count, speckle), beams).alike
+        yield f"beams {beams * SPACING_DEG:g} widths apart", np.sinc(x) ** 2, found
+    for taper, correlation in (("uniform", np.sinc), ("hamming", hamming_correlation)):
+        ping = even_ping(bandwidth_hz=HALF_NULL_HZ, pulse_taper=taper)
+        for bins in (1, 2):
+            wanted, found = correlation(bins / 2) ** 2, Tally(pings(count, speckle, ping), 0, bins).alike
+            yield f"{taper} pulse, {bins / 2:g} c/2B apart", wanted, found
+    ping = even_ping(beam_pattern="line_array", taper="hamming")
+    wanted = hamming_correlation(1.302982 * 2 * SPACING_DEG / WIDTH_DEG) ** 2
+    yield "Hamming array, 0.5 widths apart", wanted, Tally(pings(count, speckle, ping), 2).alike
+    for shape in (0.5, 1.0, 5.0, 50.0):
+        found = Tally(pings(count, Noise(speckle=True, speckle_shape=shape))).contrast
+        yield f"K, shape {shape:g}: contrast", np.sqrt(1 + 2 / shape), found
+    for looks, std in ((2, 3.488), (4, 2.314), (10, 1.408)):
+        found = Tally(pings(count // 4, Noise(speckle=True, looks=looks)))
+        yield f"{looks} looks: contrast", looks**-0.5, found.contrast
+        yield f"{looks} looks: dB std", std, found.db_std
+    for name, noise, wanted in (
+        ("echo 1 and noise 0.1, no speckle: mean", Noise(electronic_db=-10), 1.1),
+        ("echo 1 and noise 0.1, speckle: mean", Noise(speckle=True, electronic_db=-10), 1.1),
+    ):
+        yield name, wanted, Tally(pings(count, noise)).mean
+    found = Tally(pings(count, Noise(electronic_db=-10))).contrast
+    yield "the same, no speckle: contrast (Rice)", np.sqrt(0.2 + 0.01) / 1.1, found
+    for share in (0.05, 0.125, 0.25):
+        found = moved_alike(count, (0, share * LENGTH_M, 0))
+        yield f"frozen, {share:g} apertures aside", (1 - 2 * share) ** 2, found
+    yield "frozen, 3 bins forward, 3 bins on", 1.0, moved_alike(count, (3 * BIN_M, 0, 0), 3)
+    pulse = {"bandwidth_hz": HALF_NULL_HZ, "pulse_taper": "hamming"}
+    forward = moved_alike(count, (0.5 * BIN_M, 0, 0), **pulse)
+    yield "frozen, 0.25 c/2B forward", hamming_correlation(0.25) ** 2, forward
+
+
+def main(show: Callable[[str], None] = print) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pings", type=int, default=1000)
+    count = parser.parse_args().pings
+    show(f"{'':44}{'theory':>9}{'found':>9}{'off':>9}")
+    for name, wanted, found in rows(count):
+        relative = not any(word in name for word in ("apart", "frozen", "bias"))
+        off = f"{100 * (found / wanted - 1):+.2f} %" if relative else f"{found - wanted:+.4f}"
+        show(f"{name:44}{wanted:9.4f}{found:9.4f}{off:>9}")
+
+
+if __name__ == "__main__":
+    main()
