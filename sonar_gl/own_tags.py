@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sonar_gl.bubbles import Bubbles
 from sonar_gl.frames import numbers
+from sonar_gl.resources import NAMESPACE, tags
 from sonar_gl.types import Error, nearest_names
 
 FIELDS = {  # child of <sonar_gl:bubbles>: field of Bubbles; units as there
@@ -18,6 +19,22 @@ FIELDS = {  # child of <sonar_gl:bubbles>: field of Bubbles; units as there
     "exhaling": "exhaling",
     "seed": "seed",
 }
+
+
+def own_children(element, known: tuple, where: str) -> list:
+    """Children of our own of a world or a link, all of one name that is known there.
+
+    Raises
+    ------
+    Error
+        if there is another.
+    """
+    for name in tags(element):
+        if name not in known:
+            raise Error(f"{where}: unknown tag (got 'sonar_gl:{name}'; {nearest_names(name, known)})")
+    return [
+        child for child in element if isinstance(child.tag, str) and child.tag.startswith("{" + NAMESPACE)
+    ]
 
 
 def read_bubbles(element, name: str, pose, where: str) -> Bubbles:

@@ -446,3 +446,44 @@ def test_surface_of_a_scene_file():
     ):
         with pytest.raises(sg.Error, match=says):
             read_surface(element(surface.format(roughness, z)), "here")
+
+
+WORLD = """<sdf version="1.9"><world name="w">{}
+  <model name="diver"><pose>5 0 -2 0 0 0</pose>
+    <link name="head"><pose>0 0 1 0 0 0</pose>
+      <collision name="head"><geometry><sphere><radius>0.1</radius></sphere></geometry>
+        <laser_retro>90</laser_retro></collision>
+      {}
+    </link>
+  </model>
+</world></sdf>"""
+
+
+def test_a_scene_file_with_bubbles(tmp_path):
+    path = tmp_path / "diver.sdf"
+    bubbles = "<sonar_gl:bubbles{}><pose>0.1 0 0.2 0 0 0</pose><rate>200</rate></sonar_gl:bubbles>"
+    path.write_text(
+        WORLD.format('<sonar_gl:surface roughness="0.002">3</sonar_gl:surface>', bubbles.format(""))
+    )
+    scene = sg.load_scene(path)
+    (plume,) = scene.plumes
+    assert [body.name for body in scene.bodies] == ["diver"] and plume.name == "diver::bubbles"
+    np.testing.assert_allclose(plume.pose[:3, 3], [5.1, 0, -0.8])
+    assert (plume.rate_hz, scene.surface_z_m, scene.surface_roughness_m) == (200, 3, 0.002)
+    path.write_text(WORLD.format("", bubbles.format(' name="air"')))
+    scene = sg.load_scene(path)
+    assert scene.plumes[0].name == "air" and scene.surface_z_m is None
+    for outer, inner, says in (
+        ("", "<sonar_gl:bubles/>", r"link\[head\]: unknown tag .*'sonar_gl:bubles'"),
+        ("<sonar_gl:surfaces>1</sonar_gl:surfaces>", "", "world: unknown tag .*'sonar_gl:surfaces'"),
+        ("<sonar_gl:surface>high</sonar_gl:surface>", "", "sonar_gl:surface: must be 1 finite number"),
+        (
+            "",
+            "<sonar_gl:bubbles><rate>0</rate></sonar_gl:bubbles>",
+            "sonar_gl:bubbles: .*rate_hz must lie in",
+        ),
+        ("", 2 * bubbles.format(""), "'diver::bubbles' more than once"),
+    ):
+        path.write_text(WORLD.format(outer, inner))
+        with pytest.raises(sg.Error, match=says):
+            sg.load_scene(path)
