@@ -134,11 +134,13 @@ class Dump:
 
     def _look_at(self, times_s):
         """Warn once of pings that follow each other more quickly than sound can."""
-        if times_s is None or len(times_s) < 2:
+        steps_s = np.diff([] if times_s is None else times_s)
+        steps_s = steps_s[steps_s != 0]  # where time stands still there is no rate
+        if not len(steps_s):
             return
         acoustics, sonar = self.simulator.acoustics, self.simulator.sonar
         most_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.sound_speed())
-        shortest_s = float(np.diff(times_s).min())
+        shortest_s = float(steps_s.min())
         if shortest_s < (1 - 1e-6) / most_hz:
             warnings.warn(
                 f"the poses' times must be {1 / most_hz:.4g} s apart or more, in which sound comes back from "

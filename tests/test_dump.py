@@ -170,6 +170,7 @@ def test_poses_that_follow_too_quickly(tmp_path):
         assert len(told) == 1
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            out.write(poses, np.zeros(3))
             out.write(poses, np.arange(3) * least_s)
             out.write(poses[:1])
         assert sg.load_npz(tmp_path / "tank_0002.npz").meta["time_s"] == 2 * least_s
