@@ -20,7 +20,7 @@ from sonar_gl.reflectors import Mirror, find_mirrors
 
 BIAS_M = 1e-3  # a mirror's own surface is not drawn from behind
 FACES = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# Ghosts err by their share of the echo: of samples a quarter will do where that is less than this, else half.
+# Ghosts err by their share of the echo: of samples a quarter will do where that is less than this.
 STRONG = 0.1
 BOTH_WAYS = 3.0  # an echo may meet the mirror on its way out, on its way back, or on both
 
@@ -100,7 +100,7 @@ class Multipath:
     def draw(self, now: Pass, poses, wheres, finer: bool = False) -> list[Ghosts | None]:
         """The ghosts of each of the pings that `now` drew last, from these poses; None without any.
 
-        `finer` is for ghosts that add more than `STRONG`.
+        `finer` is for one ping whose ghosts add more than `STRONG`.
         """
         found, spots = [], []
         for number, (pose, where) in enumerate(zip(poses, wheres, strict=True)):
@@ -114,10 +114,13 @@ class Multipath:
         out = [None] * len(poses)
         if not found:
             return out
-        sampling = half_of(now.sampling) if finer else half_of(half_of(now.sampling))
-        own, image = self.own.of(sampling), self.images.of(sampling)
         numbers = sorted({number for number, _ in found})
-        views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
+        if finer:  # what was drawn will do
+            own, image, views = now, self.images.of(now.sampling), now.last_views()
+        else:
+            coarse = half_of(half_of(now.sampling))
+            own, image = self.own.of(coarse), self.images.of(coarse)
+            views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
         own_of = dict(zip(numbers, zip(views, map(lookup, own.renderer.drawn), strict=True), strict=True))
         image_poses, image_wheres, clips = zip(*spots, strict=True)
         views = image.views_of(image_poses, image_wheres, planes=clips)

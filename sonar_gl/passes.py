@@ -64,14 +64,21 @@ class Pass:
         self.renderer.render(poses, wheres, labels, planes=planes)
         return self._behind_bubbles(poses, wheres)
 
+    def last_views(self) -> list[list]:
+        """The views of each of the poses that were drawn last."""
+        n, views = len(self.fan.sectors), list(self.renderer.views())
+        return [views[k : k + n] for k in range(0, len(views), n)]
+
     def _behind_bubbles(self, poses, wheres) -> list[Views]:
         """What was drawn last, of each pose as its plumes let it be heard."""
-        n, views, out = len(self.fan.sectors), list(self.renderer.views()), []
-        for k, (pose, where) in enumerate(zip(poses, wheres, strict=True)):
+        out = []
+        for drawn, views, pose, where in zip(
+            self.renderer.drawn, self.last_views(), poses, wheres, strict=True
+        ):
             heard = None
             if where is not None and where.bubbles is not None:
-                heard = screen(lookup(self.renderer.drawn[k]), where.bubbles, pose, self.fan)
-            out.append(Views(views[k * n : k * n + n], heard))
+                heard = screen(lookup(drawn), where.bubbles, pose, self.fan)
+            out.append(Views(views, heard))
         return out
 
     def intensity(self, views: Views) -> np.ndarray:

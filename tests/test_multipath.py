@@ -142,16 +142,16 @@ SCENES = {
 def test_ghosts_are_those_of_rays_that_are_mirrored(perfect, name):
     scene, pose, mirrors = SCENES[name]
     perfect(*mirrors)
-    found = ghosts(scene, pose)
-    a, b = (TwoBounces(scene, SONAR, pose, mirrors).ping(1_000_000, seed) for seed in (1, 2))
-    truth = (a + b) / 2
-    whole = truth.sum() + scene_echo(scene, pose)
-    # of rays alone, half of what two seeds differ by; the rest is for samples: edges of mirrors and shadows
-    # are found to half of one
-    allowed = np.abs(a - b).sum() / 2 + 0.01 * whole
-    assert np.abs(found - truth).sum() < allowed
+    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.01).intensity
+    truth = straight + sum(
+        TwoBounces(scene, SONAR, pose, mirrors).ping(1_000_000, seed) / 2 for seed in (1, 2)
+    )
+    with sg.Simulator(scene, SONAR, GHOSTS, tolerance=0.01) as simulator:
+        found = simulator.ping(pose).intensity
+    # half of it is the straight echoes'; edges of mirrors and of shadows in them are found to half a sample
+    assert np.abs(found - truth).sum() < 0.015 * truth.sum()
     # straight echoes alone, the way of all who leave multipath out, miss many times that
-    assert truth.sum() > 5 * allowed
+    assert np.abs(straight - truth).sum() > 0.1 * truth.sum()
 
 
 def test_ghosts_are_heard_as_the_pattern_hears_both_ways(perfect):
@@ -183,11 +183,6 @@ def test_nothing_is_seen_above_the_water(perfect):
         below = make(sg.Scene([cut])).intensity
         assert np.abs(crossing - below).sum() < 0.01 * below.sum()  # of samples at the edge
         assert above.sum() > 1.2 * below.sum()
-
-
-def scene_echo(scene, pose):
-    with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
-        return simulator.ping(pose).intensity.sum()
 
 
 def test_what_stands_before_the_mirror_takes_its_ghosts_away(perfect):
