@@ -29,10 +29,17 @@ class SectorView:
 
 @dataclass(frozen=True, eq=False)
 class Whereabouts:
-    """Where bodies are: (n, 4, 4) world_from_body, and (n,) bool, which of them are there at all."""
+    """Where bodies are: (n, 4, 4) world_from_body, and (n,) bool, which of them are there at all.
+
+    bubbles : (m, 4) x y z in the world and radius, metres, of all plumes' bubbles at the time of a ping, or
+        None for no plumes
+    time_s : of the ping, seconds, or None where nobody said
+    """
 
     poses: np.ndarray
     shown: np.ndarray
+    bubbles: np.ndarray | None = None
+    time_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +108,7 @@ class Dump:
         poses : (N, 4, 4) world_from_sonar
         times_s : (N,) seconds, for a sequence, whose files are numbered; None for one ping
         """
+        self._look_at(times_s)
         name, last = self.simulator.scene.name, len(poses) - 1
         width = max(4, len(str(last)))
         names = [name] if times_s is None else [f"{name}_{n:0{width}d}" for n in range(len(poses))]
@@ -131,16 +132,32 @@ class Dump:
         renderer = self.simulator.gl_info["renderer"]
         return f"{', '.join(files)}: {beams} beams x {bins} bins, {strongest}{which}; {pace} on {renderer}"
 
+    def _look_at(self, times_s):
+        """Warn once of pings that follow each other more quickly than sound can."""
+        steps_s = np.diff([] if times_s is None else times_s)
+        steps_s = steps_s[steps_s != 0]  # where time stands still there is no rate
+        if not len(steps_s):
+            return
+        acoustics, sonar = self.simulator.acoustics, self.simulator.sonar
+        most_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.sound_speed())
+        shortest_s = float(steps_s.min())
+        if shortest_s < (1 - 1e-6) / most_hz:
+            warnings.warn(
+                f"the poses' times must be {1 / most_hz:.4g} s apart or more, in which sound comes back from "
+                f"{sonar.range_max_m:g} m (got {shortest_s:.4g} s; no sonar pings as quickly)",
+                stacklevel=3,
+            )
+
     def _frames(self, names, poses, times_s, stills, behind):
         """The pictures, one after the other; in passing, the still files, written `behind`."""
         with self.progress(range(len(poses))) as numbers:
             for number in numbers:
                 start = time.perf_counter()
-                ping = self.simulator.ping(poses[number], self.noise, self.seed, self.labels, number)
+                time_s = None if times_s is None else times_s[number]
+                settings = self.noise, self.seed, self.labels, number
+                ping = self.simulator.ping(poses[number], *settings, time_s=time_s)
                 self._took_ms.append(1e3 * (time.perf_counter() - start))
                 self._strongest = max(self._strongest, (*self._find(ping), -number))
-                if times_s is not None:
-                    ping = replace(ping, meta={**ping.meta, "time_s": float(times_s[number])})
                 drawn = set(self.formats) != {"npz"}
                 picture = self.artist(self.simulator, ping, number) if drawn else None
                 if "png" in stills:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+
+import numpy as np
 
 from sonar_gl.compiled import compiled
 
@@ -10,6 +13,32 @@ from sonar_gl.compiled import compiled
 SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 LEAST = 1e-4  # of the intensity: what leaves less is no mirror
 GRID = 48  # directions to each side of a sector that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Lookup:
+    """A picture in which places are looked up.
+
+    Attributes
+    ----------
+    picture : (H, W, 4) of `render.Picture.plane_echo`
+    sectors : (n, 17) azimuth's cosine and sine, tangents of half the width and of the elevation, lattice u
+        and v, its inverse; then first column in the picture, columns and rows
+    """
+
+    picture: np.ndarray
+    sectors: np.ndarray
+
+
+def lookup(drawn) -> Lookup:
+    """To look places up in a `render.Picture`."""
+    rows = []
+    for view, (i, j, columns, n_rows), left, _ in drawn.parts:
+        s = view.sector
+        u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (s.u, s.v))
+        about = math.cos(s.azimuth_rad), math.sin(s.azimuth_rad), math.tan(s.half_width_rad) * (1 + 1e-9)
+        rows.append([*about, s.tan_elevation, *u, *v, *view.inverse.ravel(), left, columns, n_rows])
+    return Lookup(drawn.plane_echo, np.array(rows, np.float64))
 
 
 @compiled
@@ -21,7 +50,7 @@ def look_up(x, y, z, picture, sectors):
     Parameters
     ----------
     picture : (H, W, 4) float32, sectors side by side, as the shader writes them
-    sectors : (n, 17) of `multipath.Lookup`
+    sectors : (n, 17) of `Lookup`
     """
     for k in range(sectors.shape[0]):
         t = sectors[k]

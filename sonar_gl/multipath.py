@@ -14,42 +14,15 @@ import numpy as np
 from sonar_gl.draws import Whereabouts
 from sonar_gl.fan import half_of
 from sonar_gl.ghosts import accumulate_ghosts
-from sonar_gl.lookup import light
+from sonar_gl.lookup import Lookup, light, lookup
 from sonar_gl.passes import Pass, Passes
 from sonar_gl.reflectors import Mirror, find_mirrors
-from sonar_gl.render import Picture
 
 BIAS_M = 1e-3  # a mirror's own surface is not drawn from behind
 FACES = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
 # Ghosts err by their share of the echo: of samples a quarter will do where that is less than this.
 STRONG = 0.1
 BOTH_WAYS = 3.0  # an echo may meet the mirror on its way out, on its way back, or on both
-
-
-@dataclass(frozen=True, eq=False)
-class Lookup:
-    """A picture in which places are looked up.
-
-    Attributes
-    ----------
-    picture : (H, W, 4) of `Picture.plane_echo`
-    sectors : (n, 17) azimuth's cosine and sine, tangents of half the width and of the elevation, lattice u
-        and v, its inverse; then first column in the picture, columns and rows
-    """
-
-    picture: np.ndarray
-    sectors: np.ndarray
-
-
-def lookup(drawn: Picture) -> Lookup:
-    """To look places up in what was drawn."""
-    rows = []
-    for view, (i, j, columns, n_rows), left, _ in drawn.parts:
-        s = view.sector
-        u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (s.u, s.v))
-        about = math.cos(s.azimuth_rad), math.sin(s.azimuth_rad), math.tan(s.half_width_rad) * (1 + 1e-9)
-        rows.append([*about, s.tan_elevation, *u, *v, *view.inverse.ravel(), left, columns, n_rows])
-    return Lookup(drawn.plane_echo, np.array(rows, np.float64))
 
 
 def behind(plane) -> tuple[np.ndarray, np.ndarray]:

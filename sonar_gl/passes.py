@@ -8,11 +8,24 @@ from sonar_gl.acoustics import Acoustics
 from sonar_gl.fan import Fan, Sampling, beam_weights, make_fan, rung_sampling, up_to
 from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.lattice import SHEAR
+from sonar_gl.lookup import lookup
+from sonar_gl.plumes import screen
 from sonar_gl.reduce import Reducer
 from sonar_gl.render import Renderer
 from sonar_gl.sonar import Sonar
 
 KEPT = 6  # what is in use, the half of it, and what a search for others tries
+
+
+class Views(list):
+    """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector of a ping; and its `bubbles`.
+
+    bubbles : of `plumes.screen`, which has weakened the echo behind them, or None
+    """
+
+    def __init__(self, views, bubbles=None):
+        super().__init__(views)
+        self.bubbles = bubbles
 
 
 class Pass:
@@ -22,6 +35,7 @@ class Pass:
     ----------
     sampling, fan, renderer, reducer
     gain : (K,) float32, of each bin
+    box : beams are boxes, which end where columns end
 
     Raises
     ------
@@ -32,32 +46,49 @@ class Pass:
     def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear=SHEAR):
         reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
         drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
-        self.sampling = sampling
-        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, pattern is None, shear)
+        self.sampling, self.box = sampling, pattern is None
+        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, self.box, shear)
         self.renderer = Renderer(gpu.context, gpu, self.fan, acoustics.specular)
         weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
         self.reducer = Reducer(self.fan, *weights, heard)
         self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
 
-    def views(self, pose, labels: bool = False, whole: bool = False, where=None) -> list:
-        """Draw from `pose`: (sector, (R, C, 4) plane and echo, (R, C) body) of each; see `Renderer`."""
+    def views(self, pose, labels: bool = False, whole: bool = False, where=None) -> Views:
+        """Draw from `pose`; see `Renderer`."""
         self.renderer.render([pose], [where], labels, whole)
-        return list(self.renderer.views())
+        return self._behind_bubbles([pose], [where])[0]
 
-    def views_of(self, poses, wheres, labels: bool = False, planes=None) -> list[list]:
+    def views_of(self, poses, wheres, labels: bool = False, planes=None) -> list[Views]:
         """The same of several poses, drawn at once; none of it is written to by the next drawing."""
         self.renderer.turn()
         self.renderer.render(poses, wheres, labels, planes=planes)
-        return self.last_views()
+        return self._behind_bubbles(poses, wheres)
 
     def last_views(self) -> list[list]:
         """The views of each of the poses that were drawn last."""
         n, views = len(self.fan.sectors), list(self.renderer.views())
         return [views[k : k + n] for k in range(0, len(views), n)]
 
-    def intensity(self, views) -> np.ndarray:
-        """(B, K) float32, with the gain."""
-        return self.reducer.intensity(views, self.gain)
+    def _behind_bubbles(self, poses, wheres) -> list[Views]:
+        """What was drawn last, of each pose as its plumes let it be heard."""
+        out = []
+        for drawn, views, pose, where in zip(
+            self.renderer.drawn, self.last_views(), poses, wheres, strict=True
+        ):
+            heard = None
+            if where is not None and where.bubbles is not None:
+                heard = screen(lookup(drawn), where.bubbles, pose, self.fan)
+            out.append(Views(views, heard))
+        return out
+
+    def intensity(self, views: Views) -> np.ndarray:
+        """(B, K) float32, of surfaces and bubbles, with the gain."""
+        out = self.reducer.intensity(views, self.gain)
+        if views.bubbles is not None:
+            whole = self.reducer.total
+            out += self.reducer.sum_points(views.bubbles, self.gain, not self.box)
+            self.reducer.total += whole
+        return out
 
 
 class Passes:

@@ -57,6 +57,39 @@ def weigh_columns(echo_sum, spans, first, weights, gain, out):
                 out[row, k] *= gain[k]
 
 
+@compiled
+def add_points(points, column_edges_rad, bin_edges_m, elevation, top, shared, sums, spans):
+    """Sum points into columns and bins; sums and spans as of `footprint.accumulate`.
+
+    points : (n, 4) azimuth, sine of elevation, range, steradians; elevation : of `Reducer`; top : sine of the
+        aperture's half height; shared : between two columns as to where their middle is, not one alone
+    """
+    K, n_columns = sums.shape[1], sums.shape[0]
+    for c in range(n_columns):
+        sums[c, spans[c, 0] : spans[c, 1]] = 0.0
+        spans[c, 0], spans[c, 1] = K, 0
+    per_metre = K / (bin_edges_m[K] - bin_edges_m[0])
+    for n in range(points.shape[0]):
+        c = np.searchsorted(column_edges_rad, points[n, 0], side="right") - 1
+        bin_ = math.floor((points[n, 2] - bin_edges_m[0]) * per_metre)
+        if not (0 <= c < n_columns and 0 <= bin_ < K and abs(points[n, 1]) < top):
+            continue
+        k, heard, share = int(bin_), points[n, 3], 0.0
+        if elevation.shape[0]:
+            place = (points[n, 1] / top + 1.0) * (elevation.shape[0] - 1) / 2
+            m = min(int(place), elevation.shape[0] - 2)
+            heard *= elevation[m] + (place - m) * (elevation[m + 1] - elevation[m])
+        middle = (column_edges_rad[c] + column_edges_rad[c + 1]) / 2
+        other = c + 1 if points[n, 0] > middle else c - 1
+        if shared and 0 <= other < n_columns:
+            apart = (column_edges_rad[other] + column_edges_rad[other + 1]) / 2 - middle
+            share = (points[n, 0] - middle) / apart
+            sums[other, k] += share * heard
+            spans[other, 0], spans[other, 1] = min(spans[other, 0], k), max(spans[other, 1], k + 1)
+        sums[c, k] += (1 - share) * heard
+        spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
+
+
 def _about(view, body: int):
     """The part of a view that holds a body's samples, and the neighbours that bound them."""
     sector, plane_echo, bodies = view
@@ -90,8 +123,8 @@ class Reducer:
     def __init__(self, fan: Fan, first: np.ndarray, weights: np.ndarray, heard=None):
         self._pair, self._given = Pair(), Given((len(first), fan.sonar.n_bins))
         self.fan, self.first = fan, first
-        top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
-        sines = np.linspace(-top, top, ELEVATIONS)
+        self.top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
+        sines = np.linspace(-self.top, self.top, ELEVATIONS)
         self.elevation = UNITY.astype(np.float64) if heard is None else heard(sines)
         self.moments = np.arcsin(sines) * (1.0 if heard is None else self.elevation)
         self.weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
@@ -152,6 +185,12 @@ class Reducer:
                         add(views[index], parts, tables, number == 0, self.sums, self.spans)
 
         self._both(work)
+        return self._beams(self.sums, gain)
+
+    def sum_points(self, points, gain, shared: bool) -> np.ndarray:
+        """(B, K) as of `intensity`, of points; points and shared as of `add_points`."""
+        tables = self.fan.column_edges_rad, self.edges, self.elevation, self.top
+        add_points(points, *tables, shared, self.sums, self.spans)
         return self._beams(self.sums, gain)
 
     def close(self):

@@ -15,7 +15,7 @@ from sonar_gl.acoustics import Acoustics
 from sonar_gl.noise import check_seed
 from sonar_gl.pulse import smear
 from sonar_gl.rays import Target, hear, land, shoot
-from sonar_gl.scene import Scene, check_pose
+from sonar_gl.scene import Scene, check_pose, without_bubbles
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, Ping, check_kind
 
@@ -58,7 +58,7 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, or Embree is not installed.
+        if an argument is of the wrong kind or out of bounds, bubbles would be heard, or Embree is missing.
 
     Warns
     -----
@@ -77,7 +77,7 @@ def reference_ping(
         "seed": seed,
         "version": __version__,
     }
-    target = Target(scene, pose, acoustics.specular)
+    target = Target(without_bubbles(scene, acoustics), pose, acoustics.specular)
     fan = _Fan(sonar, acoustics)
     halves = [_Half(target, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
     blocks = len(fan.blocks)

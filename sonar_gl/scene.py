@@ -7,62 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.bubbles import Bubbles
 from sonar_gl.materials import material
+from sonar_gl.rigid import check_pose, pose
 from sonar_gl.types import Error, frozen_array
 
+__all__ = ["SLOPES", "Body", "Scene", "check_pose", "pose", "without_bubbles"]
+
 SLOPES = 0.01, 0.5  # roughness_rad: below, a lobe is narrower than samples; above, facets hide one another
-
-
-def check_pose(matrix, what: str = "pose") -> np.ndarray:
-    """A rigid (4, 4) float64 `world_from_x`, or an `Error`."""
-    out = frozen_array(matrix, np.float64, (4, 4), what)
-    # in plain numbers: a sixth of the time that NumPy takes for nine of them, at every ping
-    (a, b, c), (d, e, f), (g, h, i) = out[:3, :3].tolist()
-    lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
-    angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
-    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if max(map(abs, lengths + angles)) > 1e-5 or turn < 0:
-        raise Error(
-            f"{what} must be a rotation and a translation (its 3x3 part scales, shears or mirrors; "
-            "scale the mesh instead)"
-        )
-    if not np.array_equal(out[3], [0, 0, 0, 1]):
-        raise Error(f"{what} must have the last row 0 0 0 1 (got {out[3].tolist()})")
-    return out
-
-
-def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
-    """`world_from_sonar` from SDF's six numbers: metres, and fixed-axis x-y-z angles in radians.
-
-    Convention: R = Rz(yaw) Ry(pitch) Rx(roll), x forward, y left (port), z up.
-
-    Returns
-    -------
-    (4, 4) float64
-
-    Raises
-    ------
-    Error
-        if a number is not finite, or an angle is beyond 2π, as degrees would be.
-
-    >>> (pose(1, 2, 3, yaw=np.pi / 2) @ [1, 0, 0, 1]).round(6).tolist()
-    [1.0, 3.0, 3.0, 1.0]
-    """
-    numbers = frozen_array([x, y, z, roll, pitch, yaw], np.float64, (6,), "pose x y z roll pitch yaw")
-    if np.abs(numbers[3:]).max() > 2 * np.pi + 1e-6:
-        raise Error(
-            f"pose angles must be radians, within ±2π (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; "
-            "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
-        )
-    (sr, sp, sy), (cr, cp, cy) = np.sin(numbers[3:]), np.cos(numbers[3:])
-    out = np.eye(4)
-    out[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    out[:3, 3] = numbers[:3]
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +116,19 @@ def _number(name: str, value, low: float, high: float) -> float:
 
 
 class Scene:
-    """Bodies, and where the scene's file puts its sonar.
+    """Bodies and plumes of bubbles, and where the scene's file puts its sonar.
 
     Parameters
     ----------
-    bodies : of unique names, at most 65535
+    bodies : Bodies, and plumes of Bubbles, of unique names; of the former at most 65535
     sonar_pose : (4, 4) world_from_sonar, or None
     name : what files made from it are called
     surface_z_m : height of the water's surface, metres, which mirrors sound; None = far away
     surface_roughness_m : rms height of its waves, metres; at 900 kHz a millimetre leaves no mirror
+
+    Attributes
+    ----------
+    bodies, plumes : tuples of the two kinds
 
     Raises
     ------
@@ -182,27 +138,29 @@ class Scene:
 
     def __init__(
         self,
-        bodies: Iterable[Body],
+        bodies: Iterable[Body | Bubbles],
         sonar_pose=None,
         name: str = "scene",
         surface_z_m: float | None = None,
         surface_roughness_m: float = 1e-4,
     ):
-        self.bodies = tuple(bodies)
+        things = list(bodies)
+        self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
+        self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         self.name = name
         self.surface_z_m = None if surface_z_m is None else _number("surface_z_m", surface_z_m, -1e5, 1e5)
         self.surface_roughness_m = _number("surface_roughness_m", surface_roughness_m, 0, 100)
-        names = [body.name for body in self.bodies]
+        names = [thing.name for thing in things]
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
         if twice:
             raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
-        if len(names) > 65535:
-            raise Error(f"a scene holds at most 65535 bodies (got {len(names)}; join some meshes)")
+        if len(self.bodies) > 65535:
+            raise Error(f"a scene holds at most 65535 bodies (got {len(self.bodies)}; join some meshes)")
 
-    def with_more(self, bodies: Iterable[Body]) -> Scene:
+    def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """The same scene with more bodies in it, after its own."""
-        bodies = [*self.bodies, *bodies]
+        bodies = [*self.bodies, *self.plumes, *bodies]
         return Scene(bodies, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
 
     @property
@@ -212,3 +170,19 @@ class Scene:
 
     def __repr__(self):
         return f"Scene({self.name!r}, {len(self.bodies)} bodies, {self.n_triangles} triangles)"
+
+
+def without_bubbles(scene: Scene, acoustics) -> Scene:
+    """The scene, for what knows no bubbles.
+
+    Raises
+    ------
+    Error
+        if it has plumes, and these acoustics hear them.
+    """
+    if scene.plumes and acoustics.bubbles:
+        raise Error(
+            f"the reference knows no bubbles (got {scene.plumes[0].name!r} in the scene; leave them out of "
+            "both pings by acoustics with bubbles=False)"
+        )
+    return scene

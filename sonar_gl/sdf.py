@@ -10,6 +10,7 @@ import numpy as np
 
 from sonar_gl.frames import Frame, Scope
 from sonar_gl.links import Link, ShapeReader, sonar_of
+from sonar_gl.own_tags import own_children, read_bubbles, read_surface
 from sonar_gl.resources import Finder
 from sonar_gl.scene import Scene
 from sonar_gl.types import Error
@@ -29,7 +30,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     laid on the shape from above, first row at the highest y, and goes before all others. Shapes of a link
     whose lobes differ are bodies of their own, `model::shape`, after the first. The sonar is the
     first `<sensor type="custom">`, else the first sensor whose own name or plugin, else whose model, speaks
-    of a sonar; the link that carries it does not echo. Tags of no acoustic meaning are passed over.
+    of a sonar; the link that carries it does not echo. A link may hold `<sonar_gl:bubbles>`, a plume, and a
+    world `<sonar_gl:surface>`, see `own_tags`. Tags of no acoustic meaning are passed over.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             stacklevel=2,
         )
     try:
-        return Scene(bodies, sonar_pose, path.stem)
+        return Scene([*bodies, *reader.plumes(world)], sonar_pose, path.stem, **reader.surface)
     except Error as why:
         raise Error(f"{path}: {why}") from None
 
@@ -73,7 +75,7 @@ class _Reader:
 
     def __init__(self, finder: Finder):
         self.finder = finder
-        self.n_models = 0
+        self.n_models, self.surface = 0, {}
         self.shapes = ShapeReader(finder)
 
     def read(self, path: Path) -> Scope:
@@ -84,7 +86,10 @@ class _Reader:
         if world is None and root.find("model") is None:
             raise Error(f"{path}: must hold a <world> or a <model>")
         scope = Scope(f"{path}: " + ("" if world is None else "world"), path.parent, is_world=True)
-        return self.fill(scope, root if world is None else world, (path.resolve(),))
+        top = root if world is None else world
+        for child in own_children(top, ("surface",), scope.where):
+            self.surface = read_surface(child, scope.at("sonar_gl:surface"))
+        return self.fill(scope, top, (path.resolve(),))
 
     def fill(self, scope: Scope, element, stack: tuple) -> Scope:
         """Put the frames, links and models of a world or model into its scope, with all that it includes."""
@@ -156,6 +161,14 @@ class _Reader:
                 yield from self.links(frame.scope, inner, f"{model}::{name}" if model else name)
             elif name in scope.links:
                 yield Link(scope, name, scope.links[name], model, world_from_scope)
+
+    def plumes(self, world: Scope):
+        """Bubbles of all links, named after the model unless they have a name."""
+        for link in self.links(world, np.eye(4)):
+            for child in own_children(link.element, ("bubbles",), link.where):
+                where, name = f"{link.where}/sonar_gl:bubbles", child.get("name") or f"{link.model}::bubbles"
+                pose = link.world_pose() @ link.pose_in_link(child, where)
+                yield read_bubbles(child, name, pose, where)
 
     def bodies(self, world: Scope):
         """Bodies, the sonar's pose or None, and the names of bodies without <laser_retro>."""

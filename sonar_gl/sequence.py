@@ -7,12 +7,15 @@ import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from itertools import repeat
 
 import numpy as np
 
 from sonar_gl._version import __version__
+from sonar_gl.motion import in_motion
 from sonar_gl.nothing import why_nothing
 from sonar_gl.pulse import smear
+from sonar_gl.rigid import check_pose
 from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
@@ -24,6 +27,20 @@ def several(poses) -> Iterable:
     if not isinstance(poses, Iterable) or (isinstance(poses, np.ndarray) and poses.ndim == 2):
         raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
     return poses
+
+
+def each(values, name: str) -> Iterable:
+    """One for each ping, or None for each; an Error if it is one value alone."""
+    if not isinstance(values, Iterable | None):
+        raise Error(f"{name} must be several, one a pose (got {values!r})")
+    return repeat(None) if values is None else values
+
+
+def spots_of(poses, bodies=None, times_s=None):
+    """(pose, bodies, time) of each ping, for `in_batches`."""
+    more = each(bodies, "bodies"), each(times_s, "times_s")
+    for pose, *moved in zip(several(poses), *more, strict=False):
+        yield check_pose(pose), *moved
 
 
 def about(sonar, acoustics, tolerance, scene, gl_renderer: str) -> dict:
@@ -38,13 +55,17 @@ def about(sonar, acoustics, tolerance, scene, gl_renderer: str) -> dict:
         "bin_size_m": sonar.bin_size_m,
         "scene": scene.name,
         "bodies": [body.name for body in scene.bodies],
+        **({"plumes": [plume.name for plume in scene.plumes]} if scene.plumes else {}),
         "version": __version__,
         "gl_renderer": gl_renderer,
     }
 
 
-def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed) -> Ping:
-    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None."""
+def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed, velocity=None) -> Ping:
+    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None.
+
+    velocity : of `in_motion`
+    """
     scene, samples = simulator.scene, simulator._samples
     if whole <= 0:
         sonars = simulator.sonar, simulator._passes.drawn
@@ -62,8 +83,11 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
         simulator._described, simulator._meta = scene, pickle.dumps(meta)
     meta = pickle.loads(simulator._meta)
     meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": whole > 0}
+    if where.time_s is not None:
+        meta["time_s"] = where.time_s
     axes = simulator._axes
-    return Ping(intensity, *axes, body_id, elevation_rad, pose, meta, body_echo, samples.estimate(pose))
+    ping = Ping(intensity, *axes, body_id, elevation_rad, pose, meta, body_echo, samples.estimate(pose))
+    return in_motion(ping, velocity, simulator.acoustics)
 
 
 def in_batches(simulator, spots, labels: bool):
@@ -71,7 +95,7 @@ def in_batches(simulator, spots, labels: bool):
 
     Parameters
     ----------
-    spots : (pose, bodies) of each
+    spots : (pose, bodies, time) of each
     """
     spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
@@ -109,8 +133,8 @@ def _gather(simulator, spots):
     batch = []
     while len(batch) < BATCH:
         try:
-            pose, bodies = next(spots)
-            spot = pose, simulator._world.moved(bodies)
+            pose, *moved = next(spots)
+            spot = pose, simulator._world.moved(*moved, simulator.acoustics.bubbles)
         except StopIteration:
             return batch, None, None, True
         except Exception as why:  # of the poses: those before come first
@@ -143,14 +167,14 @@ def _ghosts(simulator, now, poses, wheres):
     return simulator._multipath.draw(now, poses, wheres)
 
 
-def fix_ghosts(simulator, poses) -> None:
+def fix_ghosts(simulator, poses, where) -> None:
     """Decide by some poses how finely ghosts are drawn, and stay with it."""
     multipath, strong = simulator._multipath, False
     if multipath is None:
         return
     multipath.fixed = multipath.strong = False
     for at in np.unique(np.linspace(0, len(poses) - 1, GHOST_POSES).round().astype(int)):
-        alone(simulator, poses[at], simulator._world.where, labels=False)
+        alone(simulator, poses[at], where, labels=False)
         strong |= multipath.strong
         multipath.strong = False
     multipath.strong, multipath.fixed = strong, True

@@ -6,17 +6,18 @@ import warnings
 from collections.abc import Iterator
 from concurrent.futures import wait
 from contextlib import contextmanager
-from itertools import count, repeat
+from itertools import count
 
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.cloud import points_of
 from sonar_gl.fan import Fan, Sampling
+from sonar_gl.motion import check_velocity
 from sonar_gl.multipath import Multipath
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import alone, finish, fix_ghosts, in_batches, several
+from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -113,8 +114,9 @@ class Simulator:
         if not (poses := [check_pose(pose) for pose in several(poses)]):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
-            plan = self._samples.fix(poses, self._world.where)
-            fix_ghosts(self, poses)
+            where = self._world.moved(None, None, self.acoustics.bubbles)
+            plan = self._samples.fix(poses, where)
+            fix_ghosts(self, poses, where)
         self._warn()
         return plan
 
@@ -124,13 +126,7 @@ class Simulator:
             self._samples.warning = None
 
     def ping(
-        self,
-        pose,
-        noise: Noise | None = None,
-        seed: int = 0,
-        labels: bool = False,
-        ping_number: int = 0,
-        bodies: dict | None = None,
+        self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None
     ) -> Ping:
         """One transmission from `pose` and what it brings back.
 
@@ -141,21 +137,26 @@ class Simulator:
         seed, ping_number : of the noise; the same two give the same bytes
         labels : also find the body of the strongest echo in each bin, and its elevation
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for what is not there
+        time_s : seconds, at which plumes of bubbles are seen; None = 0
+        velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
+            `motion.shown_at`. None = it stands
 
         Warns
         -----
         UserWarning
             if nothing came back, saying what was nearest and why.
         """
-        pose, seed = check_pose(pose), check_seed(seed)
+        pose, seed, velocity = check_pose(pose), check_seed(seed), check_velocity(velocity)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         with self._drawing():
-            where = self._world.moved(bodies)
-            ping = finish(self, *alone(self, pose, where, labels), seed)
+            where = self._world.moved(bodies, time_s, self.acoustics.bubbles)
+            ping = finish(self, *alone(self, pose, where, labels), seed, velocity)
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
-    def pings(self, poses, noise=None, seed: int = 0, labels: bool = False, bodies=None) -> Iterator[Ping]:
+    def pings(
+        self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None
+    ) -> Iterator[Ping]:
         """Pings from one pose after the other, quicker than by themselves: while some are drawn those before
         are summed.
 
@@ -163,7 +164,7 @@ class Simulator:
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels : as of `ping`; the noise's ping_number counts from 0
-        bodies : for each pose what `ping` takes as `bodies`; None for none at all
+        bodies, times_s, velocities : for each pose what `ping` takes; None for none at all
 
         Yields
         ------
@@ -171,20 +172,19 @@ class Simulator:
         """
         seed = check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        spots = zip(several(poses), bodies or repeat(None), strict=False)
-        spots = ((check_pose(pose), moved) for pose, moved in spots)
-        for number, made in zip(count(), in_batches(self, spots, labels), strict=False):
-            ping = finish(self, *made, seed)
+        made = in_batches(self, spots_of(poses, bodies, times_s), labels)
+        for number, one, velocity in zip(count(), made, each(velocities, "velocities"), strict=False):
+            ping = finish(self, *one, seed, check_velocity(velocity))
             self._warn()
             yield ping if noise is None else add_noise(ping, noise, seed, number)
 
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away."""
         with self._drawing():
-            self._world.gpu.stock.where = self._world.moved(bodies)
+            self._world.place(bodies)
 
     def add(self, *bodies) -> None:
-        """Put more bodies into the scene; the numbers of those that are there stay."""
+        """Put more bodies or plumes into the scene; the numbers of those that are there stay."""
         with self._drawing():
             self._world.add(bodies)
 

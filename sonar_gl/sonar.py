@@ -121,6 +121,14 @@ class Sonar:
         """Length of a bin, metres."""
         return (self.range_max_m - self.range_min_m) / self.n_bins
 
+    def max_ping_rate_hz(self, sound_speed_m_s: float) -> float:
+        """Pings a second at most: the next may leave when the echo from range_max_m is back, after 2R/c.
+
+        >>> round(load_sonar("p900-45").with_range(30.0).max_ping_rate_hz(1500.0), 6)
+        25.0
+        """
+        return sound_speed_m_s / (2 * self.range_max_m)
+
     def with_range(self, range_max_m: float) -> Sonar:
         """The same sonar set to another maximum range, with bins of the same size."""
         if not (math.isfinite(range_max_m) and range_max_m > self.range_min_m):

@@ -5,13 +5,25 @@ from __future__ import annotations
 import os
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
 
 from sonar_gl import gl
+from sonar_gl.bubbles import Bubbles
 from sonar_gl.draws import Whereabouts
 from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.load import data_folder
 from sonar_gl.scene import Body, Scene, check_pose
 from sonar_gl.types import Error, check_kind
+
+
+def _seconds(time_s) -> float:
+    if isinstance(time_s, bool) or not isinstance(time_s, (int, float, np.number)):
+        raise Error(f"time_s must be a number of seconds (got {time_s!r})")
+    if not abs(time_s) <= 1e10:  # NaN too; that is Unix time with room to spare
+        raise Error(f"time_s must be seconds within ±1e10 (got {time_s!r})")
+    return float(time_s)
 
 
 class World:
@@ -20,11 +32,13 @@ class World:
     Attributes
     ----------
     scene : Scene, of all bodies that there are
+    plumes : where its plumes are by name, (4, 4) world_from_plume, or None for what is not there
     """
 
     def __init__(self, scene: Scene, device: int | None = None):
         self.context, self.lock, self.process = None, threading.Lock(), os.getpid()
         self.scene, self.users = scene, 0
+        self.plumes = {plume.name: plume.pose for plume in scene.plumes}
         self.context = gl.create_context(device)
         with self.context:
             self.gl_info = gl.describe(self.context)
@@ -51,33 +65,56 @@ class World:
         """The bodies, for pings that are not told otherwise."""
         return self.gpu.stock.where
 
-    def moved(self, bodies) -> Whereabouts:
-        """Where bodies are when some are elsewhere.
+    def moved(self, bodies, time_s: float | None = None, with_bubbles: bool = False) -> Whereabouts:
+        """Where bodies are when some are elsewhere, and bubbles at a time.
 
         Parameters
         ----------
         bodies : None, or names to (4, 4) world_from_body, or to None for what is not there
+        time_s : seconds, None for 0
+        with_bubbles : of the scene's plumes, if there are any
         """
+        where, plumes = self._moved(bodies)
+        if time_s is not None:
+            where = replace(where, time_s=_seconds(time_s))
+        if not (with_bubbles and self.scene.plumes):
+            return where
+        there = [plume for plume in self.scene.plumes if plumes[plume.name] is not None]
+        found = [np.column_stack(plume.at(where.time_s or 0.0, plumes[plume.name])) for plume in there]
+        bubbles = np.concatenate([np.empty((0, 4)), *found])
+        if self.scene.surface_z_m is not None:
+            bubbles = bubbles[bubbles[:, 2] < self.scene.surface_z_m]
+        return replace(where, bubbles=bubbles)
+
+    def place(self, bodies) -> None:
+        """Have bodies elsewhere from now on, as for `moved`; inside `drawing`."""
+        self.gpu.stock.where, self.plumes = self._moved(bodies)
+
+    def _moved(self, bodies) -> tuple[Whereabouts, dict]:
         if not bodies:
-            return self.where
+            return self.where, self.plumes
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
-        poses, shown = self.where.poses.copy(), self.where.shown.copy()
+        poses, shown, plumes = self.where.poses.copy(), self.where.shown.copy(), dict(self.plumes)
         for name, pose in bodies.items():
+            if name in plumes:
+                plumes[name] = pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
+                continue
             if name not in self.numbers:
-                known = ", ".join(map(repr, self.numbers)) or "none"
+                known = ", ".join(map(repr, [*self.numbers, *plumes])) or "none"
                 raise Error(f"bodies must be bodies of the scene (got {name!r}; there are: {known[:200]})")
             number = self.numbers[name]
             shown[number] = pose is not None
             if pose is not None:
                 poses[number] = check_pose(pose, f"the pose of body {name!r}")
-        return Whereabouts(poses, shown)
+        return Whereabouts(poses, shown), plumes
 
     def add(self, bodies) -> None:
-        """More bodies; inside `drawing`."""
+        """More bodies or plumes; inside `drawing`."""
         for body in bodies:
-            check_kind("body", body, Body, "such as sonar_gl.Body('box', mesh)")
+            check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
         self.scene = self.scene.with_more(bodies)
-        self.gpu.add(bodies)
+        self.gpu.add([body for body in bodies if isinstance(body, Body)])
+        self.plumes |= {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
         self._number()
 
     def leave(self, give_back) -> None:

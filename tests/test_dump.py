@@ -4,9 +4,11 @@ import errno
 import os
 import threading
 import time
+import warnings
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from command_line import BOX, SENSOR, SONAR, WALL, run
 
@@ -128,10 +130,10 @@ def test_disk_that_fills_in_a_sequence(monkeypatch, slow_s):
 def test_interrupt_of_a_sequence(monkeypatch):
     ping, save = sg.Simulator.ping, dump.save_png
 
-    def interrupted(self, *arguments):
+    def interrupted(self, *arguments, **more):
         if arguments[4] == 5:
             raise KeyboardInterrupt
-        return ping(self, *arguments)
+        return ping(self, *arguments, **more)
 
     def slow(*arguments):
         time.sleep(0.05)
@@ -154,3 +156,21 @@ def test_film_that_cannot_be_written_leaves_whole_stills(monkeypatch):
     status, _, err = run("render", *SEQUENCE, "--out", "out", "--format", "gif", "--format", "png")
     assert (status, err) == (2, "error: no film today\n")
     assert whole_files() <= {"tank_0000.png", "tank_0001.png"}
+
+
+def test_poses_that_follow_too_quickly(tmp_path):
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
+    with sg.Simulator(scene, sonar, sampling=sg.Sampling(0.5, 24)) as simulator:
+        assert sonar.max_ping_rate_hz(1500.0) == 50.0
+        least_s = 2 * 15.0 / simulator.acoustics.sound_speed()
+        out = dump.Dump(simulator, None, tmp_path, ("npz",), sg.Noise())
+        poses = np.stack([scene.sonar_pose] * 3)
+        with pytest.warns(UserWarning, match=r"must be 0\.02\d+ s apart or more") as told:
+            out.write(poses, np.array([0.0, least_s, 1.9 * least_s]))
+        assert len(told) == 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            out.write(poses, np.zeros(3))
+            out.write(poses, np.arange(3) * least_s)
+            out.write(poses[:1])
+        assert sg.load_npz(tmp_path / "tank_0002.npz").meta["time_s"] == 2 * least_s

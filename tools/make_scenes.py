@@ -77,7 +77,7 @@ def model(world, name: str, pose=None):
 
 def new_world(name: str, sonar_pose):
     """A `<world>` with a light and the sonar; returns (root, world)."""
-    root = ET.Element("sdf", version="1.9")
+    root = ET.Element("sdf", {"version": "1.9", "xmlns:sonar_gl": "urn:sonar_gl"})
     world = add(root, "world", name=name)
     sun = add(world, "light", name="sun", type="directional")
     add(sun, "diffuse", "0.8 0.9 1 1")
@@ -86,10 +86,25 @@ def new_world(name: str, sonar_pose):
     return root, world
 
 
-def add_floor(world, z: float, size: float):
-    """A level floor of sand."""
+def add_floor(world, z: float, size: float, mirrors: bool = False):
+    """A level floor of sand; or as bright, but so smooth that it mirrors sound, too."""
     link = model(world, "floor", (0, 0, z, 0, 0, 0))
     place(link, "floor", "sand", "plane", normal=(0, 0, 1), size=(size, size))
+    for element in link if mirrors else ():
+        add(element, "sonar_gl:material", "smooth_concrete")
+
+
+def add_pool(world, floor: float):
+    """A smooth floor, and the calm water's surface 3 m above."""
+    add_floor(world, floor, 40, mirrors=True)
+    add(world, "sonar_gl:surface", f"{floor + 3:g}")
+
+
+def add_breath(link, position):
+    """What a diver breathes out, a burst every four seconds."""
+    plume = add(link, "sonar_gl:bubbles")
+    add(plume, "pose", numbers(*position, 0, 0, 0))
+    add(plume, "breath", "4")
 
 
 def save(path: Path, root, description: str):
@@ -175,6 +190,8 @@ def add_diver(world, posture: dict, pose, centre=(0, 0, 0)):
         way = 0.35 * gaze + 0.94 * sign * left
         rod(link, f"window_{side}", "brass", "cylinder", head + 0.12 * way, head + 0.175 * way, 0.05)
 
+    add_breath(link, head + 0.13 * gaze + np.array([0, 0, 0.12]))
+
     # air: plate, tank, valve, and the hose over the right shoulder to the helmet
     place(link, "back_plate", "rubber", "box", at(-0.15, 0, 1.22), size=(0.06, 0.26, 0.42))
     rod(link, "tank", "steel", "capsule", at(-0.26, 0, 1.00), at(-0.26, 0, 1.42), 0.095)
@@ -209,7 +226,7 @@ def make_divers(out: Path):
     """Three views: across a standing diver, up and down it, and across a swimming one."""
     floor = -8.0
     facing = (5.5, 0, floor, 0, 0, np.pi - 0.55)
-    across = "A hard-hat diver with weighted boots and an air tank stands on a level floor."
+    across = "A hard-hat diver with weighted boots and an air tank stands on the floor of a pool."
     upright = (
         "The standing diver, the sonar rolled by 90 degrees: the fan stands upright and shows the\n"
         "     profile from the boots to the helmet, and the floor as a line."
@@ -219,14 +236,14 @@ def make_divers(out: Path):
         ("diver_vertical", (1.2, 0.1, floor + 1.1, np.pi / 2, 0, 0), upright),
     ):
         root, world = new_world(name, watch)
-        add_floor(world, floor, 40)
+        add_pool(world, floor)
         add_diver(world, STANDING, facing)
         save(out / f"{name}.sdf", root, text + " Range 10 m.")
 
     root, world = new_world("diver_swimming", (0, 0, floor + 3.3, 0, 0.38, 0))
-    add_floor(world, floor, 40)
+    add_pool(world, floor)
     add_diver(world, SWIMMING, (4.3, 0.1, floor + 1.5, 0, 1.42, 2.0), centre=(0, 0, 1.0))
-    text = "A diver with fins swims 1.5 m above a level floor, its shadow on the floor behind. Range 10 m."
+    text = "A diver with fins swims 1.5 m above a pool's floor, its shadow on the floor behind. Range 10 m."
     save(out / "diver_swimming.sdf", root, text)
 
 
