@@ -12,7 +12,8 @@ import math
 import numpy as np
 from numba import uint64
 
-from sonar_gl.compiled import compiled
+from sonar_gl import footprint, lookup
+from sonar_gl.compiled import compiled, compiled_with
 from sonar_gl.footprint import (
     ALONG_U,
     ALONG_V,
@@ -66,7 +67,7 @@ def _reach(work, there, first, last, uc, other):
         there[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
 
 
-@compiled
+@compiled_with(lookup)
 def _weigh(
     work, there, first, last, uc, elevation, top, own, ceiling, from_mirror, picture, sectors, other_picture,
     other_sectors, plane, needs_surface, loss,
@@ -149,7 +150,7 @@ def _find_both(work, there, first, last, uc, width, other, once):
         work[ENERGY, m] = strength * width * height / (length * length2 * s)
 
 
-@compiled
+@compiled_with(footprint, lookup)
 def accumulate_ghosts(
     plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, flat,
     elevation, fresh, own, other, ceiling, from_mirror, once, picture, sectors, other_picture, other_sectors,

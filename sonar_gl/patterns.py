@@ -52,11 +52,7 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
 def aperture_pattern(x, taper: str = "uniform", side_lobe_db: float = 30.0) -> np.ndarray:
     """Power that a line array hears, one way, 1 on its axis: (sinc x + Σ F_m (sinc(x − m) + sinc(x + m)))².
 
-    Parameters
-    ----------
-    x : u L/λ, any shape
-    taper, side_lobe_db : of `taper_series`
-
+    x : u L/λ, any shape; taper, side_lobe_db : of `taper_series`.
     Source: Urick, Principles of Underwater Sound, 3rd ed., 1983; Van Trees, Optimum Array Processing, 2002
 
     >>> round(float(10 * np.log10(aperture_pattern(1.4303))), 3)

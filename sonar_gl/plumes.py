@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
+from sonar_gl import lookup
 from sonar_gl.bubbles import bubble_extinction, bubble_strength
-from sonar_gl.compiled import compiled
+from sonar_gl.compiled import compiled, compiled_with
 from sonar_gl.lookup import Lookup, look_up
 
 CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
@@ -105,7 +106,7 @@ def _weaken(picture, sectors, middle, grid, tau):
                     at[3] *= math.exp(-2.0 * depth)
 
 
-@compiled
+@compiled_with(lookup)
 def _hear(points, middle, grid, tau, picture, sectors, out):
     """Of each bubble that is not hidden, azimuth, sine of elevation, range and what it adds to a ping.
 

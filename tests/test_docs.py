@@ -206,11 +206,15 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
     assert shown == kept
     assert max(path.stat().st_size for path in kept) <= MAX_PICTURE_BYTES
     gallery = (ROOT / "tools" / "gallery.py").read_text(encoding="utf-8")
-    pairs = re.findall(r'"(\w+)": Pair\(', gallery)
+    pairs = re.findall(r'"(\w+)": Pair\(.*?("without", "with")?\)', gallery)
     scenes = (ROOT / "tools" / "chart_scenes.py").read_text(encoding="utf-8")
     charted = re.search(r"^SCENES = \((.*)\)", scenes, re.MULTILINE)[1]
     assert {path.stem for path in kept} == {
-        *(f"{name}_{style}" for name in pairs for style in ("demarco2015", "physical")),
+        *(
+            f"{name}_{style}"
+            for name, terms in pairs
+            for style in (("without", "with") if terms else ("demarco2015", "physical"))
+        ),
         *(f"chart_{name}" for name in [*re.findall(r'"(\w+)"', charted), "shimmer"]),
         "scaling",
     }

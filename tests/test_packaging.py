@@ -147,3 +147,11 @@ def test_the_command_is_installed(installed):
         sys.executable, installed / "bin" / "sonar-gl", "scenes", cwd=installed.anchor, env=environment
     )
     assert "pylon" in listed
+
+
+def test_machine_code_is_kept_by_the_files_of_all_that_it_calls():
+    from sonar_gl import footprint, ghosts, lookup
+
+    kept = ghosts.accumulate_ghosts._cache._cache_file._source_stamp
+    stats = [Path(module.__file__).stat() for module in (footprint, lookup)]
+    assert kept[1:] == tuple((stat.st_mtime, stat.st_size) for stat in stats)  # after Numba's own

@@ -22,6 +22,7 @@ import sonar_gl as sg
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 SEED = 0
+TIME_S = 4.0  # the divers have just breathed out
 MAX_BYTES = 120_000
 
 
@@ -32,6 +33,7 @@ class Pair(NamedTuple):
     sonar: str
     range_m: float
     height: int = 480
+    styles: tuple = ("demarco2015", "physical")
 
 
 PAIRS = {
@@ -41,6 +43,9 @@ PAIRS = {
     "diver_vertical": Pair("diver_vertical", "p900-45", 8.0),
     "diver_swimming": Pair("diver_swimming", "p900-45", 10.0),
     "ocean_floor": Pair("ocean_floor", "p900-45", 30.0),
+    # what the founding paper saw in its real images and left out
+    "diver_upright": Pair("diver_vertical", "p900-90", 10.0, 400, ("without", "with")),
+    "diver_breath": Pair("diver_swimming", "p900-45", 10.0, 480, ("without", "with")),
 }
 
 
@@ -58,6 +63,19 @@ def draw(pair: Pair):
     above, left = (height - rows) // 2, (width - columns) // 2
     margin = ((above, height - rows - above), (left, width - columns - left), (0, 0))
     return np.pad(paper, margin), physical
+
+
+def draw_terms(pair: Pair):
+    """(picture without, picture with) ghosts, bubbles, receiver noise and a beam in elevation, RGB."""
+    scene, sonar = sg.load_scene(pair.scene), sg.load_sonar(pair.sonar).with_range(pair.range_m)
+    bare, bare_noise = sg.Acoustics.physical(bubbles=False), sg.Noise(speckle=True)
+    full = sg.Acoustics.physical(multipath="incoherent", elevation_pattern="gaussian")
+    out = []
+    for acoustics, noise in ((bare, bare_noise), (full, sg.Noise(speckle=True, electronic_db=-80.0))):
+        with sg.Simulator(scene, sonar, acoustics) as simulator:
+            ping = simulator.ping(scene.sonar_pose, noise, SEED, time_s=TIME_S)
+        out.append(sg.draw_axes(sg.colorize(sg.fan_image(ping, pair.height), "jet"), ping))
+    return out
 
 
 def palette() -> Image.Image:
@@ -91,7 +109,9 @@ def main():
             parser.error(f"there is no pair {name!r} (known are {', '.join(PAIRS)})")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.pairs or PAIRS:
-        for style, picture in zip(("demarco2015", "physical"), draw(PAIRS[name]), strict=True):
+        pair = PAIRS[name]
+        pictures = draw_terms(pair) if "without" in pair.styles else draw(pair)
+        for style, picture in zip(pair.styles, pictures, strict=True):
             path, data = options.out / f"{name}_{style}.png", png(picture)
             if len(data) > MAX_BYTES:
                 raise SystemExit(
