@@ -33,7 +33,7 @@ def bubble_strength(radius_m):
     It holds where ka >> 1, k = 2π/λ: at 900 kHz a bubble of 1 mm has ka = 3.8. The formula of a resonant
     bubble, a² / ((f₀²/f² − 1)² + δ²), would hold it at 1/k² here, for its damping δ tends to ka: it is made
     for bubbles that are small against the wavelength.
-    Source: Urick, Principles of Underwater Sound, 3rd ed., 1983, table 9.1
+    Source: Urick, Principles of Underwater Sound, 3rd ed., 1983
 
     >>> (10 * np.log10(bubble_strength(np.array([1e-3, 2.5e-3, 10e-3])))).round(1).tolist()
     [-66.0, -58.1, -46.0]
@@ -48,7 +48,7 @@ def bubble_extinction(radius_m):
     to 1 mm at 900 kHz. That is wider than a beam: what is bent comes to the sonar as a faint haze, not from
     where the beam looks, and is left out. Further than a²/λ, some centimetres, a bubble's own shadow is
     filled again, and what many together take is even.
-    Source: van de Hulst, Light Scattering by Small Particles, 1957, section 8.22
+    Source: van de Hulst, Light Scattering by Small Particles, 1957
 
     >>> round(float(bubble_extinction(2.5e-3) / (np.pi * 2.5e-3**2)), 9)
     2.0
@@ -69,7 +69,7 @@ class Bubbles:
     radius_m : their mean radius, metres
     radius_spread : standard deviation of ln(radius), which is normal
     rise_m_s : how fast they rise, metres per second; each has its own speed within 20 % of this. Bubbles of
-        1 mm to 1 cm have 0.2 to 0.35 (Clift, Grace, Weber, Bubbles, Drops, and Particles, 1978, fig. 7.3)
+        1 mm to 1 cm have 0.2 to 0.35 (Clift, Grace, Weber, Bubbles, Drops, and Particles, 1978)
     half_angle_deg : of the cone in which they spread, and which holds 86 % of them, as many as a normal
         distribution of two standard deviations
     mouth_m : radius of the cone where it begins, metres
