@@ -58,7 +58,8 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, or Embree is not installed.
+        if an argument is of the wrong kind or out of bounds, acoustics have ghosts or bubbles, or Embree is
+        not installed.
 
     Warns
     -----
@@ -66,6 +67,7 @@ def reference_ping(
         if max_rays were too few.
     """
     acoustics = _check(scene, sonar, acoustics, error, max_rays)
+    check_known(scene, acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
     meta = {
         "sonar": asdict(sonar),
@@ -134,6 +136,15 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
         if not low <= value <= high:  # NaN too
             raise Error(f"{name} of a reference must lie in {low:g}..{high:g} (got {value:g})")
     return acoustics
+
+
+def check_known(scene: Scene, acoustics: Acoustics) -> None:
+    """Refuse what the reference knows nothing of."""
+    if acoustics.multipath != "none":
+        got = acoustics.multipath
+        raise Error(f"the reference knows no ghosts (got multipath {got!r}; give multipath=none)")
+    if acoustics.bubbles and getattr(scene, "plumes", ()):
+        raise Error("the reference knows no bubbles (got a scene with plumes; give bubbles=off)")
 
 
 def _bodies_differ(a, b) -> float:
