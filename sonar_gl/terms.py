@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,14 +49,17 @@ class Price:
     on: bool
 
 
-def differs(ping, other) -> tuple[float, float]:
+def differs(whole, other) -> tuple[float, float]:
     """Σ|with − without| / Σ with, and the largest |with − without| over the strongest bin; 0 of nothing.
 
-    >>> from types import SimpleNamespace as Ping
-    >>> differs(Ping(intensity=np.array([[4.0, 1.0]])), Ping(intensity=np.array([[3.0, 2.0]])))
+    Parameters
+    ----------
+    whole, other : intensities of the same shape, with a term and without it
+
+    >>> differs(np.array([[4.0, 1.0]]), np.array([[3.0, 2.0]]))
     (0.4, 0.25)
     """
-    e, t = (np.asarray(p.intensity, np.float64) for p in (ping, other))
+    e, t = np.asarray(whole, np.float64), np.asarray(other, np.float64)
     if e.sum() <= 0:
         return 0.0, 0.0
     apart = np.abs(e - t)
@@ -83,22 +86,29 @@ class _Probe:
             self.simulators[acoustics] = self.stack.enter_context(Simulator(*made))
         return self.simulators[acoustics]
 
-    def seen(self, terms, speckle: bool) -> list:
-        """A ping from each pose without these terms."""
-        acoustics, noise = without(self.first.acoustics, self.noise, terms)
+    def pings_of(self, acoustics: Acoustics) -> list:
+        """A ping from each pose, without noise."""
         if acoustics not in self.pings:
             simulator = self.simulator(acoustics)
             self.pings[acoustics] = [simulator.ping(pose) for pose in self.poses]
-        if not speckle:
-            noise = replace(noise, **SPECKLE.off)
-        return [add_noise(ping, noise, SEED) for ping in self.pings[acoustics]]
+        return self.pings[acoustics]
+
+    def means(self, terms) -> list:
+        """(B, K) mean of many pings from each pose, without these terms: echo and noise, through the TVG."""
+        acoustics, noise = without(self.first.acoustics, self.noise, terms)
+        sonar = self.first.sonar
+        levels = [10 ** (db / 10) for db in (noise.electronic_db, noise.ambient_db) if db is not None]
+        heard = sum(levels) * acoustics.tvg(sonar.range_m, sonar)
+        return [ping.intensity + heard for ping in self.pings_of(acoustics)]
 
     def change(self, terms) -> tuple[float, float]:
         """What the image changes without these terms: the whole, and a bin; the largest of all poses."""
-        # speckle takes echoes as they come, times the same numbers: but for its own change it is left out
-        speckle = SPECKLE in terms
-        pairs = zip(self.seen((), speckle), self.seen(terms, speckle), strict=True)
-        shares, bins = zip(*(differs(*pair) for pair in pairs), strict=True)
+        if SPECKLE in terms:  # alone: no tolerance leaves it out
+            whole = [add_noise(p, self.noise, SEED).intensity for p in self.pings_of(self.first.acoustics)]
+            less = self.means(terms)
+        else:
+            whole, less = self.means(()), self.means(terms)
+        shares, bins = zip(*map(differs, whole, less), strict=True)
         return max(shares), max(bins)
 
     def time(self, terms) -> list[float]:
@@ -152,9 +162,7 @@ def _prepared(scene, sonar, tolerance, poses, acoustics, noise):
     if poses is None:
         placed = scene.scene if isinstance(scene, Simulator) else scene
         if placed.sonar_pose is None:
-            raise Error(
-                f"scene {placed.name!r} has no sonar in it, and terms have no pose to be priced at; give one"
-            )
+            raise Error(f"scene {placed.name!r} has no sonar in it; give a pose")
         poses = [placed.sonar_pose]
     if not len(poses):
         raise Error("poses must hold at least one pose (got none)")
@@ -184,8 +192,8 @@ def price(
 
     Returns
     -------
-    list of Price, one a term, in the order of TERMS. All but speckle are priced without it: it multiplies
-    echoes by the same numbers with a term and without it
+    list of Price, one a term, in the order of TERMS. Images are means of many pings, in which noise is its
+    mean power; with speckle there is one ping against that mean
 
     Raises
     ------

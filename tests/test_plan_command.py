@@ -165,7 +165,7 @@ def test_one_rung_changes_estimates_by_so_much():
 def test_tolerances_out_of_bounds_are_left_out(tolerance, left):
     status, out, _ = run("wall.sdf", "--sonar", "small.toml", "--tolerance", tolerance)
     assert status == 0
-    assert out.endswith(f"\n{left}, it would lie outside 0.1 % to 50 %\n")
+    assert f"\n{left}, it would lie outside 0.1 % to 50 %\n\n" in out
     assert len(table(out)) == 2
     found = plan("--tolerance", tolerance, scene="wall.sdf")
     assert [name for name in ("halved", "doubled") if found[name] is None] == [left]
