@@ -104,9 +104,9 @@ def test_differences_are_those_of_pings_by_hand():
         apart, (whole, _) = np.abs(images[0] - images[1]), images
         assert found[term.name].changes == pytest.approx(apart.sum() / whole.sum(), rel=1e-9)
         assert found[term.name].worst_bin == pytest.approx(apart.max() / whole.max(), rel=1e-9)
-    # the surface and the floor mirror; E|g − 1| of speckle's exponential g is 2/e
-    assert found["multipath"].changes > 0.01
-    assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.1)
+    # the surface and the floor mirror; E|g − 1| of speckle's exponential g is 2/e, and a few dozen grains count
+    assert found["multipath"].changes > 0.003
+    assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
 
 
 def test_what_a_scene_has_not_changes_nothing_and_costs_nothing():
@@ -165,19 +165,16 @@ def test_the_image_changes_by_no_more_than_the_tolerance(name, tolerance):
 
 
 def test_small_terms_are_left_out_only_as_far_as_all_of_them_together_stay_small():
-    scene = room(surface_z_m=3.0)
-    found = priced(scene, 0.01)
-    each = sorted(one.changes for one in found.values() if one.name in ACOUSTIC and one.changes > 0)
-    tolerance = 1.05 * each[1]  # two terms by themselves fall below it
-    again = priced(scene, tolerance)
-    off = [one for one in again.values() if not one.on and one.changes > 0]
-    below = [one for one in again.values() if 0 < one.changes <= tolerance]
-    assert 1 <= len(off) <= len(below)
-    assert max((one.changes for one in off), default=0) <= min(
-        one.changes for one in again.values() if one.on
-    )
-    _, _, apart = needs(scene, SONAR, tolerance)
-    assert apart <= 1.1 * tolerance
+    scene, left = room(0.0, surface_z_m=3.0), 0
+    for tolerance in (0.006, 0.05, 0.3):
+        found = priced(scene, tolerance).values()
+        on, off = ([one.changes for one in found if one.on is state] for state in (True, False))
+        assert max(off) <= min(on) and max(off) <= tolerance
+        *_, apart = needs(scene, SONAR, tolerance)
+        assert apart <= 1.1 * tolerance
+        assert len(off) >= left
+        left = len(off)
+    assert left >= 5 and any(changes > 0 for changes in off)
 
 
 def test_the_same_scene_always_needs_the_same():
