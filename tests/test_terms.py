@@ -1,5 +1,6 @@
 """What terms are worth in a scene, and the acoustics that it needs."""
 
+import doctest
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl import terms
 from sonar_gl.noise import add_noise
 from sonar_gl.switches import SPECKLE, TERMS, everything_on, without
 from sonar_gl.terms import differs, needed, price
@@ -187,6 +189,10 @@ def test_the_same_scene_always_needs_the_same():
     assert (first.beam_pattern != "box") == ("azimuth pattern" in on)
     assert (first.bandwidth_hz is not None) == ("pulse" in on)
     assert first.profile == "physical" and first.tvg_k == 20
+
+
+def test_examples():
+    assert doctest.testmod(terms).failed == 0
 
 
 def test_mistakes():
