@@ -55,7 +55,7 @@ def verify(ctx, scene, **options):
     scene = load_scene(scene, o.resource_path, o.skip_missing)
     _, (pose,) = _poses(o, scene)
     acoustics = acoustics or Acoustics.needed(scene, sonar, o.tolerance, pose)
-    check_known(scene, acoustics)
+    check_known(acoustics)
     folder = output_folder(o.out)
     if sys.stderr.isatty():
         click.echo("casting rays ...", err=True)

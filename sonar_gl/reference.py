@@ -58,8 +58,7 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, acoustics have ghosts or bubbles, or Embree is
-        not installed.
+        if an argument is of the wrong kind or out of bounds, ghosts would be heard, or Embree is not installed.
 
     Warns
     -----
@@ -67,7 +66,7 @@ def reference_ping(
         if max_rays were too few.
     """
     acoustics = _check(scene, sonar, acoustics, error, max_rays)
-    check_known(scene, acoustics)
+    check_known(acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
     meta = {
         "sonar": asdict(sonar),
@@ -138,13 +137,11 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
     return acoustics
 
 
-def check_known(scene: Scene, acoustics: Acoustics) -> None:
+def check_known(acoustics: Acoustics) -> None:
     """Refuse what the reference knows nothing of."""
     if acoustics.multipath != "none":
         got = acoustics.multipath
         raise Error(f"the reference knows no ghosts (got multipath {got!r}; give multipath=none)")
-    if acoustics.bubbles and getattr(scene, "plumes", ()):
-        raise Error("the reference knows no bubbles (got a scene with plumes; give bubbles=off)")
 
 
 def _bodies_differ(a, b) -> float:
