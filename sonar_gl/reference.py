@@ -58,7 +58,7 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, ghosts would be heard, or Embree is not installed.
+        if an argument is of the wrong kind or out of bounds, ghosts would be heard, or Embree is missing.
 
     Warns
     -----
