@@ -24,7 +24,7 @@ from sonar_gl.types import Error
 
 POSES = 5  # of a sequence are tried
 PROBE, COARSEST = 5.0, 0.05  # a probe's tolerance: times the one that is asked for, and no finer than this
-TURNS = 5  # of timing
+TURNS = 7  # of timing
 UNMET = "tolerance .* cannot be met"  # which is for those to tell who make the pings
 SEED = 0  # of the noise: the same with a term and without it
 
