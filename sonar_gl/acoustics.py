@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
 from sonar_gl.beams import Beams
 from sonar_gl.pulse import bin_weights
-from sonar_gl.settings import check
+from sonar_gl.settings import check, parse
 from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
@@ -103,6 +104,32 @@ class Acoustics(Beams):
     def physical(cls, **settings) -> Acoustics:
         """Spreading, absorption and TVG, beams of a line array; settings are the fields, by name."""
         return cls("physical", **settings)
+
+    @classmethod
+    def needed(cls, scene, sonar, tolerance: float = 0.01, pose=None) -> Acoustics:
+        """`physical` with those terms switched on that this scene needs, and no others.
+
+        Without those that are left out the image changes by no more than the tolerance, all together.
+
+        Parameters
+        ----------
+        scene, sonar : Scene, or a Simulator of it, and Sonar
+        tolerance : 0.001..0.5, how much of the echo may differ from that with everything on
+        pose : (4, 4) world_from_sonar, or several of a sequence, of which five are tried; None = the scene's
+
+        Raises Error if there is no pose. The same arguments give the same terms: times do not count.
+        """
+        # it makes pings, and the modules that do so stand on this one
+        return importlib.import_module("sonar_gl.terms").needed(scene, sonar, tolerance, pose)
+
+    @classmethod
+    def parse(cls, text: str, profile: str = "physical") -> Acoustics:
+        """A profile and changes of its fields, from a command line.
+
+        >>> Acoustics.parse("tvg_k=30,elevation_pattern=gaussian").tvg_k
+        30.0
+        """
+        return replace(cls(profile), **parse(text, fields(cls)))
 
     def absorption(self, frequency_hz: float) -> float:
         """α at this frequency, dB per metre, one way."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import click
 
 from sonar_gl._version import __version__
-from sonar_gl.checks import cost_plans, plan_text, verify
+from sonar_gl.checks import verify
 from sonar_gl.commands import Commands, load_numba, numbers, progress
+from sonar_gl.costs import cost_plans, plan_text
 from sonar_gl.options import DEVICE
+from sonar_gl.options import acoustics as _acoustics
 from sonar_gl.options import judged as _judged
 from sonar_gl.options import option as _option
 from sonar_gl.options import poses as _poses
@@ -50,6 +53,7 @@ Examples:
 @_option("range", type=float)
 @_option("bins", type=int)
 @_option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
+@_option("acoustics", show_default="the profile's")
 @_option("range_law", "printed", "constant", "inverse", show_default="printed")
 @_option("noise", show_default="none; demarco2015 in that style")
 @_option("style", "fan", "demarco2015", default="fan")
@@ -93,7 +97,9 @@ def render(ctx, scene, **options):
     profile = o.profile or ("demarco2015" if in_demarco else "physical")
     if o.range_law is not None and profile != "demarco2015":
         raise Error(f"--range-law must stand with --profile demarco2015 (got --profile {profile})")
-    acoustics = getattr(Acoustics, profile)(**({} if o.range_law is None else {"range_law": o.range_law}))
+    acoustics = _acoustics(o, profile)
+    if o.range_law is not None:
+        acoustics = replace(acoustics, range_law=o.range_law)
     noise = Noise.parse(("demarco2015" if in_demarco else "none") if o.noise is None else o.noise)
     sonar = _sonar(o)
     if in_demarco:
@@ -103,6 +109,7 @@ def render(ctx, scene, **options):
         artist = fan_artist(o.height, o.scale, db_range, o.colormap, o.axes)
     scene = load_scene(scene, o.resource_path, o.skip_missing)
     times_s, poses = _poses(o, scene)
+    acoustics = acoustics or Acoustics.needed(scene, sonar, o.tolerance, poses)
     folder = output_folder(o.out)
     shown = progress if o.poses is not None else contextlib.nullcontext
     with Simulator(scene, sonar, acoustics, tolerance=o.tolerance) as simulator:
@@ -147,6 +154,10 @@ def plan(ctx, scene, **options):
     The same is done for half the tolerance and for twice of it. Errors are those that pings are thought to
     have, without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses two dozen
     are tried, as by `sonar-gl render`.
+
+    Then each term of acoustics and noise is priced: how much the image would change without it, as a share
+    of its sum; the strongest change of one bin, over the strongest bin; the milliseconds that it adds to a
+    ping; and whether it is needed for the image to change by no more than the tolerance.
     """
     o = SimpleNamespace(**options)
 
@@ -156,9 +167,11 @@ def plan(ctx, scene, **options):
     from sonar_gl.load import load_scene
 
     load_numba()
-    sonar, acoustics = _sonar(o), getattr(Acoustics, o.profile)()
+    sonar, acoustics = _sonar(o), _acoustics(o, o.profile)
     scene = load_scene(scene, o.resource_path, o.skip_missing)
-    found = cost_plans(scene, sonar, acoustics, _poses(o, scene)[1], o.tolerance)
+    poses = _poses(o, scene)[1]
+    acoustics = acoustics or Acoustics.needed(scene, sonar, o.tolerance, poses)
+    found = cost_plans(scene, sonar, acoustics, poses, o.tolerance)
     click.echo(json.dumps(found) if o.json else plan_text(found))
     ctx.exit(0 if found["met"] else 1)
 

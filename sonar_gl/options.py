@@ -17,6 +17,7 @@ HELP = {
     "range": "Another maximum range, metres; keeps the size of a bin.",
     "bins": "Another number of bins.",
     "profile": "How sound weakens and how beams hear.",
+    "acoustics": "Changes of the profile, such as tvg_k=30,multipath=coherent; or needed, by the scene.",
     "range_law": "Of profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",
     "noise": "none, demarco2015, physical, or amounts such as gaussian=1e-4,median=3.",
     "style": "Of the picture: a fan image, or the founding paper's.",
@@ -79,6 +80,7 @@ JUDGED = {
     "range": {"type": float},
     "bins": {"type": int},
     "profile": {"type": click.Choice(("ideal", "demarco2015", "physical")), "default": "physical"},
+    "acoustics": {"show_default": "the profile's"},
     "tolerance": {"type": float, "default": 0.01},
     "device": DEVICE,
     "resource_path": {"multiple": True},
@@ -108,6 +110,23 @@ def sonar(o):
     known = load_sonar(o.sonar)
     known = known if o.range is None else known.with_range(o.range)
     return known if o.bins is None else replace(known, n_bins=o.bins)
+
+
+def acoustics(o, profile: str):
+    """The Acoustics that the options mean; None where the scene is to say what it needs."""
+    from sonar_gl.acoustics import Acoustics
+    from sonar_gl.types import Error
+
+    if o.acoustics == "needed":
+        if profile != "physical":
+            raise Error(f"--acoustics needed must stand with --profile physical (got --profile {profile})")
+        return None
+    if o.acoustics is None:
+        return Acoustics(profile)
+    try:
+        return Acoustics.parse(o.acoustics, profile)
+    except Error as why:
+        raise Error(f"--{why}") from None
 
 
 def poses(o, scene):

@@ -58,7 +58,8 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, bubbles would be heard, or Embree is missing.
+        if an argument is of the wrong kind or out of bounds, ghosts or bubbles would be heard, or Embree is
+        missing.
 
     Warns
     -----
@@ -66,6 +67,7 @@ def reference_ping(
         if max_rays were too few.
     """
     acoustics = _check(scene, sonar, acoustics, error, max_rays)
+    check_known(acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
     meta = {
         "sonar": asdict(sonar),
@@ -134,6 +136,13 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
         if not low <= value <= high:  # NaN too
             raise Error(f"{name} of a reference must lie in {low:g}..{high:g} (got {value:g})")
     return acoustics
+
+
+def check_known(acoustics: Acoustics) -> None:
+    """Refuse what the reference knows nothing of."""
+    if acoustics.multipath != "none":
+        got = acoustics.multipath
+        raise Error(f"the reference knows no ghosts (got multipath {got!r}; give multipath=none)")
 
 
 def _bodies_differ(a, b) -> float:

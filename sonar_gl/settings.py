@@ -80,6 +80,43 @@ def check(acoustics):
         )
 
 
+SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
+
+
+def parse(text: str, fields) -> dict:
+    """Values of `Acoustics`' fields from a command line, "key=value,..."; none is None where that may be.
+
+    Raises
+    ------
+    Error
+        if a field is unknown or given twice, or its value is of another kind.
+    """
+    kinds, out = {field.name: field.type for field in fields if field.name != "profile"}, {}
+    for item in text.split(","):
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if key not in kinds:
+            raise Error(f"acoustics {text!r}: unknown name (got {key!r}; {nearest_names(key, kinds)})")
+        if not equals:
+            raise Error(f"acoustics {text!r}: {key} must have a value, as in {key}=... (got none)")
+        if key in out:
+            raise Error(f"acoustics {text!r}: {key} must be given once")
+        kind, _, may_be_none = kinds[key].partition(" | ")
+        if value == "none" and may_be_none:
+            out[key] = None
+        elif kind == "bool":
+            if value not in SWITCHES:
+                raise Error(f"acoustics {text!r}: {key} must be yes or no (got {value!r})")
+            out[key] = SWITCHES[value]
+        elif kind == "float":
+            try:
+                out[key] = float(value)
+            except ValueError:
+                raise Error(f"acoustics {text!r}: {key} must be a number (got {value!r})") from None
+        else:
+            out[key] = value
+    return out
+
+
 def _check_name(acoustics, key: str, known):
     value = getattr(acoustics, key)
     if str(value) not in known:

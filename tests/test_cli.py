@@ -7,7 +7,7 @@ import pty
 import re
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import click
@@ -726,3 +726,72 @@ def test_process_in_ascii_tells_mistakes():
     done = process("render", "tank.sdf", "--pose", "0 0 0 0 0 90", PYTHONIOENCODING="ascii")
     assert done.returncode == 2
     assert done.stderr.startswith("error: --pose '0 0 0 0 0 90': pose angles must be radians, within ")
+
+
+# --- acoustics
+
+
+def test_acoustics_change_fields_of_a_profile():
+    render(
+        "--acoustics", "tvg_k=30,elevation_pattern=gaussian,specular=off,absorption_db_m=0.5,multipath=none"
+    )
+    made = ping().meta["acoustics"]
+    wanted = sg.Acoustics.physical(
+        tvg_k=30.0, elevation_pattern="gaussian", specular=False, absorption_db_m=0.5, multipath="none"
+    )
+    assert made == wanted.meta()
+    render("--profile", "ideal", "--acoustics", "bandwidth_hz=none,beam_pattern=line_array")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.ideal(), beam_pattern="line_array").meta()
+    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "ph=7.9")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), ph=7.9).meta()
+
+
+def test_acoustics_are_those_that_the_scene_needs():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    render("--acoustics", "needed")
+    wanted = sg.Acoustics.needed(scene, sonar, 0.05, sg.pose())
+    assert ping().meta["acoustics"] == wanted.meta() and wanted.beam_pattern == "line_array"
+    render("--acoustics", "needed", "--poses", "dive.csv", "--format", "npz")
+    wanted = sg.Acoustics.needed(scene, sonar, 0.05, read_poses("dive.csv")[1])
+    assert [ping(f"tank_{n:04d}.npz").meta["acoustics"] for n in range(3)] == 3 * [wanted.meta()]
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        (
+            "multipth=none",
+            "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
+        ),
+        ("needed,ph=8", "acoustics 'needed,ph=8': unknown name (got 'needed'; "),
+        ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
+        ("ph", "acoustics 'ph': ph must have a value, as in ph=... (got none)"),
+        ("ph=8,ph=8", "acoustics 'ph=8,ph=8': ph must be given once"),
+        ("ph=none", "acoustics 'ph=none': ph must be a number (got 'none')"),
+        ("specular=maybe", "acoustics 'specular=maybe': specular must be yes or no (got 'maybe')"),
+        ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
+        ("multipath=coherrent", "acoustics: unknown multipath (got 'coherrent'; did you mean 'coherent' or "),
+    ],
+)
+def test_mistakes_in_acoustics(text, message):
+    assert refused("--acoustics", text).startswith(f"--{message}")
+
+
+def test_what_a_scene_needs_is_of_the_profile_physical():
+    for options, profile in ((["--profile", "ideal"], "ideal"), (["--style", "demarco2015"], "demarco2015")):
+        message = f"--acoustics needed must stand with --profile physical (got --profile {profile})"
+        assert refused("--acoustics", "needed", *options) == message
+
+
+def test_verify_refuses_what_rays_know_nothing_of():
+    words = "verify", "tank.sdf", "--sonar", "small.toml", "--acoustics"
+    assert run(*words, "multipath=coherent") == (
+        2,
+        "",
+        "error: the reference knows no ghosts (got multipath 'coherent'; give multipath=none)\n",
+    )
+    status, out, _ = run(*words, "bandwidth_hz=2000", "--tolerance", 0.2)
+    assert status == 0 and "tolerance of 20 % is kept" in out
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    with pytest.raises(sg.Error, match="knows no ghosts"):
+        sg.reference_ping(scene, sonar, sg.pose(), sg.Acoustics.physical(multipath="incoherent"))

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 import sonar_gl as sg
 from sonar_gl import cli
+from sonar_gl.switches import TERMS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -109,6 +110,7 @@ def test_other_commands_name_files_that_exist(words):
         ["promise.py", "--worlds", "1"],
         ["failures.py", "--soak", "50"],
         ["bench_frame.py", "--repeats", "2"],
+        ["ablation.py", "diver_vertical", "--docs", "docs"],
         ["bench_paper.py", "--scene", "pylon", "--repeats", "2"],
         ["bench_start.py", "--only", "import sonar_gl", "--runs", "1"],
         ["bench_scaling.py", "--quick", "--out", "scaled"],
@@ -117,6 +119,9 @@ def test_other_commands_name_files_that_exist(words):
 )
 def test_tools_run(words, folder):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    if words[0] == "ablation.py":
+        Path("docs", "pictures").mkdir(parents=True)
+        Path("docs", "ablation.md").write_text("<!-- table diver_vertical -->\nold\n<!-- end -->\n")
     command = [sys.executable, str(ROOT / "tools" / words[0]), *words[1:]]
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -142,6 +147,19 @@ def test_tools_run(words, folder):
             added = ms["noise"] + ms["fan image"] + ms["Jet"] + ms["physical over ideal"]
             assert abs(ms["frame over bare ping"] - added) < 0.03
             assert min(ms["ping, ideal"], ms["rays by packets"], ms["rays by embreex"]) > 0
+    elif words[0] == "ablation.py":
+        (picture,) = Path("docs", "pictures").iterdir()
+        assert picture.name == "ablation_diver_vertical.png"
+        made = Path("docs", "ablation.md").read_text()
+        rows = re.findall(r"^\| ([\w ]+) \| ([\d.e-]+) % \|", made, re.MULTILINE)
+        assert [name for name, _ in rows] == [term.name for term in TERMS] and "old" not in made
+        # which says what the page says, but for times
+        page = re.findall(
+            r"^\| ([\w ]+) \| ([\d.e-]+) % \|", text_of(ROOT / "docs" / "ablation.md"), re.MULTILINE
+        )
+        same = dict(page[len(TERMS) * 2 : len(TERMS) * 3])
+        for name, share in rows:
+            assert float(share) == pytest.approx(float(same[name]), rel=0.1, abs=0.01)
     elif words[0] == "bench_paper.py":
         paper, ours, physical = re.search(
             r"^pylon +([\d.]+) +([\d.]+) \(.+?\) +([\d.]+) ", done.stdout, re.M
@@ -209,6 +227,8 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
     pairs = re.findall(r'"(\w+)": Pair\(.*?("without", "with")?\)', gallery)
     scenes = (ROOT / "tools" / "chart_scenes.py").read_text(encoding="utf-8")
     charted = re.search(r"^SCENES = \((.*)\)", scenes, re.MULTILINE)[1]
+    tool = (ROOT / "tools" / "ablation.py").read_text(encoding="utf-8")
+    ablated = re.search(r"^SCENES = \{(.*?)\}", tool, re.MULTILINE | re.DOTALL)[1]
     assert {path.stem for path in kept} == {
         *(
             f"{name}_{style}"
@@ -216,6 +236,7 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
             for style in (("without", "with") if terms else ("demarco2015", "physical"))
         ),
         *(f"chart_{name}" for name in [*re.findall(r'"(\w+)"', charted), "shimmer"]),
+        *(f"ablation_{name}" for name in re.findall(r'"(\w+)": [\d.]+', ablated)),
         "scaling",
     }
 

@@ -10,9 +10,11 @@ import pytest
 from command_line import BOX, SENSOR, SONAR, WALL
 
 import sonar_gl as sg
-from sonar_gl import checks, reference
+from sonar_gl import costs, reference
 from sonar_gl.plan import ERROR_RATE, LUCK_RATE, STEPS_PER_HALF, WORST_BODY, Plan
 from sonar_gl.poses import read_poses
+from sonar_gl.switches import TERMS
+from sonar_gl.terms import price
 
 SCENE = '<sdf version="1.9"><world name="any">{}</world></sdf>'
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0.7\n0.5,-2,0,0,0,0,0\n1.0,1,0,0,0,0,0.1\n"
@@ -45,7 +47,8 @@ def plan(*arguments, scene="tank.sdf"):
 
 def table(out):
     """Tolerance in per cent -> the other cells of its row."""
-    rows = out.partition("tolerance   samples    error  worst body        ms  ratio\n")[2].splitlines()
+    rows = out.partition("tolerance   samples    error  worst body        ms  ratio\n")[2]
+    rows = rows.partition("\n\n")[0].splitlines()
     return {float(row.split()[0]): re.split(r"\s{2,}", row.strip())[1:] for row in rows if row[0] == " "}
 
 
@@ -64,13 +67,38 @@ def test_the_command_says_what_was_chosen_why_and_what_else_there_is():
     assert int(samples) == round(24 * float(per_beam)) * int(rows)
     assert re.fullmatch(r"[\d.]+ % of the echo, estimated", found["error"])
     assert re.fullmatch(r"'(box|wall)', its own echo, off by [\d.]+ %, estimated", found["worst body"])
-    assert found["bound by"] in checks.BOUND_BY.values()
+    assert found["bound by"] in costs.BOUND_BY.values()
     assert re.fullmatch(r"\d+\.\d\d ms on .+", found["ping"])
     others = table(out)
     assert list(others) == [2.5, 5, 10]
     assert [int(row[0]) for row in others.values()] == sorted(int(row[0]) for row in others.values())[::-1]
     assert others[5][0] == samples and others[5][-1] == "1.00"
     assert all(len(row) == 5 and row[1].endswith(" %") and row[2].endswith(" %") for row in others.values())
+
+
+def test_it_prices_every_term():
+    out = run("tank.sdf", *QUICK)[1]
+    rows = out.partition("without            the image changes  worst bin       ms  needed\n")[2].splitlines()
+    told = {cells[0]: cells[1:] for cells in (re.split(r"\s{2,}", row) for row in rows)}
+    found = plan()["terms"]
+    assert list(told) == [term["name"] for term in found] == [term.name for term in TERMS]
+    for term in found:
+        share, bin_, _, state = told[term["name"]]
+        assert (share, bin_) == (costs.percent(term["changes"]), costs.percent(term["worst_bin"]))
+        assert state == ("on" if term["on"] else "off")
+        assert term["changes"] > 0 or (term["time_ms"], term["on"]) == (0, False)
+
+
+def test_it_prices_what_the_options_say():
+    """A scene without mirrors that count, smooth faces, bubbles: these terms change nothing."""
+    terms = {
+        term["name"]: term for term in plan("--acoustics", "bandwidth_hz=2000,pulse_taper=hamming")["terms"]
+    }
+    with sg.Simulator(sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")) as simulator:
+        acoustics = sg.Acoustics.physical(bandwidth_hz=2000.0, pulse_taper="hamming")
+        wanted = {term.name: term for term in price(simulator, simulator.sonar, 0.05, acoustics=acoustics)}
+    assert terms["pulse"]["changes"] == wanted["pulse"].changes > 0.1
+    assert [terms[name]["changes"] for name in ("lobes", "bubbles")] == [0, 0]
 
 
 def test_json_holds_what_the_simulator_plans():
@@ -114,7 +142,7 @@ def cost_of(error, body, met=True, rung=5):
     """What `_cost` makes of a plan with such estimates, of a tolerance of 0.01."""
     made = Plan(sg.Sampling(2, 10), rung, error, body, 1, met)
     scene, sonar = sg.load_scene("wall.sdf"), sg.load_sonar("small.toml")
-    return checks._cost(made, 0.01, scene, sonar)["bound_by"]
+    return costs._cost(made, 0.01, scene, sonar)["bound_by"]
 
 
 def test_the_nearer_of_two_estimates_binds():
@@ -123,21 +151,21 @@ def test_the_nearer_of_two_estimates_binds():
     # a coarser rung would have kept both, and was left all the same
     assert cost_of(0.005, 0.02) == "finding"
     assert cost_of(0.005, 0.02, rung=0) == "nothing" and cost_of(0.009, 0.02, rung=0) == "error"
-    assert set(checks.BOUND_BY) == {"error", "worst body", "finding", "nothing"}
+    assert set(costs.BOUND_BY) == {"error", "worst body", "finding", "nothing"}
 
 
 def test_one_rung_changes_estimates_by_so_much():
     """Of a plan that keeps the tolerance two rungs at most are to be gained, or it would have moved on."""
     rates = (ERROR_RATE, 2 * LUCK_RATE)  # hits are as many as the square of the width
-    assert min(2 ** (-2 * rate / STEPS_PER_HALF) for rate in rates) >= checks.TWO_RUNGS
-    assert checks.FIVE == WORST_BODY == reference.WORST_BODY
+    assert min(2 ** (-2 * rate / STEPS_PER_HALF) for rate in rates) >= costs.TWO_RUNGS
+    assert costs.FIVE == WORST_BODY == reference.WORST_BODY
 
 
 @pytest.mark.parametrize("tolerance, left", [(0.001, "halved"), (0.5, "doubled")])
 def test_tolerances_out_of_bounds_are_left_out(tolerance, left):
     status, out, _ = run("wall.sdf", "--sonar", "small.toml", "--tolerance", tolerance)
     assert status == 0
-    assert out.endswith(f"\n{left}, it would lie outside 0.1 % to 50 %\n")
+    assert f"\n{left}, it would lie outside 0.1 % to 50 %\n\n" in out
     assert len(table(out)) == 2
     found = plan("--tolerance", tolerance, scene="wall.sdf")
     assert [name for name in ("halved", "doubled") if found[name] is None] == [left]

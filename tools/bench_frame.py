@@ -7,7 +7,8 @@
 A frame is a ping of profile `physical` with `Noise.physical()`, as a fan image 800 pixels high in Jet. What
 it adds to a bare ping, of profile `ideal` and without noise, is told over the time of tracing 256 x 512
 regular rays over the same fan: as the chart's rivals do (packets of eight rays, two threads), and through
-`embreex` (one thread). PNG encoding stands beside: sequences are written while the next ping is made.
+`embreex` (one thread). So is what beam patterns, speckle and receiver noise add by themselves. PNG encoding
+stands beside: sequences are written while the next ping is made.
 
 Both pings have the samples that tolerance 0.01 asks for with profile `ideal`. Stages are timed in turns, a
 round of all and then the next, while the sonar creeps; times are medians of the rounds, ratios medians of the
@@ -107,8 +108,10 @@ def bench_frame(scene, sonar, repeats: int) -> dict[str, float]:
     times = measure(scene, sonar, repeats)
     added = sum(times[stage] for stage in ADDED)
     times["physical over ideal"] = times["ping, physical"] - times["ping, ideal"]
+    times["beams, speckle, noise"] = times["physical over ideal"] + times["noise"]
     times["frame over bare ping"] = added + times["physical over ideal"]
     for way in ("packets", "embreex"):
+        times[f"beams.. / {way}"] = times["beams, speckle, noise"] / times[f"rays by {way}"]
         times[f"frame / {way}"] = times["frame over bare ping"] / times[f"rays by {way}"]
     return {stage: float(np.median(ms)) for stage, ms in times.items()}
 
