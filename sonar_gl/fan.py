@@ -102,7 +102,12 @@ class Fan:
 
 
 def make_fan(
-    sonar: Sonar, sampling: Sampling, reach_rad: float, box: bool = True, shear: float = SHEAR
+    sonar: Sonar,
+    sampling: Sampling,
+    reach_rad: float,
+    box: bool = True,
+    shear: float = SHEAR,
+    widest: float = 0.5,
 ) -> Fan:
     """Lay the sectors, samples and columns of a sonar.
 
@@ -111,6 +116,7 @@ def make_fan(
     reach_rad : how far from their axes the beams hear
     box : the beams are boxes of that half-width: columns end where beams end
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
+    widest : of columns, in spacings of beams, unless the beams are boxes
     """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - reach_rad, azimuths[-1] + reach_rad
@@ -134,7 +140,7 @@ def make_fan(
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         spacing = np.diff(azimuths).min(initial=span)
-        width = max(min(span / n_samples, spacing / 2), reach_rad / COLUMNS_PER_REACH)
+        width = max(min(span / n_samples, widest * spacing), reach_rad / COLUMNS_PER_REACH)
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = distinct(np.clip(np.concatenate([ends, seams]), start, stop))

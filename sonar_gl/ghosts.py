@@ -31,12 +31,12 @@ from sonar_gl.footprint import (
     _look,
     spread_footprints,
 )
-from sonar_gl.lookup import SAME_PLACE, look_up, mirrored
+from sonar_gl.lookup import LEAST, SAME_PLACE, is_open, left_of, look_up
 
 NEVER = 1e-9  # 1/x of a plane past its horizon
-# Of each sample, for the other one: its place there, how far, whether that is before the surface; what the
-# mirror leaves of the sound; the echo between both ways.
-X, Y, Z, RANGE, SIDE, LEFT, BETWEEN = range(7)
+# Of each sample, for the other one: its place there, how far, whether that is before the surface; the sine of
+# the angle at which the sound meets the mirror; what that leaves of it; the echo between both ways.
+X, Y, Z, RANGE, SIDE, SINE, LEFT, BETWEEN = range(8)
 
 
 @compiled
@@ -48,7 +48,7 @@ def _heard(elevation, top, sine):
 
 
 @compiled
-def _reach(work, there, first, last, uc, other):
+def _reach(work, there, first, last, uc, own, other, from_mirror, plane):
     """Where what a strip's samples met is for the other one, how far, and on which side of it that is."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
@@ -65,6 +65,14 @@ def _reach(work, there, first, last, uc, other):
         there[X, m], there[Y, m], there[Z, m] = x, y, z
         there[RANGE, m] = math.sqrt(x * x + y * y + z * z)
         there[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
+        there[SINE, m] = (plane[0] * x - plane[1] * y + plane[2] * z) / there[RANGE, m]
+    if from_mirror:  # the mirror's normal in the frame of this sector; its port is the sonar's starboard
+        nx = plane[0] * own[0, 0] - plane[1] * own[1, 0] + plane[2] * own[2, 0]
+        ny = plane[0] * own[0, 1] - plane[1] * own[1, 1] + plane[2] * own[2, 1]
+        nz = plane[0] * own[0, 2] - plane[1] * own[1, 2] + plane[2] * own[2, 2]
+        for m in range(uint64(first), uint64(last)):
+            vc = (border[m] + border[uint64(m + 1)]) / 2
+            there[SINE, m] = (nx - ny * uc + nz * vc) / math.sqrt(1.0 + uc * uc + vc * vc)
 
 
 @compiled_with(lookup)
@@ -75,27 +83,29 @@ def _weigh(
     """Of a strip's samples: what the mirror leaves, and the echo per steradian between both ways."""
     for m in range(first, last):
         there[LEFT, m] = there[BETWEEN, m] = 0.0
-        vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
-        q, side = work[REST, m] + work[ALONG_V, m] * vc, there[SIDE, m]
-        if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m] or q <= NEVER:
-            continue
+        side = there[SIDE, m]
         if side <= 0.0 and not from_mirror:  # the other looks at the surface from behind
+            continue
+        left = left_of(there[SINE, m], loss)
+        if work[ECHO, m] <= 0.0 or left < LEAST or there[SINE, m] <= 1e-6:
+            continue
+        vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
+        q = work[REST, m] + work[ALONG_V, m] * vc
+        if work[BORDER, m + 1] <= work[BORDER, m] or q <= NEVER:
             continue
         if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
         x, y, z = there[X, m], there[Y, m], there[Z, m]
         # the image's directions are the sonar's with port and starboard exchanged
+        leg_x, leg_y, leg_z = x, -y, z
         if from_mirror:
-            leg_x, leg_z = (
-                own[0, 0] - own[0, 1] * uc + own[0, 2] * vc,
-                own[2, 0] - own[2, 1] * uc + own[2, 2] * vc,
-            )
+            leg_x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
             leg_y = -(own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
-            left = mirrored(leg_x, leg_y, leg_z, picture, sectors, plane, needs_surface, loss)
-        else:
-            left = mirrored(x, -y, z, picture, sectors, plane, needs_surface, loss)
+            leg_z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
+        if not is_open(leg_x, leg_y, leg_z, picture, sectors, plane, needs_surface):
+            continue
         there[LEFT, m] = left
-        if left == 0.0 or side <= 0.0:
+        if side <= 0.0:
             continue
         seen, ahead = look_up(x, y, z, other_picture, other_sectors)
         if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
@@ -167,7 +177,7 @@ def accumulate_ghosts(
     from_mirror : this is the image's view: echoes that meet the mirror twice are summed, too
     once : what the two ways of an echo that meets the mirror once make together, over one of them
     picture, sectors : what the sonar sees; other_picture, other_sectors : what the other one sees
-    plane, needs_surface, loss : of `mirrored`
+    plane, needs_surface : of `lookup.is_open`; loss : of `lookup.left_of`
     sums, spans : as of `footprint.accumulate`
     """
     K = sums.shape[1]
@@ -195,7 +205,7 @@ def accumulate_ghosts(
         last += 1
         work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
         _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
-        _reach(work, there, first, last, uc, other)
+        _reach(work, there, first, last, uc, own, other, from_mirror, plane)
         _weigh(
             work, there, first, last, uc, elevation, top, own, ceiling, from_mirror, picture, sectors,
             other_picture, other_sectors, plane, needs_surface, loss,

@@ -12,7 +12,7 @@ from sonar_gl.compiled import compiled
 # What two pictures show of one place may differ by so much of its distance; less on a mirror, which is flat.
 SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 LEAST = 1e-4  # of the intensity: what leaves less is no mirror
-GRID = 48  # directions to each side of a sector that are tried
+GRID = 24  # directions to each side of a sector that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,54 +52,55 @@ def look_up(x, y, z, picture, sectors):
     picture : (H, W, 4) float32, sectors side by side, as the shader writes them
     sectors : (n, 17) of `Lookup`
     """
+    # number by number: a row taken out would be counted in and out by both threads
     for k in range(sectors.shape[0]):
-        t = sectors[k]
-        ahead, beside = t[0] * x + t[1] * y, t[0] * y - t[1] * x
-        if ahead <= 0.0 or abs(beside) > t[2] * ahead:
+        c, s = sectors[k, 0], sectors[k, 1]
+        ahead, beside = c * x + s * y, c * y - s * x
+        if ahead <= 0.0 or abs(beside) > sectors[k, 2] * ahead:
             continue
         u, v = -beside / ahead, z / ahead
-        if v * v > t[3] * t[3] * (1.0 + u * u):
+        if v * v > sectors[k, 3] * sectors[k, 3] * (1.0 + u * u):
             return -1.0, 0.0
-        du, dv = u - t[4], v - t[7]
-        i, j = math.floor(t[10] * du + t[11] * dv + 0.5), math.floor(t[12] * du + t[13] * dv + 0.5)
-        if not (0 <= i < t[15] and 0 <= j < t[16]):
+        du, dv = u - sectors[k, 4], v - sectors[k, 7]
+        i = math.floor(sectors[k, 10] * du + sectors[k, 11] * dv + 0.5)
+        j = math.floor(sectors[k, 12] * du + sectors[k, 13] * dv + 0.5)
+        if not (0 <= i < sectors[k, 15] and 0 <= j < sectors[k, 16]):
             return 0.0, ahead  # no body is near
-        at = picture[int(j), int(t[14] + i)]
-        if at[0] <= 0.0:
+        row, column = int(j), int(sectors[k, 14] + i)
+        q = float(picture[row, column, 0])
+        if q <= 0.0:
             return 0.0, ahead
         # from the sample's own ray to this direction, in the plane that it met
-        off_u, off_v = u - (t[4] + t[5] * i + t[6] * j), v - (t[7] + t[8] * i + t[9] * j)
-        return max(at[0] + at[1] * off_u + at[2] * off_v, 0.0), ahead
+        off_u = du - (sectors[k, 5] * i + sectors[k, 6] * j)
+        off_v = dv - (sectors[k, 8] * i + sectors[k, 9] * j)
+        return max(q + picture[row, column, 1] * off_u + picture[row, column, 2] * off_v, 0.0), ahead
     return -1.0, 0.0
 
 
 @compiled
-def mirrored(x, y, z, picture, sectors, plane, needs_surface, loss):
-    """What a mirror leaves of sound that leaves the sonar for (x, y, z); 0 where it meets none.
+def left_of(sine, loss):
+    """What a mirror leaves of sound at a grazing angle of this sine; loss : of `reflectors.Mirror`."""
+    at = min(max(sine, 0.0), 1.0) * (loss.shape[0] - 1)
+    k = min(int(at), loss.shape[0] - 2)
+    return loss[k] + (at - k) * (loss[k + 1] - loss[k])
+
+
+@compiled
+def is_open(x, y, z, picture, sectors, plane, needs_surface):
+    """Whether sound that leaves the sonar for (x, y, z) meets a mirror, with nothing before it.
 
     Parameters
     ----------
     picture, sectors : what the sonar sees
     plane : (4,) normal and offset of normal · x = offset in the sonar's frame, offset > 0
-    needs_surface : the mirror is a body's and must be seen there; before the water's nothing may stand
-    loss : of `reflectors.Mirror`
+    needs_surface : the mirror is a body's and must be seen there; of the water's surface nothing is seen
     """
-    sine = (plane[0] * x + plane[1] * y + plane[2] * z) / math.sqrt(x * x + y * y + z * z)
-    if sine <= 1e-6:
-        return 0.0
-    at = min(sine, 1.0) * (loss.shape[0] - 1)
-    k = min(int(at), loss.shape[0] - 2)
-    left = loss[k] + (at - k) * (loss[k + 1] - loss[k])
-    if left < LEAST:
-        return 0.0
     seen, ahead = look_up(x, y, z, picture, sectors)
     if seen < 0.0:
-        return 0.0
+        return False
     # the mirror's distance over that of what is seen there
     nearness = seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z)
-    if nearness > 1.0 + SAME_PLANE or (needs_surface and nearness < 1.0 - SAME_PLANE):
-        return 0.0
-    return left
+    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not needs_surface)
 
 
 @compiled
@@ -108,7 +109,7 @@ def light(picture, sectors, plane, needs_surface, loss, range_max_m):
 
     Parameters
     ----------
-    picture, sectors, plane, needs_surface, loss : of `mirrored`
+    picture, sectors, plane, needs_surface : of `is_open`; loss : of `left_of`
     """
     left = echo = 0.0
     for k in range(sectors.shape[0]):
@@ -126,6 +127,7 @@ def light(picture, sectors, plane, needs_surface, loss, range_max_m):
                     at = picture[int(j + 0.5), int(t[14] + math.floor(i + 0.5))]
                     echo += weight * at[3] * seen / length
                 along = plane[0] * x + plane[1] * y + plane[2] * z
-                if along > 0.0 and plane[3] * length / along < range_max_m:
-                    left += weight * mirrored(x, y, z, picture, sectors, plane, needs_surface, loss)
+                near = along > 0.0 and plane[3] * length / along < range_max_m
+                if near and is_open(x, y, z, picture, sectors, plane, needs_surface):
+                    left += weight * left_of(along / length, loss)
     return left, echo

@@ -20,8 +20,10 @@ from sonar_gl.reflectors import Mirror, find_mirrors
 
 BIAS_M = 1e-3  # a mirror's own surface is not drawn from behind
 FACES = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# Ghosts err by their share of the echo: of samples a quarter will do where that is less than this.
-STRONG = 0.1
+# Ghosts err by their share of the echo. Samples are halved twice for those of less than SHARES[0] of the
+# straight echoes, once for those of less than SHARES[1], and not at all for stronger ones.
+SHARES = 0.1, 0.3
+WIDEST = 1.0  # columns, in spacings of beams
 BOTH_WAYS = 3.0  # an echo may meet the mirror on its way out, on its way back, or on both
 
 
@@ -61,11 +63,11 @@ class Ghost:
 
 @dataclass(frozen=True, eq=False)
 class Ghosts:
-    """Those of one ping, and the passes that sum them: of the sonar, and of its image, coarse or not."""
+    """Those of one ping, how often samples were halved for them, the passes of the sonar and its image."""
 
+    halved: int
     own: Pass
     image: Pass
-    coarse: bool
     mirrored: list[Ghost]
 
 
@@ -80,21 +82,20 @@ class Multipath:
 
     Attributes
     ----------
-    strong : whether ghosts are summed from all samples, because those of the last ping were strong; `fixed`
-        holds it as it is
+    halved : how often samples are, by the strength of the last ping's ghosts; `fixed` holds it as it is
     """
 
     def __init__(self, passes: Passes, scene, tolerance: float):
         sonar = passes.sonar
         acoustics = replace(passes.acoustics, specular=False)  # lobes are those of echoes straight back
         self.acoustics, self.tolerance, self.gpu = acoustics, tolerance, passes.gpu
-        self.own = Passes(passes.gpu, sonar, acoustics)
+        self.own = Passes(passes.gpu, sonar, acoustics, WIDEST)
         if sonar.beam_azimuths_deg is not None:
             turned = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=turned)
-        self.images = Passes(passes.gpu, sonar, acoustics)
+        self.images = Passes(passes.gpu, sonar, acoustics, WIDEST)
         self.wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
-        self.scene, self.mirrors, self.strong, self.fixed = None, [], False, False
+        self.scene, self.mirrors, self.halved, self.fixed = None, [], len(SHARES), False
         self.look(scene)
 
     def look(self, scene) -> None:
@@ -103,11 +104,13 @@ class Multipath:
             self.scene, self.mirrors = scene, find_mirrors(scene, self.wavenumber_rad_m)
             self.brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
-    def too_coarse(self, coarse: bool, ghosts: float, straight: float) -> bool:
+    def too_coarse(self, halved: int, ghosts: float, straight: float) -> bool:
         """Whether ghosts should have been drawn finer, by their sum and that of the straight echoes."""
         if not self.fixed:
-            self.strong = ghosts > (STRONG / 2 if self.strong else STRONG) * straight
-        return coarse and self.strong
+            # coarser only where they would stay so: else they flicker
+            wanted, kept = (sum(f * ghosts <= share * straight for share in SHARES) for f in (1, 2))
+            self.halved = min(max(self.halved, kept), wanted)
+        return halved > self.halved
 
     def draw(self, now: Pass, poses, wheres) -> list[Ghosts | None]:
         """The ghosts of each of the pings that `now` drew last, from these poses; None without any."""
@@ -124,19 +127,21 @@ class Multipath:
         if not found:
             return out
         numbers = sorted({number for number, _ in found})
-        if self.strong:  # what was drawn will do
-            own, image, views = now, self.images.of(now.sampling), now.last_views()
-            views = [views[n] for n in numbers]
-        else:
-            coarse = half_of(half_of(now.sampling))
-            own, image = self.own.of(coarse), self.images.of(coarse)
+        sampling = now.sampling
+        for _ in range(self.halved):
+            sampling = half_of(sampling)
+        own, image = self.own.of(sampling), self.images.of(sampling)
+        if self.halved:
             views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
-        pictures = [own.renderer.drawn[n] for n in numbers] if self.strong else own.renderer.drawn
+            pictures = own.renderer.drawn
+        else:  # what was drawn will do
+            views, pictures = now.last_views(), now.renderer.drawn
+            views, pictures = [views[n] for n in numbers], [pictures[n] for n in numbers]
         own_of = dict(zip(numbers, zip(views, map(lookup, pictures), strict=True), strict=True))
         image_poses, image_wheres, clips = zip(*spots, strict=True)
         views = image.views_of(image_poses, image_wheres, planes=clips)
         for (number, about), *seen in zip(found, views, map(lookup, image.renderer.drawn), strict=True):
-            out[number] = out[number] or Ghosts(own, image, not self.strong, [])
+            out[number] = out[number] or Ghosts(self.halved, own, image, [])
             out[number].mirrored.append(Ghost(*about, *own_of[number], *seen))
         return out
 

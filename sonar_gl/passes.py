@@ -43,11 +43,13 @@ class Pass:
         if the samples do not fit the driver's limits.
     """
 
-    def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear=SHEAR):
+    def __init__(
+        self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling, shear=SHEAR, widest=0.5
+    ):
         reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
         drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
         self.sampling, self.box = sampling, pattern is None
-        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, self.box, shear)
+        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, self.box, shear, widest)
         self.renderer = Renderer(gpu.context, gpu, self.fan, acoustics.specular)
         weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
         self.reducer = Reducer(self.fan, *weights, heard)
@@ -97,21 +99,23 @@ class Passes:
     Parameters
     ----------
     gpu, sonar, acoustics : as for `Pass`
+    widest : of `make_fan`
 
     Attributes
     ----------
     drawn : of `Acoustics.drawn_sonar`
     """
 
-    def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics):
-        self.gpu, self.sonar, self.acoustics = gpu, sonar, acoustics
+    def __init__(self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, widest: float = 0.5):
+        self.gpu, self.sonar, self.acoustics, self.widest = gpu, sonar, acoustics, widest
         self.drawn = acoustics.drawn_sonar(sonar)
         self.kept: dict[tuple, Pass] = {}
 
     def of(self, sampling: Sampling, shear: float = SHEAR) -> Pass:
         """The pass of a sampling and a shear; its context must be current."""
         key = sampling, shear
-        found = self.kept.pop(key, None) or Pass(self.gpu, self.sonar, self.acoustics, sampling, shear)
+        made_of = self.gpu, self.sonar, self.acoustics, sampling, shear, self.widest
+        found = self.kept.pop(key, None) or Pass(*made_of)
         self.kept[key] = found  # the last one used is last
         while len(self.kept) > KEPT:
             self.kept.pop(next(iter(self.kept))).reducer.close()

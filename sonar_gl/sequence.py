@@ -13,6 +13,7 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.motion import in_motion
+from sonar_gl.multipath import SHARES
 from sonar_gl.nothing import why_nothing
 from sonar_gl.pulse import smear
 from sonar_gl.rigid import check_pose
@@ -154,7 +155,7 @@ def _add_up(simulator, now, views, ghosts, labels):
         made, more = _sum_ghosts(simulator, mirrored, now)
         if more:
             intensity += made
-        ghosts = mirrored is not None and (mirrored.coarse, more)
+        ghosts = mirrored is not None and (mirrored.halved, more)
         out.append((intensity, straight + more, _labels(simulator, now, seen, labels), straight, ghosts))
     return out
 
@@ -169,15 +170,14 @@ def _ghosts(simulator, now, poses, wheres):
 
 def fix_ghosts(simulator, poses, where) -> None:
     """Decide by some poses how finely ghosts are drawn, and stay with it."""
-    multipath, strong = simulator._multipath, False
-    if multipath is None:
+    if (multipath := simulator._multipath) is None:
         return
-    multipath.fixed = multipath.strong = False
+    multipath.fixed, least = False, len(SHARES)
     for at in np.unique(np.linspace(0, len(poses) - 1, GHOST_POSES).round().astype(int)):
+        multipath.halved = len(SHARES)
         alone(simulator, poses[at], where, labels=False)
-        strong |= multipath.strong
-        multipath.strong = False
-    multipath.strong, multipath.fixed = strong, True
+        least = min(least, multipath.halved)
+    multipath.halved, multipath.fixed = least, True
 
 
 def _sum_ghosts(simulator, ghosts, now):
@@ -196,7 +196,7 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
     straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
     made, more = _sum_ghosts(simulator, ghosts, now)
-    if ghosts is not None and simulator._multipath.too_coarse(ghosts.coarse, more, straight):
+    while ghosts is not None and simulator._multipath.too_coarse(ghosts.halved, more, straight):
         (ghosts,) = _ghosts(simulator, now, [pose], [where])
         made, more = _sum_ghosts(simulator, ghosts, now)
     if more:
