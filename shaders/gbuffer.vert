@@ -10,6 +10,9 @@
 
 uniform mat4 clip_from_sonar;
 uniform mat3 sector_from_sonar;
+uniform vec4 before;  // what has before . (x, y, z, 1) < 0 is left out, where that is switched on
+
+out float gl_ClipDistance[1];
 
 PER_BODY vec4 body_x, body_y, body_z;  // rows of sonar_from_body
 PER_BODY vec4 body_echo;               // reflectivity; number, whole below 2^24; strength and slope of the lobe
@@ -45,4 +48,5 @@ void main()
     v_normal = sector_from_sonar * vec3(dot(body_x.xyz, n), dot(body_y.xyz, n), dot(body_z.xyz, n));
 #endif
     gl_Position = clip_from_sonar * in_sonar;
+    gl_ClipDistance[0] = dot(before, in_sonar);
 }

@@ -10,8 +10,8 @@ import numpy as np
 from sonar_gl.patterns import Lobe, gaussian_pattern, line_array_pattern
 from sonar_gl.types import Error
 
-# Of smooth patterns: an elevation counts as far as the echo there, both ways, is above this; and so much of
-# a Gaussian beam counts in azimuth, one way.
+# Of smooth patterns: the main lobe counts up and down as far as the echo there, both ways, is above this; and
+# so much of a Gaussian beam counts in azimuth, one way.
 ELEVATION_LEVEL, GAUSSIAN_LEVEL = 1e-3, 1e-4
 MAX_ELEVATION_DEG = 85.0  # above the boresight: further up a perspective view cannot look
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its line a beam has no −3 dB edge on the far side

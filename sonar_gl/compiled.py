@@ -11,7 +11,8 @@ def compiled(function):
     """Numba's njit without the GIL; its machine code is kept on disk where there is a place for it.
 
     What is kept is looked up by the file of the function alone: it may call others of its own file only, or
-    it would go on with what they were before that other file changed. See `compiled_with`.
+    it would go on with what they, or numbers taken from there, were before that other file changed. See
+    `compiled_with`.
     """
     options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
     try:

@@ -47,7 +47,7 @@ def _heard(elevation, top, sine):
     return max(elevation[k] + (place - k) * (elevation[k + 1] - elevation[k]), 0.0)
 
 
-@compiled
+@compiled_with(footprint)
 def _reach(work, there, first, last, uc, own, other, from_mirror, plane):
     """Where what a strip's samples met is for the other one, how far, and on which side of it that is."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
@@ -75,7 +75,7 @@ def _reach(work, there, first, last, uc, own, other, from_mirror, plane):
             there[SINE, m] = (nx - ny * uc + nz * vc) / math.sqrt(1.0 + uc * uc + vc * vc)
 
 
-@compiled_with(lookup)
+@compiled_with(footprint, lookup)
 def _weigh(
     work, there, first, last, uc, elevation, top, own, ceiling, from_mirror, picture, sectors, other_picture,
     other_sectors, plane, needs_surface, loss,
@@ -95,6 +95,12 @@ def _weigh(
             continue
         if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
+        if not from_mirror:  # what lies behind the mirror's plane meets no sound that comes by way of it
+            behind = plane[0] * (own[0, 0] - own[0, 1] * uc + own[0, 2] * vc)
+            behind += plane[1] * (own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
+            behind += plane[2] * (own[2, 0] - own[2, 1] * uc + own[2, 2] * vc)
+            if behind > plane[3] * q:
+                continue
         x, y, z = there[X, m], there[Y, m], there[Z, m]
         # the image's directions are the sonar's with port and starboard exchanged
         leg_x, leg_y, leg_z = x, -y, z
@@ -116,7 +122,7 @@ def _weigh(
             there[BETWEEN, m] = between
 
 
-@compiled
+@compiled_with(footprint)
 def _find_both(work, there, first, last, uc, width, other, once):
     """What `spread_footprints` takes of echoes that go one way straight and the other over the mirror."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]

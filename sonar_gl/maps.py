@@ -200,6 +200,8 @@ def _means(at, image) -> np.ndarray:
         for j in range(SPOTS - i):
             for shift in (1, 2) if i + j < SPOTS - 1 else (1,):
                 b, c = (i + shift / 3) / SPOTS, (j + shift / 3) / SPOTS
-                spot = np.floor((1 - b - c) * at[:, 0] + b * at[:, 1] + c * at[:, 2]).astype(np.int64)
+                spot = (1 - b - c) * at[:, 0] + b * at[:, 1] + c * at[:, 2]
+                # a face along the image's far edge, as on the side of a box, has the border before it
+                spot = np.floor(np.where(spot == at.max(axis=(0, 1)), spot - 0.5, spot)).astype(np.int64)
                 total += image[spot[:, 1] % rows, spot[:, 0] % columns]
     return total / SPOTS**2

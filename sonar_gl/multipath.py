@@ -87,7 +87,8 @@ class Multipath:
 
     def __init__(self, passes: Passes, scene, tolerance: float):
         sonar = passes.sonar
-        acoustics = replace(passes.acoustics, specular=False)  # lobes are those of echoes straight back
+        # lobes are those of echoes straight back; the projector's weight would go by the wrong way of the two
+        acoustics = replace(passes.acoustics, specular=False, transmit_width_deg=None)
         self.acoustics, self.tolerance, self.gpu = acoustics, tolerance, passes.gpu
         self.own = Passes(passes.gpu, sonar, acoustics, WIDEST)
         if sonar.beam_azimuths_deg is not None:
@@ -102,6 +103,7 @@ class Multipath:
         """Find the mirrors of a scene, once."""
         if scene is not self.scene:
             self.scene, self.mirrors = scene, find_mirrors(scene, self.wavenumber_rad_m)
+            self.shines = any(body.specular > 0 for body in scene.bodies)
             self.brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
     def too_coarse(self, halved: int, ghosts: float, straight: float) -> bool:
@@ -116,7 +118,11 @@ class Multipath:
         """The ghosts of each of the pings that `now` drew last, from these poses; None without any."""
         found, spots = [], []
         for number, (pose, where) in enumerate(zip(poses, wheres, strict=True)):
-            seen, where = lookup(now.renderer.drawn[number]), where or self.gpu.stock.where
+            # bubbles would have to weaken each leg by itself
+            seen, where = (
+                lookup(now.renderer.drawn[number]),
+                replace(where or self.gpu.stock.where, bubbles=None),
+            )
             for mirror in self.mirrors:
                 plane = self._plane(mirror, pose, where)
                 if plane is not None and self._counts(mirror, plane, seen, now):
@@ -131,8 +137,13 @@ class Multipath:
         for _ in range(self.halved):
             sampling = half_of(sampling)
         own, image = self.own.of(sampling), self.images.of(sampling)
-        if self.halved:
-            views = own.views_of([poses[n] for n in numbers], [wheres[n] for n in numbers])
+        if (
+            self.halved
+            or self.shines
+            or any(where is not None and where.bubbles is not None for where in wheres)
+        ):
+            clear = [where and replace(where, bubbles=None) for where in wheres]
+            views = own.views_of([poses[n] for n in numbers], [clear[n] for n in numbers])
             pictures = own.renderer.drawn
         else:  # what was drawn will do
             views, pictures = now.last_views(), now.renderer.drawn

@@ -16,6 +16,7 @@ from sonar_gl.stock import NEAR_M
 from sonar_gl.types import Error, GBuffer
 
 NOTHING = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
+CLIP_DISTANCE, ALL = 0x3000, (0.0, 0.0, 0.0, 1.0)  # GL_CLIP_DISTANCE0, and a plane that leaves nothing out
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 
 
@@ -152,6 +153,8 @@ class Renderer:
 
     def _draw(self, picture, framebuffer, rows, draws, plane):
         array = self.gpu.array(picture.labels, bool(rows[:, LOBE].any()))
+        array.program["before"].write(np.asarray(ALL if plane is None else plane, np.float32))
+        self.context.enable_direct(CLIP_DISTANCE)
         for (view, (i, j, columns, n_rows), left, _), (first, split, n) in zip(
             picture.parts, draws, strict=True
         ):
@@ -162,17 +165,13 @@ class Renderer:
             framebuffer.scissor = (left, 0, columns, n_rows)
             for name, value in self._uniforms(array.program, view):
                 array.program[name].write(value)
-            if plane is not None:
-                clip = sector.projection(NEAR_M, self.far_m)
-                # what lies behind the plane lies before the near plane; depth has a way of its own
-                clip[2] = plane / 2 - clip[3]
-                array.program["clip_from_sonar"].write(np.ascontiguousarray(clip.T, np.float32).tobytes())
             for name in ("u", "v"):  # pixels count from the framebuffer's corner
                 u = getattr(sector, name)
                 array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
             self.gpu.draw(array, moderngl.DEPTH_TEST | moderngl.CULL_FACE, rows, self.out, first, split)
             self.gpu.draw(array, moderngl.DEPTH_TEST, rows, self.out, first + split, n - split)
         framebuffer.scissor = None
+        self.context.disable_direct(CLIP_DISTANCE)
 
     def _check_size(self, width: int, height: int):
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"

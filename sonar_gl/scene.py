@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.bubbles import Bubbles
 from sonar_gl.materials import material
 from sonar_gl.rigid import check_pose, pose
-from sonar_gl.types import Error, frozen_array
+from sonar_gl.types import Error, check_kind, frozen_array
 
 __all__ = ["SLOPES", "Body", "Scene", "check_pose", "pose", "without_bubbles"]
 
@@ -64,14 +64,19 @@ class Body:
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise Error(f"{where}: faces must name vertices 0..{len(vertices) - 1} (got {faces.max()})")
         put("pose", check_pose(np.eye(4) if self.pose is None else self.pose, f"{where}: pose"))
-        made_of = None
-        if isinstance(self.reflectivity, str):
-            try:
-                made_of = material(self.reflectivity)
-            except Error as why:
-                raise Error(f"{where}: {why}") from None
+        named, made_of = isinstance(self.reflectivity, str), None
+        try:
+            known = (
+                material(self.reflectivity if named else self.material) if named or self.material else None
+            )
+        except Error as why:
+            raise Error(f"{where}: {why}") from None
+        if named:
+            if self.material not in (None, known.name):  # replaced: what the other one had goes with it
+                put("specular", None), put("roughness_rad", None)
+            made_of = known
             put("reflectivity", made_of.reflectivity)
-            put("material", made_of.name)
+        put("material", known and known.name)
         for key, default, (low, high) in (("specular", 0.0, (0, 1)), ("roughness_rad", 0.1, SLOPES)):
             value = getattr(self, key)
             if value is None:
@@ -144,7 +149,9 @@ class Scene:
         surface_z_m: float | None = None,
         surface_roughness_m: float = 1e-4,
     ):
-        things = list(bodies)
+        things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
+        for thing in things:
+            check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
         self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
         self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")

@@ -30,16 +30,19 @@ def several(poses) -> Iterable:
     return poses
 
 
-def each(values, name: str) -> Iterable:
-    """One for each ping, or None for each; an Error if it is one value alone."""
-    if not isinstance(values, Iterable | None):
+def each(values, name: str, poses=None) -> Iterable:
+    """One for each ping, or None for each; an Error if it is one value alone, or of another number."""
+    if not isinstance(values, Iterable | None) or isinstance(values, (dict, str)):
         raise Error(f"{name} must be several, one a pose (got {values!r})")
+    counted = values is not None and hasattr(values, "__len__") and hasattr(poses, "__len__")
+    if counted and len(values) != len(poses):
+        raise Error(f"{name} must be as many as poses (got {len(values)} for {len(poses)} poses)")
     return repeat(None) if values is None else values
 
 
 def spots_of(poses, bodies=None, times_s=None):
     """(pose, bodies, time) of each ping, for `in_batches`."""
-    more = each(bodies, "bodies"), each(times_s, "times_s")
+    more = each(bodies, "bodies", poses), each(times_s, "times_s", poses)
     for pose, *moved in zip(several(poses), *more, strict=False):
         yield check_pose(pose), *moved
 
@@ -160,12 +163,15 @@ def _add_up(simulator, now, views, ghosts, labels):
     return out
 
 
-def _ghosts(simulator, now, poses, wheres):
+def _ghosts(simulator, now, poses, wheres, first=True):
     """Of each pose what mirrors show of it, drawn now."""
     if simulator._multipath is None:
         return [None] * len(poses)
-    simulator._multipath.look(simulator.scene)
-    return simulator._multipath.draw(now, poses, wheres)
+    multipath = simulator._multipath
+    multipath.look(simulator.scene)
+    if first and simulator._samples.tolerance is None:  # samples were given: no ping depends on those before
+        multipath.halved = len(SHARES)
+    return multipath.draw(now, poses, wheres)
 
 
 def fix_ghosts(simulator, poses, where) -> None:
@@ -197,7 +203,7 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
     made, more = _sum_ghosts(simulator, ghosts, now)
     while ghosts is not None and simulator._multipath.too_coarse(ghosts.halved, more, straight):
-        (ghosts,) = _ghosts(simulator, now, [pose], [where])
+        (ghosts,) = _ghosts(simulator, now, [pose], [where], first=False)
         made, more = _sum_ghosts(simulator, ghosts, now)
     if more:
         intensity += made

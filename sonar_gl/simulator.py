@@ -173,7 +173,7 @@ class Simulator:
         seed = check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         made = in_batches(self, spots_of(poses, bodies, times_s), labels)
-        for number, one, velocity in zip(count(), made, each(velocities, "velocities"), strict=False):
+        for number, one, velocity in zip(count(), made, each(velocities, "velocities", poses), strict=False):
             ping = finish(self, *one, seed, check_velocity(velocity))
             self._warn()
             yield ping if noise is None else add_noise(ping, noise, seed, number)

@@ -17,10 +17,11 @@ from sonar_gl.acoustics import Acoustics
 from sonar_gl.noise import Noise, add_noise
 from sonar_gl.plan import check_tolerance
 from sonar_gl.scene import Scene, check_pose
+from sonar_gl.sequence import several
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar import Sonar
 from sonar_gl.switches import SPECKLE, TERMS, everything_on, without
-from sonar_gl.types import Error
+from sonar_gl.types import Error, check_kind
 
 POSES = 5  # of a sequence are tried
 PROBE, COARSEST = 5.0, 0.05  # a probe's tolerance: times the one that is asked for, and no finer than this
@@ -163,6 +164,9 @@ def _judge(probe: _Probe, tolerance: float) -> dict:
 def _prepared(scene, sonar, tolerance, poses, acoustics, noise):
     """What `price` and `needed` were given, everything on, and a few of the poses."""
     check_tolerance(tolerance)
+    check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")
+    check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+    poses = poses if poses is None or hasattr(poses, "__len__") else list(several(poses))
     if poses is None:
         placed = scene.scene if isinstance(scene, Simulator) else scene
         if placed.sonar_pose is None:

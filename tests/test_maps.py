@@ -154,3 +154,14 @@ def test_too_many_faces_are_refused(monkeypatch):
     upright = (SimpleNamespace(vertices=PLATE.vertices[:, [0, 2, 1]], faces=PLATE.faces), None)
     with pytest.raises(sg.Error, match="laid from above needs a shape with some width"):
         laid_from_above(upright, np.ones((2, 2)))
+
+
+def test_faces_along_the_far_edges_of_an_image_have_its_borders():
+    image = np.zeros((8, 8))
+    image[0, :] = 1.0  # the highest y
+    (mesh, _), mu = laid_from_above((trimesh.creation.box((4, 4, 0.2)), None), image)
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    assert not mu[middle[:, 1] < -1.999].any() and (mu[middle[:, 1] > 1.999] == 1).all()
+    (mesh, _), mu = laid_from_above((trimesh.creation.box((4, 4, 0.2)), None), image.T)  # the lowest x
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    assert not mu[middle[:, 0] > 1.999].any() and (mu[middle[:, 0] < -1.999] == 1).all()

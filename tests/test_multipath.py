@@ -281,3 +281,85 @@ def test_pings_say_how_ghosts_were_made(perfect):
         assert simulator.ping(pose).meta["acoustics"]["multipath"] == "incoherent"
     with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(1, 40)) as simulator:
         assert simulator.ping(pose).meta["acoustics"]["multipath"] == "none"
+
+
+@pytest.mark.parametrize("depth_m", [2.0, 10.0, 40.0, 2000.0])
+def test_deep_water_hides_nothing_below_its_surface(depth_m):
+    walls = [sg.Body("wall", trimesh.creation.box((0.2, 2, 2)), sg.pose(x, 0, -depth_m)) for x in (0.9, 3, 8)]
+    for wall in walls:
+        bare, below = sg.Scene([wall]), sg.Scene([wall], surface_z_m=0.0)
+        pings = []
+        for scene in (bare, below):
+            with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(2, 60)) as simulator:
+                pings.append(simulator.ping(sg.pose(0, 0, -depth_m)).intensity)
+        # bodies that touch the surface's plane are drawn by the driver as a whole, others partly filled in
+        np.testing.assert_allclose(*pings, rtol=1e-4, atol=1e-6)
+        assert pings[0].any()
+
+
+def test_a_convex_body_makes_no_ghosts_of_itself(perfect):
+    perfect("box")
+    lone = sg.Body("box", trimesh.creation.box((2, 3, 4)), sg.pose(6, 0, 0, 0, 0, 0.7), 0.8)
+    scene = sg.Scene([lone])
+    with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
+        straight = simulator.ping(sg.pose()).intensity.sum()
+    # where two faces meet, a sample's plane goes on for half a sample past the edge; it was 71 % of the echo
+    assert ghosts(scene, sg.pose()).sum() < 0.01 * straight
+
+
+def test_what_lies_in_a_pit_has_no_ghosts_by_the_floor_around_it(perfect):
+    perfect("floor")
+    rings = [((-50, 4), (-50, 50)), ((6, 50), (-50, 50)), ((4, 6), (-50, -1)), ((4, 6), (1, 50))]
+    corners = [[(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)] for (x0, x1), (y0, y1) in rings]
+    faces = [(k, k + 1, k + 2) for k in range(0, 16, 4)] + [(k, k + 2, k + 3) for k in range(0, 16, 4)]
+    floor = sg.Body("floor", trimesh.Trimesh(np.concatenate(corners), faces, process=False), None, 0.3)
+    pit = sg.Body("pit", trimesh.creation.box((1.8, 1.8, 0.2)), sg.pose(5, 0, -0.5), 1.0)
+    scene, pose = sg.Scene([floor, pit]), sg.pose(0, 0, 1.5, 0, 0.25)
+    assert TwoBounces(scene, SONAR, pose, ("floor",)).ping(200_000).sum() == 0
+    assert not ghosts(scene, pose).any()
+
+
+def test_ghosts_know_no_lobes_however_strong_they_are(perfect):
+    perfect("floor")
+    shiny = replace(ball(7, 0, 1.0), reflectivity=0.2, specular=0.7)
+    out = []
+    for specular in (True, False):
+        scene = sg.Scene([slab("floor", sg.pose(0, 0, -0.5), mu=1e-3), shiny])
+        out.append(
+            ghosts(
+                scene, sg.pose(0, 0, 1.0), replace(GHOSTS, specular=specular), sampling=sg.Sampling(4, 150)
+            )
+        )
+    np.testing.assert_allclose(*out, rtol=1e-5, atol=1e-7)
+    assert out[0].sum() > 0
+
+
+def test_with_given_samples_no_ping_depends_on_those_before(perfect):
+    perfect("floor")
+    scene, strong, _ = SCENES["floor, rolled and pitched"]
+    weak = sg.pose(0, 0, 2.5, 0.2, 0.5, 0.1)
+    with sg.Simulator(scene, SONAR, GHOSTS, sg.Sampling(2, 80)) as simulator:
+        first, *_, again = (simulator.ping(pose).intensity for pose in (weak, strong, weak))
+        np.testing.assert_array_equal(first, again)
+        poses = [weak, strong, weak, strong, strong, weak]
+        one_by_one = [simulator.ping(pose).intensity for pose in poses]
+        for ping, alone in zip(simulator.pings(poses), one_by_one, strict=True):
+            np.testing.assert_array_equal(ping.intensity, alone)
+
+
+def test_what_a_mirror_leaves_goes_by_the_angle(perfect, monkeypatch):
+    slope = np.linspace(0.0, 1.0, TABLE)  # the sine of the grazing angle itself
+    floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
+    scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)
+    out = []
+    for loss in (np.ones(TABLE), slope):
+        monkeypatch.setattr(
+            multipath,
+            "find_mirrors",
+            lambda s, k, loss=loss: [replace(m, loss=loss) for m in find_mirrors(s, k) if m.body == 0],
+        )
+        out.append(ghosts(scene, pose, sonar=sonar, sampling=sg.Sampling(8, 1500)).sum(axis=0))
+    sine = 4.0 / np.hypot(10.0, 4.0)
+    once, twice = (np.abs(sonar.range_m - r) < 0.15 for r in (10.385, 10.770))
+    assert out[1][once].sum() / out[0][once].sum() == pytest.approx(sine, rel=0.01)
+    assert out[1][twice].sum() / out[0][twice].sum() == pytest.approx(sine**2, rel=0.01)

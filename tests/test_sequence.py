@@ -362,3 +362,17 @@ def test_a_simulator_closed_in_the_midst_says_so():
     assert str(caught.value) == "this Simulator is closed; make a new one"
     with simulator() as another:
         assert another.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.parametrize("more", [{"times_s": [0.0]}, {"bodies": [None]}, {"velocities": [None]}])
+def test_as_many_of_all_as_poses(more):
+    scene, sonar, refused = (
+        sg.Scene([]),
+        sg.load_sonar("p900-45"),
+        r"must be as many as poses \(got 1 for 3 poses",
+    )
+    with (
+        sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 8)) as simulator,
+        pytest.raises(sg.Error, match=refused),
+    ):
+        list(simulator.pings([np.eye(4)] * 3, **more))

@@ -216,3 +216,22 @@ def test_what_a_mirror_could_return_counts_its_lobe():
     mirror = body("wire", meshes.cylinder(0.002, 1.0), sg.pose(8), 0.1, 0.8, 0.1)
     assert Extent([mirror]).reflectivity.tolist() == [0.0, 0.1]
     assert Extent([mirror], specular=True).reflectivity[1] == pytest.approx(0.1 + specular_lobe(1, 0.8, 0.1))
+
+
+def test_a_body_that_is_replaced_takes_all_from_its_new_material():
+    steel = sg.Body("ball", trimesh.creation.icosphere(2), reflectivity="steel")
+    sand = replace(steel, reflectivity="medium sand")
+    fresh = sg.Body("ball", steel.mesh, reflectivity="medium_sand")
+    for name in ("reflectivity", "specular", "roughness_rad", "material"):
+        assert getattr(sand, name) == getattr(fresh, name), name
+
+
+def test_a_material_of_no_known_name_is_refused_with_the_body():
+    with pytest.raises(sg.Error, match=r"body 'ball': unknown material \(got 'stel'; did you mean 'steel'"):
+        sg.Body("ball", trimesh.creation.icosphere(2), material="stel")
+
+
+@pytest.mark.parametrize("bodies", ["pylon", [3], None, 7])
+def test_a_scene_holds_bodies_and_nothing_else(bodies):
+    with pytest.raises(sg.Error, match="a body of a scene must be a"):
+        sg.Scene(bodies)

@@ -180,16 +180,17 @@ def main():
     parser.add_argument(
         "scenes", nargs="*", metavar="scene", help=f"of {', '.join(SCENES)}; all if none is named"
     )
-    parser.add_argument("--cost", action="store_true", help="tell what ghosts cost over a ping, and no more")
+    parser.add_argument("--cost", action="store_true", help="what ghosts cost over a ping, and no more")
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder of ablation.md and pictures")
     options = parser.parse_args()
     for name in options.scenes:
         if name not in SCENES:
             parser.error(f"there is no scene {name!r} (known are {', '.join(SCENES)})")
-    path = options.docs / "ablation.md"
+    path, lines = options.docs / "ablation.md", []
     for name in options.scenes or SCENES:
         if options.cost:
-            print(cost(name))
+            lines.append(cost(name))
+            print(lines[-1])
             continue
         scene, sonar = setting(name)
         with sg.Simulator(scene, sonar) as simulator:
@@ -202,6 +203,9 @@ def main():
         data = png(picture(scene, sonar))
         (options.docs / "pictures" / f"ablation_{name}.png").write_bytes(data)
         print(f"ablation_{name}.png: {len(data) / 1e3:.0f} kB\n")
+    if options.cost and not options.scenes:
+        text = "```text\n" + "\n".join(lines) + "\n```"
+        path.write_text(splice(path.read_text(encoding="utf-8"), "cost", text), encoding="utf-8")
 
 
 if __name__ == "__main__":
