@@ -80,7 +80,16 @@ def check(acoustics):
         )
 
 
-SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
+SWITCHES = {
+    "yes": True,
+    "true": True,
+    "on": True,
+    "1": True,
+    "no": False,
+    "false": False,
+    "off": False,
+    "0": False,
+}
 
 
 def parse(text: str, fields) -> dict:
@@ -94,6 +103,12 @@ def parse(text: str, fields) -> dict:
     kinds, out = {field.name: field.type for field in fields if field.name != "profile"}, {}
     for item in text.split(","):
         key, equals, value = (part.strip() for part in item.partition("="))
+        if key == "needed":
+            raise Error(f"acoustics {text!r}: needed must stand alone: it chooses the terms itself")
+        if not key:
+            raise Error(
+                f"acoustics {text!r}: must be key=value, ... (got a comma or nothing where a key must be)"
+            )
         if key not in kinds:
             raise Error(f"acoustics {text!r}: unknown name (got {key!r}; {nearest_names(key, kinds)})")
         if not equals:

@@ -763,7 +763,7 @@ def test_acoustics_are_those_that_the_scene_needs():
             "multipth=none",
             "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
         ),
-        ("needed,ph=8", "acoustics 'needed,ph=8': unknown name (got 'needed'; "),
+        ("needed,ph=8", "acoustics 'needed,ph=8': needed must stand alone"),
         ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
         ("ph", "acoustics 'ph': ph must have a value, as in ph=... (got none)"),
         ("ph=8,ph=8", "acoustics 'ph=8,ph=8': ph must be given once"),

@@ -211,3 +211,16 @@ def test_mistakes():
 def test_where_nothing_comes_back_nothing_is_needed():
     found = price(sg.Scene([], sg.pose()), SONAR, noise=sg.Noise(speckle=True, electronic_db=-300.0))
     assert [one.changes for one in found if one.name in ACOUSTIC and one.name != "absorption"] == [0] * 6
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("needed,tvg_k=3", "needed must stand alone"),
+        ("", "must be key=value"),
+        ("tvg_k=3,", "must be key=value"),
+    ],
+)
+def test_acoustics_of_a_command_line_that_make_no_sense(text, said):
+    with pytest.raises(sg.Error, match=said):
+        sg.Acoustics.parse(text)
