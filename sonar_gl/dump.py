@@ -39,6 +39,8 @@ def demarco_artist(height: int, form: str, join: str, noise: Noise, seed: int):
     """Function (simulator, ping, number) -> (H, W, 3) picture of the founding paper; ping n has seed + n."""
     if noise.speckle or noise.gaussian:
         warnings.warn("the picture of style demarco2015 knows no speckle and no gaussian noise", stacklevel=2)
+    if noise.electronic_db is not None or noise.ambient_db is not None or noise.interference_lines:
+        warnings.warn("the picture of style demarco2015 knows no receiver and no other sonars", stacklevel=2)
 
     def picture(simulator, ping, number):
         return demarco_image(simulator, ping.pose, seed + number, noise, height, form, join)

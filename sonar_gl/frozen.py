@@ -93,9 +93,8 @@ def frozen_field(array: Array, n_bins: int, bin_size_m: float, wavelength_m: flo
     """
     azimuth = np.arctan2(pose[1, 0], pose[0, 0]) + np.asarray(array.azimuth_rad)
     width = array.beam_width_rad
-    waves = (
-        aperture_width(array.series) * 2 * np.pi / width
-    )  # in an aperture, if they are alike after a circle
+    # in an aperture, if they are alike after a circle
+    waves = aperture_width(array.series) * 2 * np.pi / width
     turns = max(1, int(min(2 * np.pi / (1.2 * np.ptp(azimuth) + 12 * width), waves / WAVES)))
     length = waves / turns  # for they are so `turns` times in it
     spacing_m = wavelength_m * turns / (2 * np.pi)

@@ -148,7 +148,7 @@ def _judge(probe: _Probe, tolerance: float) -> dict:
     scene = probe.first.scene
     nothing = {
         "lobes": not any(body.specular for body in scene.bodies),
-        "bubbles": not getattr(scene, "plumes", ()),
+        "bubbles": not scene.plumes,
     }
     changes = {term: (0.0, 0.0) if nothing.get(term.name) else probe.change([term]) for term in TERMS}
     dropped = [term for term in TERMS if changes[term][0] == 0]

@@ -313,8 +313,9 @@ def test_what_lies_in_a_pit_has_no_ghosts_by_the_floor_around_it(perfect):
     corners = [[(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)] for (x0, x1), (y0, y1) in rings]
     faces = [(k, k + 1, k + 2) for k in range(0, 16, 4)] + [(k, k + 2, k + 3) for k in range(0, 16, 4)]
     floor = sg.Body("floor", trimesh.Trimesh(np.concatenate(corners), faces, process=False), None, 0.3)
-    pit = sg.Body("pit", trimesh.creation.box((1.8, 1.8, 0.2)), sg.pose(5, 0, -0.5), 1.0)
-    scene, pose = sg.Scene([floor, pit]), sg.pose(0, 0, 1.5, 0, 0.25)
+    # its far wall: the sonar's image would see it, from below the floor
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 1.6, 0.5)), sg.pose(5.5, 0, -0.45), 1.0)
+    scene, pose = sg.Scene([floor, wall]), sg.pose(0, 0, 1.5, 0, 0.25)
     assert TwoBounces(scene, SONAR, pose, ("floor",)).ping(200_000).sum() == 0
     assert not ghosts(scene, pose).any()
 
