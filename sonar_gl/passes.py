@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.fan import Fan, Sampling, beam_weights, make_fan, rung_sampling, up_to
+from sonar_gl.fan import Sampling, rung_sampling
 from sonar_gl.gpu import SceneOnGpu
+from sonar_gl.hearing import Hearing
 from sonar_gl.lattice import SHEAR
 from sonar_gl.lookup import lookup
 from sonar_gl.plumes import screen
-from sonar_gl.reduce import Reducer
 from sonar_gl.render import Renderer
 from sonar_gl.sonar import Sonar
 
@@ -28,14 +28,12 @@ class Views(list):
         self.bubbles = bubbles
 
 
-class Pass:
+class Pass(Hearing):
     """The depth + normal pass of a fan and the sums over its samples; owns what both use again.
 
     Attributes
     ----------
-    sampling, fan, renderer, reducer
-    gain : (K,) float32, of each bin
-    box : beams are boxes, which end where columns end
+    renderer
 
     Raises
     ------
@@ -46,14 +44,8 @@ class Pass:
     def __init__(
         self, gpu: SceneOnGpu, sonar: Sonar, acoustics: Acoustics, sampling, shear=SHEAR, widest=0.5
     ):
-        reach, pattern = acoustics.beam_reach_rad(sonar), acoustics.beam_pattern_function(sonar)
-        drawn, heard = acoustics.drawn_sonar(sonar), acoustics.elevation_function(sonar)
-        self.sampling, self.box = sampling, pattern is None
-        self.fan: Fan = make_fan(drawn, up_to(sampling, sonar, drawn), reach, self.box, shear, widest)
+        super().__init__(sonar, acoustics, sampling, shear, widest)
         self.renderer = Renderer(gpu.context, gpu, self.fan, acoustics.specular)
-        weights = beam_weights(self.fan, pattern, reach, acoustics.transmit_function(sonar), heard)
-        self.reducer = Reducer(self.fan, *weights, heard)
-        self.gain = acoustics.gain(sonar.range_m, sonar).astype(np.float32)
 
     def views(self, pose, labels: bool = False, whole: bool = False, where=None) -> Views:
         """Draw from `pose`; see `Renderer`."""
@@ -85,7 +77,7 @@ class Pass:
 
     def intensity(self, views: Views) -> np.ndarray:
         """(B, K) float32, of surfaces and bubbles, with the gain."""
-        out = self.reducer.intensity(views, self.gain)
+        out = super().intensity(views)
         if views.bubbles is not None:
             whole = self.reducer.total
             out += self.reducer.sum_points(views.bubbles, self.gain, not self.box)

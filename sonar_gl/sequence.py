@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 from itertools import repeat
 
 import numpy as np
 
-from sonar_gl._version import __version__
-from sonar_gl.motion import in_motion
 from sonar_gl.multipath import SHARES
 from sonar_gl.nothing import why_nothing
-from sonar_gl.pulse import smear
 from sonar_gl.rigid import check_pose
 from sonar_gl.types import Error, Ping
 
@@ -47,51 +42,20 @@ def spots_of(poses, bodies=None, times_s=None):
         yield check_pose(pose), *moved
 
 
-def about(sonar, acoustics, tolerance, scene, gl_renderer: str) -> dict:
-    """What pings say of themselves, all those of a run alike."""
-    return {
-        "sonar": asdict(sonar),
-        "acoustics": acoustics.meta(),
-        "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
-        "sound_speed_m_s": acoustics.sound_speed(),
-        "profile": acoustics.profile,
-        "tolerance": tolerance,
-        "bin_size_m": sonar.bin_size_m,
-        "scene": scene.name,
-        "bodies": [body.name for body in scene.bodies],
-        **({"plumes": [plume.name for plume in scene.plumes]} if scene.plumes else {}),
-        "version": __version__,
-        "gl_renderer": gl_renderer,
-    }
-
-
 def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed, velocity=None) -> Ping:
     """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None.
 
     velocity : of `in_motion`
     """
-    scene, samples = simulator.scene, simulator._samples
+    scene, samples, record = simulator.scene, simulator._samples, simulator._record
     if whole <= 0:
         sonars = simulator.sonar, simulator._passes.drawn
         warnings.warn(why_nothing(scene, where, *sonars, pose, views), stacklevel=3)
-    if simulator._pulse is not None:
-        intensity = smear(intensity, simulator._pulse)
-    for array in (intensity, *found):
-        if array is not None:
-            array.setflags(write=False)
-    body_id, elevation_rad, body_echo = found
-    if simulator._described is not scene:  # at first, and when bodies were added
-        renderer = simulator.gl_info["renderer"]
-        meta = about(simulator.sonar, simulator.acoustics, samples.tolerance, scene, renderer)
-        # each ping gets its own copy, ten times quicker than by deepcopy
-        simulator._described, simulator._meta = scene, pickle.dumps(meta)
-    meta = pickle.loads(simulator._meta)
-    meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": whole > 0}
-    if where.time_s is not None:
-        meta["time_s"] = where.time_s
-    axes = simulator._axes
-    ping = Ping(intensity, *axes, body_id, elevation_rad, pose, meta, body_echo, samples.estimate(pose))
-    return in_motion(ping, velocity, simulator.acoustics)
+    if record.scene is not scene:  # at first, and when bodies were added
+        record.describe(scene, samples.tolerance, simulator.gl_info["renderer"])
+    more = {} if where.time_s is None else {"time_s": where.time_s}
+    estimate = samples.estimate(pose)
+    return record.ping(pose, intensity, found, sampling, seed, whole > 0, estimate, velocity, **more)
 
 
 def in_batches(simulator, spots, labels: bool):

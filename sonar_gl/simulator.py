@@ -16,6 +16,7 @@ from sonar_gl.multipath import Multipath
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
+from sonar_gl.record import Record
 from sonar_gl.scene import Scene, check_pose
 from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of
 from sonar_gl.sonar import Sonar
@@ -62,21 +63,17 @@ class Simulator:
             check_kind(name, value, kind, cure)
         self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        self._axes = sonar.azimuth_rad, sonar.range_m
-        for axis in self._axes:
-            axis.setflags(write=False)  # all pings share them
         world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device)
         world.users += 1
         self._world, self.gl_info = world, world.gl_info
         self._passes = Passes(world.gpu, sonar, self.acoustics)
-        self._multipath, self._pulse = None, self.acoustics.pulse_weights(sonar)
+        self._multipath, self._record = None, Record(sonar, self.acoustics)
         with self._drawing():
             given = sampling is not None
             if self.acoustics.multipath != "none":
                 self._multipath = Multipath(self._passes, world.scene, tolerance)
             self._samples = Fixed(self._passes, sampling) if given else Planner(self._passes, tolerance)
             self._passes.warm()
-        self._described, self._meta = None, b""
 
     def _open_world(self) -> World:
         if self._world is None:

@@ -1,0 +1,71 @@
+"""What the pings of a run say of themselves, and the last steps that make one."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import asdict
+
+from sonar_gl._version import __version__
+from sonar_gl.acoustics import Acoustics
+from sonar_gl.motion import in_motion
+from sonar_gl.pulse import smear
+from sonar_gl.sonar import Sonar
+from sonar_gl.types import Ping
+
+
+class Record:
+    """What all pings of a sonar have in common.
+
+    Attributes
+    ----------
+    axes : azimuths of beams and ranges of bins, of every ping
+    scene : what was described last
+    """
+
+    def __init__(self, sonar: Sonar, acoustics: Acoustics):
+        self.sonar, self.acoustics, self.scene, self._meta = sonar, acoustics, None, b""
+        self.axes = sonar.azimuth_rad, sonar.range_m
+        for axis in self.axes:
+            axis.setflags(write=False)  # all pings share them
+        self._pulse = acoustics.pulse_weights(sonar)
+
+    def describe(self, scene, tolerance: float | None, gl_renderer: str, **more) -> None:
+        """Have pings say that they are of this scene, which has a `name`, and named `bodies` and `plumes`."""
+        sonar, acoustics = self.sonar, self.acoustics
+        meta = {
+            "sonar": asdict(sonar),
+            "acoustics": acoustics.meta(),
+            "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
+            "sound_speed_m_s": acoustics.sound_speed(),
+            "profile": acoustics.profile,
+            "tolerance": tolerance,
+            "bin_size_m": sonar.bin_size_m,
+            "scene": scene.name,
+            "bodies": [body.name for body in scene.bodies],
+            **({"plumes": [plume.name for plume in scene.plumes]} if scene.plumes else {}),
+            "version": __version__,
+            "gl_renderer": gl_renderer,
+            **more,
+        }
+        # each ping gets its own copy, ten times quicker than by deepcopy
+        self.scene, self._meta = scene, pickle.dumps(meta)
+
+    def ping(self, pose, intensity, found, sampling, seed, has_echo, estimate, velocity=None, **more) -> Ping:
+        """A ping from what was summed.
+
+        Parameters
+        ----------
+        found : of `Reducer.labels`, or three None
+        velocity : of `in_motion`
+        more : for its meta
+        """
+        if self._pulse is not None:
+            intensity = smear(intensity, self._pulse)
+        for array in (intensity, *found):
+            if array is not None:
+                array.setflags(write=False)
+        body_id, elevation_rad, body_echo = found
+        meta = pickle.loads(self._meta)
+        meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo, **more}
+        ping = Ping(intensity, *self.axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
+        return in_motion(ping, velocity, self.acoustics)
