@@ -1,23 +1,23 @@
-"""OpenGL without a window: contexts, shader files, what the driver says of itself."""
+"""OpenGL without a window: contexts, devices, what the driver says of itself."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import re
-from pathlib import Path
+import warnings
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import moderngl
 
+from sonar_gl import egl
+from sonar_gl.egl import LIBRARIES
 from sonar_gl.types import Error
 
 REQUIRED_GL = 330
-# by their sonames: the unversioned ones come with development packages only
-LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
 DEVICE_VARIABLES = ("SONAR_GL_DEVICE", "GLCONTEXT_DEVICE_INDEX")  # ours, and that of the library below
-# of EGL, for eglQueryDeviceStringEXT
-EGL_EXTENSIONS, EGL_DRM_DEVICE_FILE_EXT, EGL_RENDERER_EXT = 0x3055, 0x3233, 0x335F
+EGL_DRM_DEVICE_FILE_EXT, EGL_RENDERER_EXT = 0x3233, 0x335F  # for eglQueryDeviceStringEXT
 NO_EGL = (
     "OpenGL must be reachable through EGL, without a display (got: {why}); on Debian or Ubuntu install it "
     "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
@@ -27,18 +27,33 @@ _discarded: list[moderngl.Context] = []
 
 
 def discard(context: moderngl.Context) -> None:
-    """Have a context released later, when nobody is drawing.
+    """Have a context released later, when nobody is drawing; a host's own is left alone, and told of.
 
     For finalisers: the garbage collector may call them in the midst of another context's drawing, and
     releasing a context leaves none current.
     """
+    if getattr(context.extra, "is_hosts_own", False):  # where it is current nobody knows
+        message = "a Simulator in a host's OpenGL context was not closed: what it made stays there"
+        warnings.warn(message, ResourceWarning, stacklevel=2)
+        return
     _discarded.append(context)
+
+
+def release(context: moderngl.Context) -> None:
+    """Give a context back with all that is in it and that nobody holds; what was current stays so."""
+    with egl.kept():
+        try:
+            with context:
+                context.gc()  # in a host's share group objects would outlive it
+        except Error as why:  # most often the host's is gone, and its objects with it
+            warnings.warn(f"OpenGL objects were left to the host: {why}", ResourceWarning, stacklevel=2)
+        context.release()
 
 
 def release_discarded() -> None:
     """Release what was discarded; not to be called inside a `with context` block."""
     while _discarded:
-        _discarded.pop().release()
+        release(_discarded.pop())
 
 
 class Device(NamedTuple):
@@ -74,7 +89,7 @@ def egl_devices() -> list[str] | None:
     query(count.value, devices, ctypes.byref(count))
     names = []
     for device in devices:
-        known = (ask(device, EGL_EXTENSIONS) or b"").split()
+        known = (ask(device, egl.EXTENSIONS) or b"").split()
         name = ask(device, EGL_RENDERER_EXT) if b"EGL_EXT_device_query_name" in known else None
         if not name and b"EGL_EXT_device_drm" in known:
             name = ask(device, EGL_DRM_DEVICE_FILE_EXT)
@@ -89,14 +104,15 @@ def devices() -> list[Device]:
     except OSError:
         names = []
     found = []
-    for index, name in enumerate(names):
-        try:
-            context = _create(index)
-        except Exception as why:  # moderngl and glcontext raise plain Exception
-            found.append(Device(index, name or "without a name", " ".join(str(why).split())))
-        else:
-            found.append(Device(index, context.info["GL_RENDERER"]))
-            context.release()
+    with egl.kept():
+        for index, name in enumerate(names):
+            try:
+                context = _create(index)
+            except Exception as why:  # moderngl and glcontext raise plain Exception
+                found.append(Device(index, name or "without a name", " ".join(str(why).split())))
+            else:
+                found.append(Device(index, context.info["GL_RENDERER"]))
+                context.release()
     return found
 
 
@@ -122,14 +138,35 @@ def no_device(got: str) -> str:
     return f"the OpenGL device must be the index of an EGL device (got {got}; {there}{names})"
 
 
+@contextmanager
+def _its_own_default():
+    """Leave moderngl's default context, which a host may use, as it is: making one makes it that."""
+    was = moderngl._store.default_context
+    try:
+        yield
+    finally:
+        moderngl._store.default_context = was
+
+
+def make_context(loader) -> moderngl.Context:
+    """A moderngl context in what `loader` makes current in `with` blocks."""
+    with loader, _its_own_default():
+        context = moderngl.create_context(context=loader, require=REQUIRED_GL)
+    context.gc_mode, context.extra = "context_gc", loader  # the mode as in `create_context`
+    return context
+
+
+@_its_own_default()
 def _create(index: int | None) -> moderngl.Context:
     how = {"standalone": True, "require": REQUIRED_GL}
     if index is None:  # whatever glcontext takes of itself
         return moderngl.create_context(backend="egl", **LIBRARIES, **how)
-    from glcontext import egl  # beneath the layer where variables would win over an index
+    import glcontext.egl  # beneath the layer where variables would win over an index
 
     return moderngl.create_context(
-        context=egl.create_context(mode="standalone", glversion=REQUIRED_GL, device_index=index, **LIBRARIES),
+        context=glcontext.egl.create_context(
+            mode="standalone", glversion=REQUIRED_GL, device_index=index, **LIBRARIES
+        ),
         **how,
     )
 
@@ -182,51 +219,6 @@ def too_old(got: str) -> str:
         f"OpenGL must be 3.3 or newer (got {got}); update the driver, or use Mesa's software renderer with "
         "'LIBGL_ALWAYS_SOFTWARE=1'"
     )
-
-
-def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, list[tuple[str, int]]]:
-    """GLSL text with `#include "x"` resolved and `#define`s put after `#version`.
-
-    Returns
-    -------
-    text : str
-    lines : for each line of the text the file and line that it came from, for error messages
-    """
-    text, lines = [], []
-
-    def add(file: str, included: tuple[str, ...]):
-        if file in included:
-            raise Error(f"shader files must not include each other in a ring (got {' > '.join(included)})")
-        for number, line in enumerate((folder / file).read_text(encoding="utf-8").splitlines(), 1):
-            include = re.match(r'\s*#include\s+"([^"]+)"', line)
-            if include:
-                add(include[1], (*included, file))
-                continue
-            text.append(line)
-            lines.append((file, number))
-            if line.startswith("#version"):
-                for key, value in defines.items():
-                    text.append(f"#define {key} {value}")
-                    lines.append((file, number))
-
-    add(name, ())
-    return "\n".join(text) + "\n", lines
-
-
-def compile_program(context, folder: Path, vertex: str, fragment: str, defines) -> moderngl.Program:
-    """A program from two files of the shader folder; a compile error names the file and its line."""
-    sources = [load_shader(name, folder, defines) for name in (vertex, fragment)]
-    try:
-        return context.program(vertex_shader=sources[0][0], fragment_shader=sources[1][0])
-    except moderngl.Error as why:
-        stage = 1 if "fragment_shader" in str(why) else 0
-
-        def place(match):
-            index = int(match[1]) - 1
-            lines = sources[stage][1]
-            return "{}:{}".format(*lines[index]) if 0 <= index < len(lines) else match[0]
-
-        raise RuntimeError(re.sub(r"\b0:(\d+)(?:\(\d+\))?", place, str(why))) from None
 
 
 def describe(context: moderngl.Context) -> dict:

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from sonar_gl.draws import Draws
-from sonar_gl.gl import compile_program
+from sonar_gl.programs import compile_program
 from sonar_gl.scene import Scene
 from sonar_gl.stock import Stock
 

@@ -37,11 +37,12 @@ class Simulator:
     tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
     device : index of an EGL device, as `sonar-gl doctor` lists them; None is that of the environment variable
         SONAR_GL_DEVICE, or else the first
+    context : "current" joins the OpenGL context that is current, a host's; None has one of its own
 
     Raises
     ------
     Error
-        if there is no usable OpenGL, or the samples do not fit its limits.
+        if there is no usable OpenGL, or none to join, or the samples do not fit its limits.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Simulator:
         sampling: Sampling | None = None,
         tolerance: float = 0.01,
         device: int | None = None,
+        context: str | None = None,
     ):
         self._world = self._underway = None
         for name, value, kind, cure in (
@@ -63,7 +65,7 @@ class Simulator:
             check_kind(name, value, kind, cure)
         self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device)
+        world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device, context)
         world.users += 1
         self._world, self.gl_info = world, world.gl_info
         self._passes = Passes(world.gpu, sonar, self.acoustics)
@@ -222,8 +224,10 @@ class Simulator:
 
         Twice does no harm.
         """
-        world, self._world = self._world, None
+        world = self._world
         if world is not None:
+            world.check_thread()
+            self._world = None
             world.leave(self._give_back)
 
     def _give_back(self):

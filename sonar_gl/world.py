@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonar_gl import gl
+from sonar_gl import egl, gl
 from sonar_gl.bubbles import Bubbles
 from sonar_gl.draws import Whereabouts
+from sonar_gl.foreign import check_thread, join
 from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.load import data_folder
 from sonar_gl.scene import Body, Scene, check_pose
@@ -29,34 +30,50 @@ def _seconds(time_s) -> float:
 class World:
     """A context and a scene's bodies in it, used by one simulator or several, one at a time.
 
+    Parameters
+    ----------
+    device, context : as for `Simulator`
+
     Attributes
     ----------
     scene : Scene, of all bodies that there are
     plumes : where its plumes are by name, (4, 4) world_from_plume, or None for what is not there
     """
 
-    def __init__(self, scene: Scene, device: int | None = None):
+    def __init__(self, scene: Scene, device: int | None = None, context: str | None = None):
+        if context not in (None, "current") or (context and device is not None):
+            got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
+            raise Error(f"context must be 'current' without a device, or None (got {got})")
+        joins = context is not None
         self.context, self.lock, self.process = None, threading.Lock(), os.getpid()
+        self.thread = threading.current_thread() if joins else None
         self.scene, self.users = scene, 0
         self.plumes = {plume.name: plume.pose for plume in scene.plumes}
-        self.context = gl.create_context(device)
-        with self.context:
-            self.gl_info = gl.describe(self.context)
-            self.gpu = SceneOnGpu(self.context, scene, data_folder("shaders"))
+        with egl.kept():
+            self.context = join() if joins else gl.create_context(device)
+            with self.context:
+                self.gl_info = gl.describe(self.context)
+                self.gpu = SceneOnGpu(self.context, scene, data_folder("shaders"))
         self._number()
 
     def _number(self):
         self.numbers = {body.name: number for number, body in enumerate(self.scene.bodies)}
+
+    def check_thread(self) -> None:
+        """An Error in another thread than that whose context was joined."""
+        if self.thread is not None:
+            check_thread(self.thread)
 
     @contextmanager
     def drawing(self):
         """The context, current for the time of the block, in one thread at a time."""
         if os.getpid() != self.process:
             raise Error("a Simulator must be used in the process that made it; make one in each process")
+        self.check_thread()
         with self.lock:
             if self.context is None:
                 raise Error("this Simulator is closed; make a new one")
-            with self.context as context:
+            with egl.kept(), self.context as context:
                 context.gc()
                 yield context
 
@@ -122,13 +139,12 @@ class World:
         if os.getpid() != self.process:  # of a fork: the context and the lock are the parent's
             return
         with self.lock:
-            with self.context as context:
-                give_back()
-                context.gc()
             self.users -= 1
-            if self.users == 0:
+            context, last = self.context, self.users == 0
+            give_back()
+            if last:
                 self.context = self.gpu = None
-                context.release()
+                gl.release(context)
         gl.release_discarded()
 
     def forget(self) -> None:

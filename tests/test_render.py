@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl import gl
+from sonar_gl import gl, programs
 from sonar_gl.echo import cos_incidence
 from sonar_gl.load import data_folder, import_pyrender
 from sonar_gl.meshes import closedness
@@ -323,7 +323,7 @@ def test_a_shader_error_names_its_file_and_line(tmp_path):
     )
     context = gl.create_context()
     with context, pytest.raises(RuntimeError, match=r"b\.glsl:2"):
-        gl.compile_program(context, tmp_path, "a.vert", "c.frag", {"X": 1})
+        programs.compile_program(context, tmp_path, "a.vert", "c.frag", {"X": 1})
     context.release()
 
 

@@ -1,0 +1,179 @@
+"""The OpenGL context of another program: found where it is current, and joined.
+
+Where the other one came by EGL, a context of our own joins its share group: its state is never touched.
+Elsewhere (GLX) we draw in the other's own context, under a `Guard`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+
+import moderngl
+
+from sonar_gl import egl
+from sonar_gl.functions import RENDERER, Functions
+from sonar_gl.gl import REQUIRED_GL, make_context
+from sonar_gl.guard import Guard
+from sonar_gl.types import Error
+
+OPENGL_API, CONFIG_ID, NONE = 0x30A2, 0x3028, 0x3038
+# EGL_CONTEXT_MAJOR_VERSION, ..._MINOR_VERSION and ..._OPENGL_PROFILE_MASK, its core bit
+CORE_33 = 0x3098, 3, 0x30FB, 3, 0x30FD, 1, NONE
+SURFACELESS = b"EGL_KHR_surfaceless_context"
+NONE_CURRENT = (
+    "an OpenGL context must be current in this thread, to be joined (got none in {thread!r}; make the host's "
+    "current first, or leave out context='current' to have one of our own)"
+)
+GONE = (
+    "the OpenGL context that was joined must still be there (got EGL error 0x{error:04x}: its display was "
+    "closed, as pyrender's delete() does); make the host's anew, and then what joins it"
+)
+
+
+def _glx():
+    """libGL with the signatures of its GLX part, or None."""
+    try:
+        glx = ctypes.CDLL(egl.LIBRARIES["libgl"])
+    except OSError:
+        return None
+    if not hasattr(glx, "glXGetCurrentContext"):
+        return None
+    glx.glXGetCurrentContext.restype = glx.glXGetProcAddressARB.restype = ctypes.c_void_p
+    glx.glXGetProcAddressARB.argtypes = [ctypes.c_char_p]
+    return glx
+
+
+class Host:
+    """The context that is current in this thread as this is made, which is another program's.
+
+    Attributes
+    ----------
+    gl : Functions
+    guard : Guard of its state
+    renderer : what the driver calls itself
+
+    Raises
+    ------
+    Error
+        if there is none, or it is older than OpenGL 3.3 or of OpenGL ES.
+    """
+
+    def __init__(self):
+        self.thread, self.by_egl = threading.current_thread(), egl.current() is not None
+        library = egl.library() if self.by_egl else _glx()
+        self._current = library and (
+            library.eglGetCurrentContext if self.by_egl else library.glXGetCurrentContext
+        )
+        self.handle = self._current and self._current()
+        if not self.handle:
+            raise Error(NONE_CURRENT.format(thread=self.thread.name))
+        address_of = library.eglGetProcAddress if self.by_egl else library.glXGetProcAddressARB
+        self.address_of = lambda name: address_of(name.encode()) or 0
+        self.gl = Functions(self.address_of)
+        version = self.gl.version()
+        if version < REQUIRED_GL:
+            got = f"{version // 100}.{version // 10 % 10}" if version else "OpenGL ES"
+            raise Error(
+                f"the context to be joined must be of OpenGL 3.3 or newer (got {got}); ask the host for one"
+            )
+        self.guard, self.renderer = Guard(self.gl), self.gl.text(RENDERER)
+
+    def is_current(self) -> bool:
+        """Whether it is current in this thread."""
+        return self._current() == self.handle
+
+    def check(self) -> None:
+        """An Error in another thread, or where it is not current."""
+        check_thread(self.thread)
+        if not self.is_current():
+            raise Error(
+                "the host's OpenGL context must be current when its sonar is used (got "
+                f"{'another one' if self._current() else 'none'}); make it current first"
+            )
+
+
+def check_thread(thread) -> None:
+    """An Error in another thread than this."""
+    if (here := threading.current_thread()) is not thread:
+        raise Error(
+            "what joined a host's OpenGL context must be used in the thread where that was current (got "
+            f"{here.name!r}, made in {thread.name!r}); hand pings to other threads, not the sonar"
+        )
+
+
+class Guest:
+    """A context of our own in the share group of a host's, which came by EGL; current inside `with` blocks.
+
+    This, like `Tenant`, is what moderngl takes for a window system.
+    """
+
+    def __init__(self, host: Host):
+        number, config, library = ctypes.c_int(0), ctypes.c_void_p(None), egl.library()
+        self.library, self.load_opengl_function = library, host.address_of
+        self.display = library.eglGetCurrentDisplay()
+        if SURFACELESS not in (library.eglQueryString(self.display, egl.EXTENSIONS) or b"").split():
+            raise Error(
+                f"EGL must have {SURFACELESS.decode()} (got a driver without); leave out context='current'"
+            )
+        library.eglQueryContext(self.display, host.handle, CONFIG_ID, ctypes.addressof(number))
+        if number.value:  # else the host's was made without one
+            wanted = (ctypes.c_int * 3)(CONFIG_ID, number.value, NONE)
+            found = ctypes.addressof(config), 1, ctypes.addressof(number)
+            library.eglChooseConfig(self.display, ctypes.addressof(wanted), *found)
+        attributes, api = (ctypes.c_int * 7)(*CORE_33), library.eglQueryAPI()
+        library.eglBindAPI(OPENGL_API)
+        asked = self.display, config.value, host.handle, ctypes.addressof(attributes)
+        self.handle, error = library.eglCreateContext(*asked), library.eglGetError()
+        library.eglBindAPI(api)
+        if not self.handle:
+            raise Error(f"the host's OpenGL context must let another join it (got EGL error 0x{error:04x})")
+        self._hosts = []
+
+    def __enter__(self):
+        was = egl.current() or (self.display, None, None, None)
+        if not self.library.eglMakeCurrent(self.display, None, None, self.handle):
+            raise Error(GONE.format(error=self.library.eglGetError()))
+        self._hosts.append(was)
+        return self
+
+    def __exit__(self, *_):
+        self.library.eglMakeCurrent(*self._hosts.pop())
+
+    def release(self):
+        """Give the context back; what is left in it of buffers lives on with the share group."""
+        self.library.eglDestroyContext(self.display, self.handle)
+
+
+class Tenant:
+    """A host's own context, guarded inside `with` blocks; outside of EGL."""
+
+    is_hosts_own = True
+
+    def __init__(self, host: Host):
+        self.host, self.load_opengl_function = host, host.address_of
+
+    def __enter__(self):
+        self.host.check()
+        self.host.guard.__enter__()
+        return self
+
+    def __exit__(self, *_):
+        self.host.guard.__exit__()
+
+    def release(self):
+        """Nothing: it is the host's."""
+
+
+def join() -> moderngl.Context:
+    """A moderngl context that draws beside the host whose context is current."""
+    host = Host()
+    if host.by_egl:
+        return make_context(Guest(host))
+    with host.guard:
+        errors = host.gl.take_errors()  # moderngl takes them, too
+        try:
+            return make_context(Tenant(host))
+        finally:
+            host.gl.take_errors()
+            host.gl.leave_errors(errors)
