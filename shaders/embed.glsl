@@ -1,0 +1,32 @@
+// For the fragment shader of a host that draws for a sonar itself: declares the two outputs, and `sonar_gl_write`
+// fills them. The vertex shader's gl_Position must be `projection * view * world position`, with the matrices of the
+// sector.
+#include "plane.glsl"
+
+uniform mat3 sonar_gl_lattice;  // of the sector: of a pixel (1, i, j) its ray's u and v, and 1 / far
+
+layout(location = 0) out vec4 sonar_gl_plane_echo;
+layout(location = 1) out uint sonar_gl_body;
+
+// normal: in the view's axes (x right, y up, z back), of any length; vec3(0) for flat faces' own
+// reflectivity: μ, 0..1; body: its number, from 1 on, 0 for none
+// lobe: of a smooth face, |R|² and rms slope; vec2(0) for none
+void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
+{
+    float depth_inverse = gl_FragCoord.w;
+    vec3 at = sonar_gl_lattice * vec3(1.0, gl_FragCoord.xy - 0.5);
+    mat2 pixel_from_uv = inverse(mat2(sonar_gl_lattice[1].xy, sonar_gl_lattice[2].xy));
+    vec2 slopes = vec2(dFdx(depth_inverse), dFdy(depth_inverse)) * pixel_from_uv;
+    vec3 turned = vec3(-normal.z, -normal.x, normal.y);  // x ahead, y to port, z up
+    float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
+    sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
+    if (lobe.x > 0.0)
+        sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
+    sonar_gl_body = body;
+    gl_FragDepth = at.z / depth_inverse;
+}
+
+void sonar_gl_write(vec3 normal, float reflectivity, uint body)
+{
+    sonar_gl_write(normal, reflectivity, body, vec2(0.0));
+}

@@ -1,0 +1,93 @@
+"""A host's textures as arrays, read in its own context."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonar_gl.foreign import Host
+from sonar_gl.types import Error
+
+TEXTURE_2D, BINDING_2D, WIDTH, HEIGHT = 0x0DE1, 0x8069, 0x1000, 0x1001
+PACK_ALIGNMENT = 0x0D05
+# format, type and array of what is asked for
+KINDS = {
+    "z-buffer": (0x1902, 0x1406, np.float32, 1),  # GL_DEPTH_COMPONENT
+    "metres": (0x1903, 0x1406, np.float32, 1),  # GL_RED
+    "normals": (0x1907, 0x1406, np.float32, 3),  # GL_RGB
+    "numbers": (0x8D94, 0x1405, np.uint32, 1),  # GL_RED_INTEGER
+}
+
+
+def read_textures(host: Host, wanted) -> list:
+    """Arrays of textures, first row on top.
+
+    Parameters
+    ----------
+    wanted : (name, kind of KINDS, what to call it in errors) of each; None for a name gives None
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) of each
+
+    Raises
+    ------
+    Error
+        if one is no 2D texture, or does not hold that kind.
+    """
+    host.check()
+    gl, out = host.gl, []
+    with host.guard:
+        pending, bound = gl.take_errors(), gl.integer(BINDING_2D)
+        try:
+            gl.glPixelStorei(PACK_ALIGNMENT, 1)
+            for name, kind, what in wanted:
+                out.append(None if name is None else _read(gl, name, kind, what))
+        finally:
+            gl.glBindTexture(TEXTURE_2D, bound)
+            gl.take_errors()  # ours
+            gl.leave_errors(pending)
+    return out
+
+
+def _read(gl, name, kind: str, what: str) -> np.ndarray:
+    is_number = isinstance(name, (int, np.integer)) and not isinstance(name, bool)
+    if not (is_number and 0 < name < 1 << 32 and gl.glIsTexture(int(name))):
+        raise Error(f"{what} must be the GL name of a texture in the host's context (got {name!r})")
+    gl.glBindTexture(TEXTURE_2D, int(name))
+    if gl.take_errors():
+        raise Error(
+            f"{what} must be a plain 2D texture (got texture {name} of another target; resolve samples first)"
+        )
+    size = np.zeros(2, np.int32)
+    for k, side in enumerate((HEIGHT, WIDTH)):
+        gl.glGetTexLevelParameteriv(TEXTURE_2D, 0, side, size[k:].ctypes.data)
+    layout, numbers, dtype, components = KINDS[kind]
+    shape = (*size.tolist(), components) if components > 1 else tuple(size.tolist())
+    out = np.zeros(shape, dtype)
+    if out.size:
+        gl.glGetTexImage(TEXTURE_2D, 0, layout, numbers, out.ctypes.data)
+    if gl.take_errors() or not out.size:
+        raise Error(f"{what} must hold {kind} (got texture {name} of {shape[1]} by {shape[0]} that does not)")
+    return out[::-1]
+
+
+def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
+    """What a z-buffer tells, as metres along the camera's axis; 0 where nothing was drawn.
+
+    Parameters
+    ----------
+    z_buffer : (H, W), 0..1
+    projection : (4, 4) OpenGL clip_from_camera, any perspective: near and far in either order, or no far
+    zero_to_one : the host set glClipControl to GL_ZERO_TO_ONE
+    """
+    a, b = projection[2, 2], projection[2, 3]
+    ndc = np.asarray(z_buffer, np.float64)
+    if not zero_to_one:
+        ndc = 2.0 * ndc - 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # clip z = a z + b and w = -z, with z < 0 ahead
+        ahead = b / (ndc + a)
+    # cleared to what is furthest, whichever end of the range that is
+    nearest_is_zero = b < 0
+    cleared = z_buffer >= 1.0 if nearest_is_zero else z_buffer <= 0.0
+    return np.where(cleared | ~np.isfinite(ahead), 0.0, ahead).astype(np.float32)
