@@ -19,8 +19,8 @@ VIEW_FROM_SECTOR = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0
 class DrawnSector:
     """One perspective view of part of the fan, for a host to draw. Use it in a `with` block.
 
-    Inside the block its framebuffer is bound and empty, the viewport is set, the depth test is on, and all other
-    state is OpenGL's default. After it all state is as it was before.
+    Inside the block its framebuffer is bound and empty, the viewport is set, the depth test is on, and all
+    other state that bears on drawing is OpenGL's default. After it all is as it was before.
 
     Attributes
     ----------
@@ -100,7 +100,6 @@ class DrawnSector:
         """(R, C, 4) float32 and (R, C) uint16 of what the host drew, whatever it has bound by now."""
         plane_echo = np.empty((self.height, self.width, 4), np.float32)
         body_id = np.empty((self.height, self.width), np.uint16)
-        gl.glBindFramebuffer(FRAMEBUFFER, self._framebuffer)
         with self._host.guard:  # what the host has changed since, pixel stores among it
             gl.glBindFramebuffer(FRAMEBUFFER, self._framebuffer)
             size = 0, 0, self.width, self.height
@@ -109,6 +108,9 @@ class DrawnSector:
             gl.glReadPixels(*size, RGBA, FLOAT, plane_echo.ctypes.data)
             gl.glReadBuffer(COLOR_1)
             gl.glReadPixels(*size, RED_INTEGER, UNSIGNED_SHORT, body_id.ctypes.data)
+        # beyond every number, loops over bins would not end where they should
+        if not np.isfinite(plane_echo).all():
+            raise Error("what a host draws must be finite (got NaN or infinity; does each normal have numbers?)")
         return self.sector, plane_echo, body_id
 
     def release(self):
