@@ -14,6 +14,7 @@ import numpy as np
 from sonar_gl.camera import Camera
 from sonar_gl.compiled import compiled
 from sonar_gl.lattice import Sector
+from sonar_gl.pair import Pair
 
 # Centre differences err least on curved surfaces: they are taken unless they fit so many times worse than
 # those of one side, which end at an edge.
@@ -27,9 +28,9 @@ UNSEEN = -1.0  # 1/x of a ray that no camera has looked at; 0 of one that met no
 
 
 @compiled
-def _invert(depth, K_inverse, planar, inverse):
-    """1/Z of each pixel, 0 where there is none."""
-    for j in range(depth.shape[0]):
+def _invert(start, stop, depth, K_inverse, planar, inverse):
+    """1/Z of each pixel of some rows, 0 where there is none."""
+    for j in range(start, stop):
         for i in range(depth.shape[1]):
             x = K_inverse[0, 0] * i + K_inverse[0, 1] * j + K_inverse[0, 2]
             y = K_inverse[1, 0] * i + K_inverse[1, 1] * j + K_inverse[1, 2]
@@ -54,17 +55,22 @@ def _step(q, before, two_before, after, two_after):
         return (back + ahead) / 2
     if best >= ALONE * q:
         return 0.0
-    return back if fit_back <= fit_ahead else ahead
+    # where the last pixels bend, this one does: limbs of round things are steeper than the step to them
+    if fit_back <= fit_ahead:
+        bend = back - (before - two_before) if two_before > 0.0 else 0.0
+        return back + bend / 2 if abs(bend) == fit_back else back
+    bend = (two_after - after) - ahead if two_after > 0.0 else 0.0
+    return ahead - bend / 2 if abs(bend) == fit_ahead else ahead
 
 
 @compiled
-def _find_planes(inverse, normals, K, K_inverse, planes):
-    """Fill (H, W, 4): 1/Z, its steps across and down, cosine of incidence times slant range.
+def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
+    """Fill some rows of (H, W, 4): 1/Z, its steps across and down, cosine of incidence times slant range.
 
     normals : (H, W, 3), camera axes, or of no size
     """
     n_rows, n_columns = inverse.shape
-    for j in range(n_rows):
+    for j in range(start, stop):
         for i in range(n_columns):
             q = np.float64(inverse[j, i])
             planes[j, i, 0] = q
@@ -104,13 +110,15 @@ def _find_planes(inverse, normals, K, K_inverse, planes):
 
 
 @compiled
-def _lay(planes, bodies, H, u, v, far_inverse, plane_echo, body_id):
-    """What the rays that no camera has looked at see of this image."""
+def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, plane_echo, body_id):
+    """What the rays of some rows see of this image; unless they are fresh, those that saw none before."""
     n_rows, n_columns = planes.shape[0], planes.shape[1]
     labels = bodies.shape[0] > 0
-    for j in range(plane_echo.shape[0]):
+    for j in range(start, stop):
         for i in range(plane_echo.shape[1]):
-            if plane_echo[j, i, 0] != UNSEEN:
+            if fresh:
+                plane_echo[j, i, 0], plane_echo[j, i, 3], body_id[j, i] = UNSEEN, 0.0, 0
+            elif plane_echo[j, i, 0] != UNSEEN:
                 continue
             u_ray, v_ray = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
             ahead = H[2, 0] - H[2, 1] * u_ray + H[2, 2] * v_ray
@@ -145,8 +153,8 @@ class Planes:
     planes : (H, W, 4) float32, of `_find_planes`; the last times reflectivity
     """
 
-    def __init__(self, camera: Camera):
-        self.camera = camera
+    def __init__(self, camera: Camera, pair: Pair):
+        self.camera, self.pair = camera, pair
         self.inverse = np.zeros((camera.height, camera.width), np.float32)
         self.planes = np.zeros((camera.height, camera.width, 4), np.float32)
 
@@ -163,18 +171,25 @@ class Planes:
         """
         K = self.camera.intrinsics
         K_inverse = np.linalg.inv(K)
-        _invert(depth, K_inverse, planar, self.inverse)
-        _find_planes(self.inverse, normals, K, K_inverse, self.planes)
+        self._by_rows(_invert, len(depth), depth, K_inverse, planar, self.inverse)
+        self._by_rows(_find_planes, len(depth), self.inverse, normals, K, K_inverse, self.planes)
         self.planes[..., 3] *= reflectivity
 
-    def lay(self, sector: Sector, range_m: float, bodies, plane_echo, body_id) -> None:
-        """Give rays of a sector that are `UNSEEN` what they see.
+    def lay(self, sector: Sector, range_m: float, bodies, fresh: bool, plane_echo, body_id) -> None:
+        """Give rays of a sector what they see.
 
         Parameters
         ----------
         range_m : what lies further ahead is let go
         bodies : (H, W) uint16, or of no size
+        fresh : this is the first camera; else those rays alone that are `UNSEEN`
         plane_echo, body_id : (R, C, 4) float32 and (R, C) uint16, written to
         """
         H = np.ascontiguousarray(self.camera.pixel_from_sonar @ sector.rotation().T)
-        _lay(self.planes, bodies, H, sector.u, sector.v, 1 / range_m, plane_echo, body_id)
+        rays = H, sector.u, sector.v, 1 / range_m
+        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, plane_echo, body_id)
+
+    def _by_rows(self, work, n: int, *arguments):
+        """Have half of the rows done in the other thread."""
+        bounds = (0, n // 2, n)
+        self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))
