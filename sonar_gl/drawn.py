@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.foreign import Host
+from sonar_gl.hearing import Hearing
 from sonar_gl.lattice import Sector
 from sonar_gl.types import Error
 
@@ -12,6 +14,7 @@ FRAMEBUFFER, RENDERBUFFER, COMPLETE, DEPTH_TEST = 0x8D40, 0x8D41, 0x8CD5, 0x0B71
 COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
 RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT = 0x1908, 0x8D94, 0x1406, 0x1403
 RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
+NEAR_M = 1e-3  # nearer than this the sonar looks through things
 # x of a sector's frame is what lies behind the view's z axis, y is to its left, z is up
 VIEW_FROM_SECTOR = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 
@@ -110,7 +113,9 @@ class DrawnSector:
             gl.glReadPixels(*size, RED_INTEGER, UNSIGNED_SHORT, body_id.ctypes.data)
         # beyond every number, loops over bins would not end where they should
         if not np.isfinite(plane_echo).all():
-            raise Error("what a host draws must be finite (got NaN or infinity; does each normal have numbers?)")
+            raise Error(
+                "what a host draws must be finite (got NaN or infinity; does each normal have numbers?)"
+            )
         return self.sector, plane_echo, body_id
 
     def release(self):
@@ -120,3 +125,41 @@ class DrawnSector:
             self._host.gl.glDeleteFramebuffers(1, name.ctypes.data)
             self._host.gl.glDeleteRenderbuffers(3, self._names.ctypes.data)
         self._framebuffer = self._names = None
+
+
+class Drawing:
+    """The sectors of a fan that a host draws.
+
+    Attributes
+    ----------
+    hearing : Hearing
+    near_m : of the projections
+    """
+
+    def __init__(self, host: Host, hearing: Hearing, near_m: float):
+        far_m = FAR_FACTOR * hearing.fan.sonar.range_max_m
+        if isinstance(near_m, bool) or not isinstance(near_m, (int, float)) or not 0 < near_m < far_m:
+            raise Error(f"near_m must be metres between 0 and {far_m:g} (got {near_m!r})")
+        self.hearing, self.near_m, self._pose = hearing, near_m, None
+        self._sectors = [DrawnSector(host, sector, near_m, far_m) for sector in hearing.fan.sectors]
+
+    def aim(self, pose) -> list[DrawnSector]:
+        """All sectors, looking from `pose`, to be drawn anew."""
+        self._pose = pose
+        return [sector.aim(pose) for sector in self._sectors]
+
+    def views(self):
+        """What was drawn, (sector, (R, C, 4), (R, C)) of each, and the pose."""
+        views = [sector.views for sector in self._sectors]
+        if (n := sum(view is not None for view in views)) < len(views):
+            raise Error(
+                f"all sectors must be drawn before a ping is finished (got {n} of {len(views)}; draw each "
+                "inside its `with` block, without an exception)"
+            )
+        return views, self._pose
+
+    def close(self):
+        """Give all back."""
+        for sector in self._sectors:
+            sector.release()
+        self.hearing.reducer.close()

@@ -1,103 +1,50 @@
-"""Pings of what other programs have drawn: depth images from the sonar's place."""
+"""A sonar inside a program that draws its world itself: what the program draws is heard, not drawn again.
+
+Of the four ways in this module has three: the host draws the sonar's sectors with its own shaders
+(`Sensor.sectors`), hands over textures (`Sensor.ping_from_textures`), or images as arrays
+(`ping_from_depth`). The fourth is a `Simulator` that joins the host's OpenGL context.
+"""
 
 from __future__ import annotations
 
-import math
-import sys
-import warnings
 from functools import lru_cache
-from threading import Lock
-from types import SimpleNamespace
-
-import numpy as np
 
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.camera import Camera, covered
-from sonar_gl.depth_images import UNKNOWN, images_of, names_of
-from sonar_gl.fan import MAX_COLUMNS_PER_BEAM, MAX_ROW_DEG, MAX_ROWS, MIN_COLUMNS, MIN_ROWS, Sampling
-from sonar_gl.footprint import FAR_FACTOR
+from sonar_gl.depth_images import UNKNOWN, images_of
+from sonar_gl.drawn import NEAR_M, Drawing, DrawnSector
+from sonar_gl.fan import Sampling
+from sonar_gl.foreign import Host
 from sonar_gl.hearing import Hearing
-from sonar_gl.motion import check_velocity
-from sonar_gl.noise import Noise, add_noise, check_seed
-from sonar_gl.nothing import why_unheard
-from sonar_gl.pair import Pair
-from sonar_gl.record import Record
-from sonar_gl.resample import Planes
+from sonar_gl.ladder import check_tolerance, guess_of, sampling_of
+from sonar_gl.listener import KEPT, Listener
+from sonar_gl.load import data_folder
+from sonar_gl.programs import load_shader
 from sonar_gl.rigid import check_pose
 from sonar_gl.sonar import Sonar
-from sonar_gl.types import Error, Ping, check_kind
-
-KEPT = 4  # sonars of `ping_from_depth`, and sets of cameras of each
-FINER = 1.0  # samples than pixels, across and up
-MAX_SAMPLES = 1 << 22  # that are chosen
-# Less of the fan is worth a warning: rays that graze the border of an image may miss it.
-COVERED = 0.999
+from sonar_gl.textures import read_images
+from sonar_gl.types import Error, Ping
 
 
-class _Setup:
-    """What one set of cameras needs again at every ping."""
+def glsl() -> str:
+    """What a host's fragment shader includes to draw for `Sensor.sectors`, after `#version`, 330 or higher.
 
-    def __init__(self, sonar: Sonar, acoustics: Acoustics, cameras: list[Camera], sampling: Sampling | None):
-        self.hearing = Hearing(sonar, acoustics, sampling or sampling_of(sonar, cameras))
-        self.pair = Pair()
-        self.planes = [Planes(camera, self.pair) for camera in cameras]
-        self.views = [
-            (s, np.zeros((s.rows, s.columns, 4), np.float32), np.zeros((s.rows, s.columns), np.uint16))
-            for s in self.hearing.fan.sectors
-        ]
-
-    def close(self):
-        self.hearing.reducer.close()
-        self.pair.close()
+    It has `sonar_gl_write(vec3 normal, float reflectivity, uint body)`, to be called once: normal in the
+    view's axes (x right, y up, z back), or vec3(0) for that of the flat face; body from 1 on, 0 for none. A
+    fourth argument, vec2, is |R|² and the rms slope of a smooth face. The uniform `mat3 sonar_gl_lattice` is
+    the sector's.
+    """
+    return load_shader("embed.glsl", data_folder("shaders"), {})[0]
 
 
-def _check_coverage(sonar: Sonar, cameras) -> None:
-    """Warn if the cameras do not see all of the fan, or an Error if nothing."""
-    share = covered(sonar, cameras)
-    if share == 0:
-        raise Error(f"the cameras must look into the sonar's fan (they see nothing of it; {_needed(sonar)})")
-    if share < COVERED:
-        _warn(
-            f"the cameras see {100 * share:.1f} % of the sonar's fan, and nothing is heard of the rest: "
-            + _needed(sonar)
-        )
-
-
-def _warn(message: str) -> None:
-    """Warn whoever called this module."""
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals is globals():
-        level, frame = level + 1, frame.f_back
-    warnings.warn(message, stacklevel=level)
-
-
-def _needed(sonar: Sonar) -> str:
-    return (
-        f"azimuths within ±{sonar.azimuth_fov_deg / 2:g}° and elevations within "
-        f"±{sonar.elevation_fov_deg / 2:g}° are needed, which the cameras of Camera.covering(sonar) see"
-    )
-
-
-def sampling_of(sonar: Sonar, cameras) -> Sampling:
-    """Samples as fine as the finest of the cameras' pixels, so that the images err and not the samples."""
-    across, up = (min(size) / FINER for size in zip(*(c.pixel_rad() for c in cameras), strict=True))
-    columns = max(math.radians(sonar.azimuth_fov_deg) / across, MIN_COLUMNS)
-    aperture = 2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2)
-    rows = max(aperture / min(up, math.radians(MAX_ROW_DEG)), MIN_ROWS)
-    fewer = math.sqrt(min(1.0, MAX_SAMPLES / (columns * rows)))
-    return Sampling(
-        min(fewer * columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(math.ceil(fewer * rows), MAX_ROWS)
-    )
-
-
-class Sensor:
+class Sensor(Listener):
     """A sonar that hears what other programs draw. Use it in a `with` block, or call `close()`.
 
     Parameters
     ----------
     sonar : Sonar
-    acoustics : Acoustics; None is `Acoustics.physical()`. No smooth faces are known, and so no lobes of them
-    sampling : Sampling; None is as fine as the images
+    acoustics : Acoustics; None is `Acoustics.physical()`
+    sampling : Sampling; None is as fine as images are; of sectors, what most scenes need for the tolerance
+    tolerance : 0.001..0.5, of sectors; it is aimed at, not looked after as a `Simulator` does
 
     Raises
     ------
@@ -105,18 +52,92 @@ class Sensor:
         if the acoustics have multipath, which needs a scene.
     """
 
-    def __init__(self, sonar: Sonar, acoustics: Acoustics | None = None, sampling: Sampling | None = None):
-        check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
-        check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
-        check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
-        self.sonar, self.sampling = sonar, sampling
-        self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        if self.acoustics.multipath != "none":
-            raise Error(
-                'acoustics of depth images must have multipath "none" '
-                f'(got "{self.acoustics.multipath}"; mirrors need the scene: use a Simulator)'
-            )
-        self._record, self._setups, self._lock = Record(sonar, self.acoustics), {}, Lock()
+    def __init__(
+        self,
+        sonar: Sonar,
+        acoustics: Acoustics | None = None,
+        sampling: Sampling | None = None,
+        tolerance: float = 0.01,
+    ):
+        super().__init__(sonar, acoustics, sampling)
+        self.tolerance = check_tolerance(tolerance)
+        self._host = self._drawing = None
+
+    def sectors(self, pose, near_m: float = NEAR_M) -> list[DrawnSector]:
+        """The views that the host draws, as seen from `pose`, in the context that is current.
+
+        Parameters
+        ----------
+        pose : (4, 4) world_from_sonar
+        near_m : of the projections, metres; their far plane is eight times range_max_m
+
+        Raises
+        ------
+        Error
+            if no context is current, or in another thread than before.
+        """
+        pose, host = check_pose(pose), self._joined()
+        if self._drawing is None or self._drawing.near_m != near_m:
+            if self._drawing is not None:
+                self._drawing.close()
+            sampling = self.sampling or sampling_of(self.sonar, guess_of(self.tolerance))
+            self._drawing = Drawing(host, Hearing(self.sonar, self.acoustics, sampling), near_m)
+        return self._drawing.aim(pose)
+
+    def finish(
+        self, bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None
+    ) -> Ping:  # fmt: skip
+        """The ping of the sectors, once the host has drawn them all; parameters as of `ping_from_depth`.
+
+        Raises
+        ------
+        Error
+            if some were not drawn.
+        """
+        if self._drawing is None:
+            raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
+        views, pose = self._drawing.views()
+        how = self.tolerance if self.sampling is None else None, self._host.renderer
+        return self._ping(
+            self._drawing.hearing, views, pose, how, bodies, noise, seed, labels, ping_number, velocity
+        )
+
+    def ping_from_textures(
+        self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
+        body_id=None, reflectivity=UNKNOWN, bodies=(), noise=None, seed=0, labels=False, ping_number=0,
+        velocity=None,
+    ) -> Ping:  # fmt: skip
+        """A ping of textures that the host drew from the sonar's place, in the context that is current.
+
+        Several views are lists of depth, projection, rotation, normals and body_id. Other parameters are as
+        of `ping_from_depth`.
+
+        Parameters
+        ----------
+        depth : GL name of a 2D texture, first row at the bottom
+        projection : (4, 4) OpenGL clip_from_camera that it was drawn with, any perspective; reversed or
+            infinite ones, too
+        holds : what depth is: "z-buffer", the depth attachment; "planar", metres along the view's axis;
+            "range", metres along each pixel's ray; the latter two in a red channel of floats
+        zero_to_one : the z-buffer was drawn with glClipControl's GL_ZERO_TO_ONE
+        rotation : (3, 3) sonar_from_camera, as of `Camera`; None looks along the boresight
+        normals : GL name of a texture of floats: normals of faces, of any length, in the view's axes (x
+            right, y up, z back)
+        body_id : GL name of a texture of unsigned integers
+
+        Raises
+        ------
+        Error
+            if a name is no such texture.
+        """
+        cameras, images = read_images(
+            self._joined(), depth, projection, holds, zero_to_one, rotation, normals, body_id
+        )
+        made = images_of(cameras, *images, reflectivity)
+        how = None, self._host.renderer
+        return self._ping_of_images(
+            *made, pose, holds != "range", how, bodies, noise, seed, labels, ping_number, velocity
+        )
 
     def ping_from_depth(
         self, depth, camera, pose=None, planar=True, normals=None, body_id=None, reflectivity=UNKNOWN,
@@ -142,6 +163,8 @@ class Sensor:
         noise, seed, labels, ping_number, velocity : as of `Simulator.ping`; with labels the first entry of
             `body_echo` is the echo of what has number 0
 
+        No smooth faces are known here, and so no lobes of them.
+
         Warns
         -----
         UserWarning
@@ -152,69 +175,24 @@ class Sensor:
         Error
             if an image does not fit its camera, or the cameras see nothing of the fan.
         """
-        pose = check_pose(np.eye(4) if pose is None else pose)
-        seed, velocity = check_seed(seed), check_velocity(velocity)
-        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        bodies = names_of(bodies)
-        cameras, images = images_of(camera, depth, normals, body_id, reflectivity)
-        with self._lock:
-            setup = self._setup(cameras)
-            intensity, total, found = self._hear(setup, images, planar, labels, len(bodies))
-            if total <= 0:
-                drawn = setup.hearing.fan.sonar
-                why = why_unheard(self.sonar, drawn, setup.views)
-                nothing = "no echo came back: the images show no surface in the fan"
-                _warn(why or nothing)
-            if self._record.scene is None or [b.name for b in self._record.scene.bodies] != bodies:
-                shown = [SimpleNamespace(name=name) for name in bodies]
-                scene = SimpleNamespace(name="depth_image", bodies=shown, plumes=())
-                self._record.describe(scene, None, "none: depth image")
-            sampling = setup.hearing.sampling
-            ping = self._record.ping(pose, intensity, found, sampling, seed, total > 0, None, velocity)
-        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+        made, how = images_of(camera, depth, normals, body_id, reflectivity), (None, "none: depth image")
+        return self._ping_of_images(
+            *made, pose, planar, how, bodies, noise, seed, labels, ping_number, velocity
+        )
 
-    def _setup(self, cameras) -> _Setup:
-        """That of these cameras."""
-        key = tuple((c.width, c.height, c.intrinsics.tobytes(), c.rotation.tobytes()) for c in cameras)
-        if (found := self._setups.pop(key, None)) is None:
-            _check_coverage(self.sonar, cameras)
-            found = _Setup(self.sonar, self.acoustics, cameras, self.sampling)
-        self._setups[key] = found  # the last one used is last
-        while len(self._setups) > KEPT:
-            self._setups.pop(next(iter(self._setups))).close()
-        return found
-
-    def _hear(self, setup, images, planar, labels, n_bodies):
-        """(B, K) intensity, its sum, and labels or three None."""
-        if labels:
-            n_bodies = max([n_bodies] + [int(image.body_id.max(initial=0)) for image in images])
-        hearing, far_m = setup.hearing, FAR_FACTOR * setup.hearing.fan.sonar.range_max_m
-        for image, planes in zip(images, setup.planes, strict=True):
-            planes.find(image.depth, bool(planar), image.normals, image.reflectivity)
-        for sector, plane_echo, numbers in setup.views:
-            for n, (image, planes) in enumerate(zip(images, setup.planes, strict=True)):
-                planes.lay(sector, far_m, image.body_id, n == 0, plane_echo, numbers)
-            if labels:  # the sums take 0 for all bodies: what is unknown gets a number of its own
-                numbers[(numbers == 0) & (plane_echo[..., 3] > 0)] = n_bodies + 1
-        intensity = hearing.intensity(setup.views)
-        total, found = hearing.reducer.total, (None,) * 3
-        if labels:
-            body, elevation, echo = hearing.reducer.labels(setup.views, hearing.gain, n_bodies + 1)
-            body[body == n_bodies + 1] = 0
-            found = body, elevation, np.append(echo[-1], echo[1:-1])
-        return intensity, total, found
+    def _joined(self) -> Host:
+        """The host whose context is current; another one than before is an Error of its own."""
+        if self._host is None:
+            self._host = Host()
+        self._host.check()
+        return self._host
 
     def close(self):
-        """Give back what this holds; twice does no harm."""
-        with self._lock:
-            while self._setups:
-                self._setups.popitem()[1].close()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
+        """Give back what this holds, with the host's context current; twice does no harm."""
+        super().close()
+        if self._drawing is not None:
+            self._drawing.close()
+            self._drawing = None
 
 
 @lru_cache(KEPT)

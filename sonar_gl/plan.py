@@ -15,16 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.census import Extent, census, in_plain_sight
-from sonar_gl.fan import Sampling, half_of, rung_sampling
+from sonar_gl.fan import Sampling, half_of
+from sonar_gl.ladder import ERROR_RATE, FINEST_RUNG, STEPS_PER_HALF, check_tolerance, guess_of, sampling_of
 from sonar_gl.lattice import SHEAR
 from sonar_gl.passes import Passes
 from sonar_gl.types import Error
 from sonar_gl.watch import Watch
 
-COARSEST_DEG, STEPS_PER_HALF = 1.0, 4  # of the ladder: so many rungs halve a sample's width
-FINEST_RUNG = 40  # or where the driver's limits are
 ERROR = 1.0
-ERROR_RATE = 1.3  # the error falls as the width of samples to this power
 LUCK, LUCK_RATE = 1.8, 0.75
 WORST_BODY = 5.0  # times the tolerance, of a body's own echo
 COUNTS = 5e-4  # of the echo: bodies that return less are let go; half of what is promised
@@ -57,28 +55,9 @@ class Plan:
     met: bool
 
 
-def check_tolerance(tolerance) -> float:
-    """The tolerance.
-
-    Raises
-    ------
-    Error
-        if it lies outside 0.001..0.5.
-    """
-    number = isinstance(tolerance, (int, float, np.number)) and not isinstance(tolerance, bool)
-    if not (number and 0.001 <= tolerance <= 0.5):
-        raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
-    return float(tolerance)
-
-
 def _luck(hits):
     """Of a body's own echo by its samples: few may all lie along a thin thing, or beside it."""
     return LUCK * (1 + FEW / hits) / hits**LUCK_RATE
-
-
-def sampling_of(sonar, rung: int) -> Sampling:
-    """The ladder's rung."""
-    return rung_sampling(sonar, COARSEST_DEG * 2 ** (-rung / STEPS_PER_HALF))
 
 
 class Planner:
@@ -103,9 +82,7 @@ class Planner:
         self.extent = Extent(self.stock.bodies, self.specular)
         self.reach_rad = passes.acoustics.beam_reach_rad(self.sonar)
         self.finest = FINEST_RUNG
-        # a guess: what most scenes need
-        guess = COARSEST_DEG / 0.2 * (0.02 / self.tolerance) ** (1 / ERROR_RATE)
-        self._guess = min(max(0, round(STEPS_PER_HALF * math.log2(guess))), self.finest)
+        self._guess = min(guess_of(self.tolerance), self.finest)
         self.rung = self._guess
         self.now = passes.of(sampling_of(self.sonar, self.rung))
         self.plan = self.warning = None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from sonar_gl.camera import Camera
 from sonar_gl.foreign import Host
 from sonar_gl.types import Error
 
 TEXTURE_2D, BINDING_2D, WIDTH, HEIGHT = 0x0DE1, 0x8069, 0x1000, 0x1001
 PACK_ALIGNMENT = 0x0D05
+HOLDS = "z-buffer", "planar", "range"
+UPSIDE = np.float32([1, -1, -1])  # optical axes from OpenGL's, and back
 # format, type and array of what is asked for
 KINDS = {
     "z-buffer": (0x1902, 0x1406, np.float32, 1),  # GL_DEPTH_COMPONENT
@@ -18,7 +21,46 @@ KINDS = {
 }
 
 
-def read_textures(host: Host, wanted) -> list:
+def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, normals, body_id):
+    """Cameras, and (depth, normals, body_id) as lists of arrays, or None; see `Sensor.ping_from_textures`."""
+    if holds not in HOLDS:
+        raise Error(f"holds must be one of {', '.join(map(repr, HOLDS))} (got {holds!r})")
+    several = isinstance(depth, (list, tuple))
+    n, columns = len(depth) if several else 1, []
+    for what, value in (
+        ("depth", depth),
+        ("projection", projection),
+        ("rotation", rotation),
+        ("normals", normals),
+        ("body_id", body_id),
+    ):
+        if value is None or not several:
+            value = [value] * n
+        if not isinstance(value, (list, tuple)) or len(value) != n:
+            raise Error(f"{what} must be a list of as many as depth has (got {value!r} for {n})")
+        columns.append(value)
+    kind = "z-buffer" if holds == "z-buffer" else "metres"
+    wanted = [
+        one
+        for z, _, _, normal, number in zip(*columns, strict=True)
+        for one in ((z, kind, "depth"), (normal, "normals", "normals"), (number, "numbers", "body_id"))
+    ]
+    arrays = iter(_read_all(host, wanted))
+    cameras, images = [], ([], [], [])
+    for _, matrix, turn, *_ in zip(*columns, strict=True):
+        seen, normal, number = next(arrays), next(arrays), next(arrays)
+        camera = Camera.of_projection(matrix, *seen.shape[::-1], turn)
+        if holds == "z-buffer":
+            seen = metres_ahead(seen, np.asarray(matrix, np.float64), zero_to_one)
+        cameras.append(camera)
+        images[0].append(seen)
+        images[1].append(None if normal is None else normal * UPSIDE)
+        images[2].append(number)
+    made = [None if all(one is None for one in column) else column for column in images]
+    return cameras, made
+
+
+def _read_all(host: Host, wanted) -> list:
     """Arrays of textures, first row on top.
 
     Parameters
