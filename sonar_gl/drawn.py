@@ -114,7 +114,7 @@ class DrawnSector:
         # beyond every number, loops over bins would not end where they should
         if not np.isfinite(plane_echo).all():
             raise Error(
-                "what a host draws must be finite (got NaN or infinity; does each normal have numbers?)"
+                "what a host writes for a sonar must be finite (got NaN or infinity; look at its normals)"
             )
         return self.sector, plane_echo, body_id
 

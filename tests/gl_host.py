@@ -68,6 +68,12 @@ def make_context():
     return egl.create_context(mode="standalone", glversion=330, libgl="libGL.so.1", libegl="libEGL.so.1")
 
 
+def clip_zero_to_one(context):
+    """glClipControl(GL_LOWER_LEFT, GL_ZERO_TO_ONE), which PyOpenGL 3.1.0 does not know."""
+    address = context.load_opengl_function("glClipControl")
+    ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint)(address)(0x8CA1, 0x935F)
+
+
 def make_program(vertex, fragment):
     """A program, its attributes at fixed places."""
     program = GL.glCreateProgram()

@@ -1,0 +1,435 @@
+"""A host draws the sonar's sectors, or hands over its textures: the pings are those of a Simulator."""
+
+import math
+import threading
+import warnings
+
+import gl_host
+import numpy as np
+import pytest
+import trimesh
+from OpenGL import GL
+
+import sonar_gl as sg
+from sonar_gl import embed
+
+SONAR = sg.Sonar("host", 900e3, 128, 256, 45.0, 20.0, 1.0, 0.5, 20.0)
+SAMPLING = sg.Sampling(4, 60)
+POSE = sg.pose(0.3, -0.2, 0.1, 0.1, 0.15, 0.4)
+# A host that draws does what the Simulator's own pass does, but for matrices that are multiplied in float32:
+# of some 20 000 samples one or two along an outline meet another body.
+ROUNDING = 3e-4
+
+
+@pytest.fixture(autouse=True)
+def context():
+    made = gl_host.make_context()
+    while GL.glGetError():  # of tests before, where the host failed on purpose
+        pass
+    yield made
+    made.release()
+
+
+def scene_of(*more):
+    """Floor, a smooth ball, a box with a lobe, a box with a μ for each face, a mesh that is open."""
+    ball = trimesh.creation.icosphere(3, 0.8)
+    box = trimesh.creation.box((1.0, 1.0, 2.0))
+    open_mesh = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]], process=False)
+    return sg.Scene(
+        [
+            sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.3),
+            sg.Body("ball", ball, sg.pose(6, 4, -1), 0.8, normals=ball.vertices / 0.8),
+            sg.Body("smooth", box, sg.pose(7, 1, -1.5, yaw=0.4), 0.4, specular=0.5, roughness_rad=0.2),
+            sg.Body("faces", box, sg.pose(9, 3, -1.5, yaw=0.9), np.linspace(0.1, 0.9, len(box.faces))),
+            sg.Body("open", open_mesh, sg.pose(8, 6, -1, yaw=0.5), 0.7),
+            *more,
+        ]
+    )
+
+
+def names(scene):
+    return [body.name for body in scene.bodies]
+
+
+def simulate(scene, sonar=SONAR, acoustics=None, sampling=SAMPLING, pose=POSE):
+    with sg.Simulator(scene, sonar, acoustics, sampling) as simulator:
+        return simulator.ping(pose, labels=True)
+
+
+def apart(ping, true):
+    """The share of the echo that lies in wrong bins."""
+    return np.abs(ping.intensity - true.intensity).sum(dtype=float) / true.intensity.sum(dtype=float)
+
+
+def draw(host, sensor, pose=POSE, lobes=True):
+    for sector in sensor.sectors(pose):
+        with sector:
+            host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes)
+
+
+@pytest.mark.parametrize("profile", ["ideal", "physical"])
+@pytest.mark.parametrize("fov_deg", [60.0, 130.0, 360.0])
+def test_a_host_that_draws_the_sectors_gets_the_simulators_ping(profile, fov_deg):
+    scene, acoustics = scene_of(), getattr(sg.Acoustics, profile)()
+    sonar = sg.Sonar("wide", 900e3, 128, 256, fov_deg, 20.0, 1.0, 0.5, 20.0)
+    true, host = simulate(scene, sonar, acoustics), gl_host.Program(scene)
+    with embed.Sensor(sonar, acoustics, SAMPLING) as sensor:
+        draw(host, sensor, lobes=acoustics.specular)
+        ping = sensor.finish(labels=True, bodies=names(scene))
+    assert apart(ping, true) < ROUNDING
+    assert (ping.body_id != true.body_id).mean() < 1e-3  # where two echoes are alike
+    # a body's echo hangs on the samples along its outline, of which one may fall to another body
+    assert np.allclose(ping.body_echo, true.body_echo, rtol=1e-3, atol=1e-4 * true.body_echo.sum())
+    assert ping.meta["bodies"] == names(scene)
+    assert "llvmpipe" in ping.meta["gl_renderer"] or "none" not in ping.meta["gl_renderer"]
+    assert np.array_equal(ping.pose, POSE) and ping.error_estimate is None
+    # lobes are drawn where the acoustics have them: without, the box would be too dark
+    assert (true.body_echo[3] > 1.05 * simulate(scene, sonar, sg.Acoustics.ideal()).body_echo[3]) == (
+        profile == "physical"
+    )
+
+
+def test_a_target_to_port_is_heard_to_port():
+    """Of a host that draws upright and looks along y: nothing is mirrored on the way."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(-2, 8, 0), 0.8)
+    host, pose = gl_host.Program(sg.Scene([ball])), sg.pose(yaw=math.pi / 2)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        draw(host, sensor, pose)
+        ping = sensor.finish()
+    beam = ping.intensity.sum(axis=1).argmax()
+    assert ping.azimuth_rad[beam] == pytest.approx(math.atan2(2, 8), abs=math.radians(1))
+    image = sg.fan_image(ping, height=200)
+    assert np.argwhere(image > image.max() - 0.1)[:, 1].mean() < image.shape[1] / 2
+
+
+def test_noise_and_motion_are_those_of_the_simulator():
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    with (
+        sg.Simulator(scene, SONAR, None, SAMPLING) as simulator,
+        embed.Sensor(SONAR, None, SAMPLING) as sensor,
+    ):
+        more = {"noise": sg.Noise.physical(), "seed": 3, "ping_number": 7}
+        velocity = (1.0, 0.5, 0, 0, 0, 0.3)
+        true = simulator.ping(POSE, **more, velocity=velocity)
+        draw(host, sensor)
+        ping = sensor.finish(**more, velocity=velocity)
+        draw(host, sensor)
+        again = sensor.finish(**more, velocity=velocity)
+    assert apart(ping, true) < 3 * ROUNDING  # speckle multiplies, the receiver's noise is that of the echo
+    assert np.array_equal(ping.intensity, again.intensity)
+
+
+def test_the_host_may_bind_what_it_likes_while_it_draws():
+    """Shadow maps, say: it returns to our framebuffer, but leaves pixel stores and buffers odd."""
+    scene = scene_of()
+    host, true = gl_host.Program(scene), simulate(scene)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        for sector in sensor.sectors(POSE):
+            with sector:
+                ours = GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING)
+                host.textures(sector.view, sector.projection, 64, 64)
+                GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, ours)
+                GL.glViewport(0, 0, sector.width, sector.height)
+                host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+                GL.glPixelStorei(GL.GL_PACK_ROW_LENGTH, 7)
+                buffer = GL.glGenBuffers(1)
+                GL.glBindBuffer(GL.GL_PIXEL_PACK_BUFFER, buffer)
+                GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
+        ping = sensor.finish()
+    assert apart(ping, true) < ROUNDING
+    assert (
+        GL.glGetIntegerv(GL.GL_PACK_ROW_LENGTH) == 0
+        and GL.glGetIntegerv(GL.GL_PIXEL_PACK_BUFFER_BINDING) == 0
+    )
+
+
+def test_without_a_sampling_the_tolerance_decides():
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    errors, samples = [], []
+    fine = simulate(scene, sampling=sg.Sampling(16, 400))
+    for tolerance in (0.1, 0.02):
+        with embed.Sensor(SONAR, tolerance=tolerance) as sensor:
+            draw(host, sensor)
+            ping = sensor.finish()
+        errors.append(apart(ping, fine))
+        samples.append(ping.meta["sampling"]["columns_per_beam"] * ping.meta["sampling"]["rows"])
+        assert ping.meta["tolerance"] == tolerance
+    assert samples[0] < samples[1] and errors[1] < errors[0]
+    assert errors[0] < 0.1 and errors[1] < 0.02
+
+
+def texture_pings(host, sensor, views, holds="planar", normals=True, **more):
+    """The ping of a host's textures; views : (view, projection, width, height, rotation) of each."""
+    drawn = [host.textures(*view[:4]) for view in views]
+    return sensor.ping_from_textures(
+        [one["z-buffer" if holds == "z-buffer" else "metres"] for one in drawn],
+        [view[1] for view in views],
+        POSE,
+        holds,
+        rotation=[view[4] for view in views],
+        normals=[one["normals"] for one in drawn] if normals else None,
+        body_id=[one["numbers"] for one in drawn],
+        **more,
+    )
+
+
+def plain_scene():
+    """Without what textures of depth and normals do not tell: lobes, smooth normals, μ by face."""
+    return sg.Scene([body for body in scene_of().bodies if body.name in ("floor", "open", "ball")])
+
+
+def mu_of(scene):
+    return {number: body.reflectivity for number, body in enumerate(scene.bodies, 1)}
+
+
+def view_of(camera, near_m=0.1, far_m=200.0):
+    return (
+        np.linalg.inv(camera.pose_gl(POSE)),
+        camera.projection(near_m, far_m),
+        camera.width,
+        camera.height,
+        camera.rotation,
+    )
+
+
+@pytest.mark.parametrize(
+    ("holds", "limit"),
+    # metres are exact to float32, a z-buffer from 0.3 m on to half a millimetre at 20 m; beside that the
+    # host's normals are differences in float32
+    [("planar", 1e-3), ("z-buffer", 2e-3)],
+)
+def test_textures_of_the_sectors_themselves_give_the_simulators_ping(holds, limit):
+    scene = sg.Scene([sg.Body(b.name, b.mesh, b.pose, b.reflectivity) for b in plain_scene().bodies])
+    host, true = gl_host.Program(scene), simulate(scene)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        sectors = sensor.sectors(POSE, near_m=0.3)
+        views = [(s.view, s.projection, s.width, s.height, s.rotation) for s in sectors]
+        ping = texture_pings(
+            host, sensor, views, holds, labels=True, reflectivity=mu_of(scene), bodies=names(scene)
+        )
+    assert apart(ping, true) < limit
+    assert (ping.body_id != true.body_id).mean() < 2e-3
+    assert np.allclose(ping.body_echo, true.body_echo, rtol=5e-3, atol=2e-4 * true.body_echo.sum())
+
+
+@pytest.mark.parametrize("normals", [True, False])
+@pytest.mark.parametrize("aside_rad", [0.0, 0.2])
+def test_textures_of_any_projection_give_about_the_same(normals, aside_rad):
+    scene = plain_scene()
+    host, true = gl_host.Program(scene), simulate(scene, sampling=sg.Sampling(16, 400))
+    ahead = sg.Camera.of_fov(4, 4, fov_x_rad=1.0).rotation
+    camera = sg.Camera.of_fov(
+        1000, 400, fov_x_rad=1.6, rotation=sg.pose(yaw=aside_rad, roll=0.1)[:3, :3] @ ahead
+    )
+    with embed.Sensor(SONAR) as sensor:
+        ping = texture_pings(host, sensor, [view_of(camera)], normals=normals, reflectivity=mu_of(scene))
+    # 0.1 degrees a pixel; docs/embedding.md charts the error over the resolution
+    assert apart(ping, true) < (0.015 if normals else 0.03)
+
+
+def reversed_projection(near_m, infinite):
+    """Of a z-buffer 1 at near_m and 0 far away, for glClipControl's zero to one, over 90 by 40 degrees."""
+    out = np.zeros((4, 4))
+    out[0, 0], out[1, 1], out[3, 2] = 1.0, 1 / math.tan(math.radians(20)), -1.0
+    far_m = 100.0
+    out[2, 2:] = (0.0, near_m) if infinite else (near_m / (far_m - near_m), near_m * far_m / (far_m - near_m))
+    return out
+
+
+@pytest.mark.parametrize("infinite", [True, False])
+def test_a_reversed_z_buffer(infinite, context):
+    """As engines have it for far scenes: zero to one, nearer is more."""
+    scene = plain_scene()
+    host, width, height = gl_host.Program(scene), 800, 300
+    projection = reversed_projection(0.1, infinite)
+    camera = sg.Camera.of_projection(projection, width, height)
+    view = np.linalg.inv(camera.pose_gl(POSE))
+    drawn = host.textures(view, projection, width, height)  # has all but the z-buffer right
+    gl_host.clip_zero_to_one(context)
+    GL.glDepthFunc(GL.GL_GREATER)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, host.framebuffers[width, height][0])
+    GL.glClearBufferfv(GL.GL_DEPTH, 0, np.zeros(1, np.float32))
+    GL.glClearBufferfv(GL.GL_COLOR, 2, np.zeros(4, np.float32))
+    host.draw("deferred", view, projection)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        more = {"pose": POSE, "normals": drawn["normals"]}
+        ping = sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=True, **more)
+        metres = sensor.ping_from_textures(drawn["metres"], projection, holds="planar", **more)
+        with pytest.warns(UserWarning, match="no echo came back"):
+            sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=False, **more)
+    assert apart(ping, metres) < 1e-4  # a reversed float z-buffer is as exact as metres
+
+
+def test_a_wall_off_axis_lies_at_its_range():
+    """Depth is not range: at 25 degrees a wall across is 1.1 times as far as it is deep."""
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 40, 4)), sg.pose(8.05, 0, 0), 1.0)
+    host = gl_host.Program(sg.Scene([wall]))
+    camera = sg.Camera.of_fov(800, 400, fov_x_rad=1.4)
+    view = (np.linalg.inv(camera.pose_gl(np.eye(4))), camera.projection(0.1, 100.0), 800, 400)
+    drawn = host.textures(*view)
+    sonar = sg.Sonar("flat", 900e3, 64, 400, 60.0, 1.0, 1.0, 0.5, 20.0)
+    with embed.Sensor(sonar, sg.Acoustics.ideal()) as sensor:
+        pings = [
+            sensor.ping_from_textures(drawn[name], view[1], holds=holds)
+            for name, holds in (("z-buffer", "z-buffer"), ("metres", "planar"), ("metres", "range"))
+        ]
+    true_m = 8 / np.cos(sonar.azimuth_rad)
+    found = [sonar.range_m[ping.intensity.argmax(axis=1)] for ping in pings]
+    # a beam of a degree stretches over two bins at its edge
+    for range_m in found[:2]:
+        assert np.abs(range_m - true_m).max() < 2 * sonar.bin_size_m
+    assert np.abs(found[2] - true_m).max() > 20 * sonar.bin_size_m  # what mistaking one for the other does
+
+
+def test_what_is_no_such_texture():
+    scene = plain_scene()
+    host = gl_host.Program(scene)
+    camera = sg.Camera.of_fov(64, 32, fov_x_rad=1.4)
+    projection = camera.projection(0.1, 100)
+    drawn = host.textures(np.linalg.inv(camera.pose_gl(POSE)), projection, 64, 32)
+    cube, layers = GL.glGenTextures(2)
+    GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, cube)
+    GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, layers)
+    empty = GL.glGenTextures(1)
+    GL.glBindTexture(GL.GL_TEXTURE_2D, empty)
+    z_buffer = drawn["z-buffer"]
+    with embed.Sensor(SONAR) as sensor:
+        for wrong, message in (
+            ({"depth": 9999}, "depth must be the GL name of a texture in the host's context .got 9999"),
+            ({"depth": "z"}, "depth must be the GL name of a texture .* .got 'z'"),
+            ({"depth": int(cube)}, "depth must be a plain 2D texture"),
+            ({"depth": int(layers)}, "depth must be a plain 2D texture"),
+            ({"depth": int(empty)}, "depth must hold z-buffer .got texture"),
+            ({"depth": drawn["metres"]}, "depth must hold z-buffer"),
+            ({"holds": "planar"}, "depth must hold metres"),
+            ({"holds": "depth"}, "holds must be one of 'z-buffer', 'planar', 'range' .got 'depth'"),
+            ({"normals": z_buffer}, "normals must hold normals"),
+            ({"body_id": drawn["metres"]}, "body_id must hold numbers"),
+            ({"projection": np.eye(4)}, "projection must be an OpenGL perspective"),
+            ({"depth": [z_buffer], "projection": [projection] * 2}, "projection must be a list of as many"),
+        ):
+            arguments = {"depth": z_buffer, "projection": projection, "pose": POSE} | wrong
+            with pytest.raises(sg.Error, match=message):
+                sensor.ping_from_textures(**arguments)
+            assert not GL.glGetError()
+    assert GL.glGetIntegerv(GL.GL_TEXTURE_BINDING_2D) == empty
+
+
+def test_sectors_that_were_not_drawn():
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    sonar = sg.Sonar("wide", 900e3, 128, 256, 130.0, 20.0, 1.0, 0.5, 20.0)
+    with embed.Sensor(sonar, sampling=SAMPLING) as sensor:
+        with pytest.raises(sg.Error, match=r"sectors must be drawn before a ping is finished \(got none"):
+            sensor.finish()
+        first, *_ = sensor.sectors(POSE)
+        with first:
+            host.draw("sonar", first.view, first.projection, first.lattice)
+        with pytest.raises(sg.Error, match=r"got 1 of 3; draw each"):
+            sensor.finish()
+        draw(host, sensor)
+        sensor.finish()
+        sensor.sectors(POSE)  # of the next ping: those of the last do not count
+        with pytest.raises(sg.Error, match=r"got 0 of 3; draw each"):
+            sensor.finish()
+
+
+def test_a_host_that_fails_while_it_draws():
+    scene = scene_of()
+    host, true = gl_host.Program(scene), simulate(scene)
+    GL.glViewport(1, 2, 3, 4)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        with pytest.raises(KeyError, match="the host's"), sector:
+            raise KeyError("the host's own")
+        assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [1, 2, 3, 4]
+        assert GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING) == 0
+        with pytest.raises(sg.Error, match="got 0 of 1"):
+            sensor.finish()
+        draw(host, sensor)
+        assert apart(sensor.finish(), true) < ROUNDING
+
+
+def test_what_is_no_number_is_refused():
+    """NaN would make loops over bins run without an end."""
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    nan = gl_host.SONAR.replace("mu, body", "mu * sqrt(-1.0 - mu), body")
+    nan = "#version 330 core\n" + embed.glsl() + nan
+    host.programs["nan"] = gl_host.make_program(gl_host.VERTEX, nan)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        with pytest.raises(sg.Error, match="what a host writes for a sonar must be finite"), sector:
+            host.draw("nan", sector.view, sector.projection, sector.lattice)
+        with pytest.raises(sg.Error, match="got 0 of 1"):
+            sensor.finish()
+
+
+def test_nothing_in_view_says_why():
+    host = gl_host.Program(sg.Scene([sg.Body("far", trimesh.creation.box((1, 1, 1)), sg.pose(40, 0, 0))]))
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        away = sg.pose(yaw=3), "shows no surface in the fan"
+        for pose, why in ((np.eye(4), "beyond range_max_m = 20"), away):
+            draw(host, sensor, pose)
+            with pytest.warns(UserWarning, match=f"no echo came back: .*{why}") as told:
+                assert not sensor.finish().intensity.any()
+            assert told[0].filename == __file__
+
+
+def test_another_thread_is_told_so():
+    scene = scene_of()
+    host, true = gl_host.Program(scene), simulate(scene)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        said = []
+
+        def elsewhere():
+            for call in (lambda: sensor.sectors(POSE), sector.__enter__):
+                try:
+                    call()
+                except sg.Error as why:
+                    said.append(str(why))
+
+        thread = threading.Thread(target=elsewhere, name="elsewhere")
+        thread.start()
+        thread.join()
+        assert len(said) == 2 and all(
+            "must be used in the thread" in why and "'elsewhere'" in why for why in said
+        )
+        draw(host, sensor)
+        assert apart(sensor.finish(), true) < ROUNDING
+
+
+def test_what_a_sensor_is_asked_for():
+    for wrong, message in (
+        ({"acoustics": sg.Acoustics(multipath="incoherent")}, 'must have multipath "none"'),
+        ({"tolerance": 2}, "tolerance must be a number in 0.001..0.5"),
+        ({"sampling": 3}, "sampling must be a Sampling"),
+    ):
+        with pytest.raises(sg.Error, match=message):
+            embed.Sensor(SONAR, **wrong)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        for near_m in (0, -1, 1e6, "near", True):
+            with pytest.raises(sg.Error, match="near_m must be metres between 0 and 160"):
+                sensor.sectors(POSE, near_m)
+        with pytest.raises(sg.Error, match="pose must"):
+            sensor.sectors(np.eye(3))
+
+
+def test_no_context():
+    from sonar_gl import egl
+
+    library = egl.library()
+    was = egl.current()
+    library.eglMakeCurrent(was[0], None, None, None)
+    try:
+        with embed.Sensor(SONAR, sampling=SAMPLING) as sensor, warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(sg.Error, match="an OpenGL context must be current in this thread"):
+                sensor.sectors(POSE)
+        with pytest.raises(sg.Error, match="an OpenGL context must be current in this thread"):
+            sg.Simulator(scene_of(), SONAR, context="current")
+    finally:
+        library.eglMakeCurrent(*was)
