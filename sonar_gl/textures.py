@@ -45,7 +45,7 @@ def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, nor
         for z, _, _, normal, number in zip(*columns, strict=True)
         for one in ((z, kind, "depth"), (normal, "normals", "normals"), (number, "numbers", "body_id"))
     ]
-    arrays = iter(_read_all(host, wanted))
+    arrays = iter(read_all(host, wanted))
     cameras, images = [], ([], [], [])
     for _, matrix, turn, *_ in zip(*columns, strict=True):
         seen, normal, number = next(arrays), next(arrays), next(arrays)
@@ -60,7 +60,7 @@ def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, nor
     return cameras, made
 
 
-def _read_all(host: Host, wanted) -> list:
+def read_all(host: Host, wanted) -> list:
     """Arrays of textures, first row on top.
 
     Parameters
