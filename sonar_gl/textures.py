@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.camera import Camera
+from sonar_gl.compiled import compiled
 from sonar_gl.foreign import Host
 from sonar_gl.types import Error
 
@@ -16,7 +17,7 @@ UPSIDE = np.float32([1, -1, -1])  # optical axes from OpenGL's, and back
 KINDS = {
     "z-buffer": (0x1902, 0x1406, np.float32, 1),  # GL_DEPTH_COMPONENT
     "metres": (0x1903, 0x1406, np.float32, 1),  # GL_RED
-    "normals": (0x1907, 0x1406, np.float32, 3),  # GL_RGB
+    "normals": (0x1908, 0x1406, np.float32, 4),  # GL_RGBA, which drivers need not convert
     "numbers": (0x8D94, 0x1405, np.uint32, 1),  # GL_RED_INTEGER
 }
 
@@ -54,7 +55,7 @@ def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, nor
             seen = metres_ahead(seen, np.asarray(matrix, np.float64), zero_to_one)
         cameras.append(camera)
         images[0].append(seen)
-        images[1].append(None if normal is None else normal * UPSIDE)
+        images[1].append(None if normal is None else normal[..., :3] * UPSIDE)
         images[2].append(number)
     made = [None if all(one is None for one in column) else column for column in images]
     return cameras, made
@@ -69,7 +70,7 @@ def read_all(host: Host, wanted) -> list:
 
     Returns
     -------
-    (H, W) or (H, W, 3) of each
+    (H, W), or (H, W, 4) of normals
 
     Raises
     ------
@@ -114,22 +115,27 @@ def _read(gl, name, kind: str, what: str) -> np.ndarray:
 
 
 def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
-    """What a z-buffer tells, as metres along the camera's axis; 0 where nothing was drawn.
+    """What a z-buffer tells, as (H, W) float32 metres along the camera's axis; 0 where nothing was drawn.
 
     Parameters
     ----------
-    z_buffer : (H, W), 0..1
+    z_buffer : (H, W) float32, 0..1
     projection : (4, 4) OpenGL clip_from_camera, any perspective: near and far in either order, or no far
     zero_to_one : the host set glClipControl to GL_ZERO_TO_ONE
     """
-    a, b = projection[2, 2], projection[2, 3]
-    ndc = np.asarray(z_buffer, np.float64)
-    if not zero_to_one:
-        ndc = 2.0 * ndc - 1.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # clip z = a z + b and w = -z, with z < 0 ahead
-        ahead = b / (ndc + a)
-    # cleared to what is furthest, whichever end of the range that is
-    nearest_is_zero = b < 0
-    cleared = z_buffer >= 1.0 if nearest_is_zero else z_buffer <= 0.0
-    return np.where(cleared | ~np.isfinite(ahead), 0.0, ahead).astype(np.float32)
+    out = np.zeros(z_buffer.shape, np.float32)
+    # clip z = a z + b and w = -z, with z < 0 ahead: z over w, in -1..1 or 0..1, is -a - b/z
+    a, b = float(projection[2, 2]), float(projection[2, 3])
+    _undo(np.asarray(z_buffer, np.float32), a, b, bool(zero_to_one), out)
+    return out
+
+
+@compiled
+def _undo(z_buffer, a, b, zero_to_one, out):
+    for j in range(z_buffer.shape[0]):
+        for i in range(z_buffer.shape[1]):
+            z = np.float64(z_buffer[j, i])
+            # cleared to what is furthest, whichever end of the range that is
+            is_cleared = z >= 1.0 if b < 0.0 else z <= 0.0
+            ahead = b / ((z if zero_to_one else 2.0 * z - 1.0) + a)
+            out[j, i] = ahead if not is_cleared and 0.0 < ahead < 1e30 else 0.0

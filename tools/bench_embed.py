@@ -99,7 +99,7 @@ class Ways:
             projections.append(projection)
             images = read_all(Host(), [(drawn[number][kind], kind, kind) for kind in KINDS])
             metres.append(images[0])
-            normals.append(images[1] * np.float32([1, -1, -1]))
+            normals.append(images[1][..., :3] * np.float32([1, -1, -1]))
             numbers.append(images[2])
         rotations, mu = [camera.rotation for camera in cameras], {"reflectivity": self.mu}
         size = f"{cameras[0].width} x {cameras[0].height}" + (f", {len(cameras)}" if len(cameras) > 1 else "")
