@@ -35,7 +35,9 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = ["__version__", *sorted(_HOME_OF)]
+_MODULES = ("embed",)
+
+__all__ = ["__version__", *sorted(_HOME_OF), *_MODULES]
 
 
 def __getattr__(name):
@@ -43,6 +45,8 @@ def __getattr__(name):
         value = getattr(import_module(f"sonar_gl.{_HOME_OF[name]}"), name)
         globals()[name] = value
         return value
+    if name in _MODULES:
+        return import_module(f"sonar_gl.{name}")
     raise AttributeError(f"module 'sonar_gl' has no attribute {name!r}")
 
 
