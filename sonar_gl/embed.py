@@ -191,9 +191,11 @@ class Sensor:
         hearing, far_m = setup.hearing, FAR_FACTOR * setup.hearing.fan.sonar.range_max_m
         for image, planes in zip(images, setup.planes, strict=True):
             planes.find(image.depth, bool(planar), image.normals, image.reflectivity)
+        seen = list(zip(images, setup.planes, strict=True))
+        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
         for sector, plane_echo, numbers in setup.views:
-            for n, (image, planes) in enumerate(zip(images, setup.planes, strict=True)):
-                planes.lay(sector, far_m, image.body_id, n == 0, plane_echo, numbers)
+            for n, (image, planes, beyond) in enumerate(looks):
+                planes.lay(sector, far_m, image.body_id, n == 0, beyond, plane_echo, numbers)
             if labels:  # the sums take 0 for all bodies: what is unknown gets a number of its own
                 numbers[(numbers == 0) & (plane_echo[..., 3] > 0)] = n_bodies + 1
         intensity = hearing.intensity(setup.views)
