@@ -60,9 +60,12 @@ class Cameras:
         far_m = FAR_FACTOR * self.hearing.fan.sonar.range_max_m
         for image, planes in zip(images, self._planes, strict=True):
             planes.find(image.depth, planar, image.normals, image.reflectivity)
+        seen = list(zip(images, self._planes, strict=True))
+        # first what cameras show themselves, then what lies beside their borders
+        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
         for sector, plane_echo, numbers in self._views:
-            for n, (image, planes) in enumerate(zip(images, self._planes, strict=True)):
-                planes.lay(sector, far_m, image.body_id, n == 0, plane_echo, numbers)
+            for n, (image, planes, beyond) in enumerate(looks):
+                planes.lay(sector, far_m, image.body_id, n == 0, beyond, plane_echo, numbers)
         return self._views
 
     def close(self):

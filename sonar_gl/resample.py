@@ -24,6 +24,7 @@ NOISE = 1e-6  # of 1/Z: fits as good as that are alike
 # face the camera.
 ALONE = 0.1
 STEEPEST = 2.0  # of 1/Z a pixel: a plane that is seen edge-on ends where the pixel does
+HAIR = 1e-6  # of a pixel: cameras side by side meet without a gap
 UNSEEN = -1.0  # 1/x of a ray that no camera has looked at; 0 of one that met nothing
 
 
@@ -110,10 +111,11 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
 
 
 @compiled
-def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, plane_echo, body_id):
+def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, beyond, plane_echo, body_id):
     """What the rays of some rows see of this image; unless they are fresh, those that saw none before."""
     n_rows, n_columns = planes.shape[0], planes.shape[1]
-    labels = bodies.shape[0] > 0
+    labels, reach = bodies.shape[0] > 0, HAIR
+    du, dv = abs(u[1]) / 2, abs(v[2]) / 2
     for j in range(start, stop):
         for i in range(plane_echo.shape[1]):
             if fresh:
@@ -126,10 +128,18 @@ def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, plane_echo, b
                 continue
             column = (H[0, 0] - H[0, 1] * u_ray + H[0, 2] * v_ray) / ahead
             row = (H[1, 0] - H[1, 1] * u_ray + H[1, 2] * v_ray) / ahead
-            # a hair wider than the image: cameras side by side meet without a gap
-            if not (abs(column - (n_columns - 1) / 2) <= n_columns / 2 + 1e-6):
+            over = abs(column - (n_columns - 1) / 2) - n_columns / 2
+            if beyond:
+                reach = (
+                    HAIR
+                    + (abs(H[0, 1] - column * H[2, 1]) * du + abs(H[0, 2] - column * H[2, 2]) * dv) / ahead
+                )
+            if not over <= reach:
                 continue
-            if not (abs(row - (n_rows - 1) / 2) <= n_rows / 2 + 1e-6):
+            over = abs(row - (n_rows - 1) / 2) - n_rows / 2
+            if beyond:
+                reach = HAIR + (abs(H[1, 1] - row * H[2, 1]) * du + abs(H[1, 2] - row * H[2, 2]) * dv) / ahead
+            if not over <= reach:
                 continue
             m = min(max(int(row + 0.5), 0), n_rows - 1)
             n = min(max(int(column + 0.5), 0), n_columns - 1)
@@ -175,19 +185,20 @@ class Planes:
         self._by_rows(_find_planes, len(depth), self.inverse, normals, K, K_inverse, self.planes)
         self.planes[..., 3] *= reflectivity
 
-    def lay(self, sector: Sector, range_m: float, bodies, fresh: bool, plane_echo, body_id) -> None:
+    def lay(self, sector: Sector, range_m, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> None:
         """Give rays of a sector what they see.
 
         Parameters
         ----------
         range_m : what lies further ahead is let go
         bodies : (H, W) uint16, or of no size
-        fresh : this is the first camera; else those rays alone that are `UNSEEN`
+        fresh : nothing was laid before; else those rays alone that are `UNSEEN`
+        beyond : rays half a sample beside the image take its border: what they stand for begins there
         plane_echo, body_id : (R, C, 4) float32 and (R, C) uint16, written to
         """
         H = np.ascontiguousarray(self.camera.pixel_from_sonar @ sector.rotation().T)
         rays = H, sector.u, sector.v, 1 / range_m
-        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, plane_echo, body_id)
+        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
 
     def _by_rows(self, work, n: int, *arguments):
         """Have half of the rows done in the other thread."""
