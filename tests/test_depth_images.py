@@ -11,6 +11,7 @@ from casting import Cast, box, cylinder, plane, sphere
 from closed_forms import box_beams, cylinder_echo, plane_echo
 
 import sonar_gl as sg
+from sonar_gl import cameras as heard
 from sonar_gl import embed
 from sonar_gl.motion import in_motion
 from sonar_gl.noise import add_noise
@@ -462,7 +463,7 @@ def test_what_the_cameras_do_not_see_is_said_once():
         (30.0, {}, "lies at 30.0. m, beyond range_max_m = 20"),
         (0.5, {}, "lies at 0.50 m, nearer than range_min_m = 1"),
         (5.0, {"reflectivity": 0}, "lies at 5.00 m, of reflectivity 0"),
-        (np.inf, {}, "the images show no surface in the fan"),
+        (np.inf, {}, "what was drawn shows no surface in the fan"),
     ],
 )
 def test_why_nothing_came_back(distance, more, why):
@@ -483,7 +484,7 @@ def test_a_stream_is_made_with_what_the_first_ping_made(monkeypatch):
     def forbidden(*_):
         raise AssertionError("made again")
 
-    monkeypatch.setattr(embed, "Hearing", forbidden)
+    monkeypatch.setattr("sonar_gl.cameras.Hearing", forbidden)
     equal = replace(sonar), sg.Camera(camera.width, camera.height, camera.intrinsics), sg.Acoustics.ideal()
     assert (sg.ping_from_depth(depth, *equal).intensity == first.intensity).all()
     with pytest.raises(AssertionError, match="made again"):
@@ -494,11 +495,11 @@ def test_samples_are_as_fine_as_pixels():
     sonar = sonar_of(90.0, 64, 20.0)
     for pixel_deg in (0.1, 0.3):
         cameras = sg.Camera.covering(sonar, IDEAL, pixel_deg)
-        sampling = embed.sampling_of(sonar, cameras)
+        sampling = heard.finest_of(sonar, cameras)
         assert sampling.columns_per_beam * 64 == pytest.approx(90 / pixel_deg, rel=1e-3)
         assert sampling.rows == pytest.approx(2 * math.tan(math.radians(10)) / math.radians(pixel_deg), abs=1)
-    huge = embed.sampling_of(sonar, [sg.Camera.of_fov(8000, 8000, fov_x_rad=math.pi / 2)])
-    assert huge.columns_per_beam * 64 * huge.rows == pytest.approx(embed.MAX_SAMPLES, rel=1e-3)
+    huge = heard.finest_of(sonar, [sg.Camera.of_fov(8000, 8000, fov_x_rad=math.pi / 2)])
+    assert huge.columns_per_beam * 64 * huge.rows == pytest.approx(heard.MAX_SAMPLES, rel=1e-3)
 
 
 GOOD = np.full((30, 40), 5.0)
