@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.cull import merge
 from sonar_gl.draws import LOBE, Draws, SectorView
+from sonar_gl.echo import plane_of
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.gpu import SceneOnGpu
@@ -231,8 +232,9 @@ class Renderer:
         out = []
         for sector, plane_echo, body_id in self.views():
             u, v = sector.rays()
-            q, along_u, along_v = (plane_echo[..., k].astype(np.float64) for k in range(3))
-            plane = np.stack([q - along_u * u - along_v * v, -along_u, along_v], axis=-1)
+            q, slopes = np.split(plane_echo[..., :3].astype(np.float64), [1], axis=-1)
+            q = q[..., 0]
+            plane = plane_of(q, slopes, np.stack([u, v], axis=-1))
             hit = q > 0
             length = np.where(hit, np.linalg.norm(plane, axis=-1), 1.0)
             normal = -(plane / length[..., None]) @ sector.rotation()

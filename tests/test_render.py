@@ -4,15 +4,15 @@ import math
 from dataclasses import replace
 
 import cv2
-import moderngl
+import glsl
 import numpy as np
 import pytest
 import trimesh
 
 import sonar_gl as sg
 from sonar_gl import gl, programs
-from sonar_gl.echo import cos_incidence
-from sonar_gl.load import data_folder, import_pyrender
+from sonar_gl.echo import cos_incidence, cos_times_range, plane_of
+from sonar_gl.load import import_pyrender
 from sonar_gl.meshes import closedness
 
 BOX = trimesh.creation.box((1, 1, 1))
@@ -282,37 +282,35 @@ def test_labels_name_the_strongest_body_and_leave_the_echo_alone():
 
 
 def test_glsl_functions_equal_their_numpy_twins():
-    """shaders/echo.glsl called through a shader that writes to a texture."""
     rng = np.random.default_rng(0)
     normal, direction = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 4096, 3)))
     direction[:64] = -normal[:64]  # aligned: the dot product may be a hair above 1
-    source = (data_folder("shaders") / "echo.glsl").read_text(encoding="utf-8")
-    context = gl.create_context()
-    with context:
-        program = context.program(
-            vertex_shader="""#version 330 core
-            in vec3 normal; in vec3 direction; flat out vec3 n; flat out vec3 d;
-            void main() { n = normal; d = direction; gl_PointSize = 1.0;
-                gl_Position = vec4((gl_VertexID % 64 + 0.5) / 32.0 - 1.0,
-                                   (gl_VertexID / 64 + 0.5) / 32.0 - 1.0, 0.0, 1.0); }""",
-            fragment_shader="#version 330 core\n"
-            + source
-            + "flat in vec3 n; flat in vec3 d; out float x; void main() { x = cos_incidence(n, d); }",
-        )
-        frame = context.simple_framebuffer((64, 64), 1, dtype="f4")
-        frame.use()
-        data = np.hstack([normal, direction]).astype(np.float32)
-        array = context.vertex_array(
-            program, [(context.buffer(data.tobytes()), "3f 3f", "normal", "direction")]
-        )
-        array.render(moderngl.POINTS)
-        got = np.frombuffer(frame.read(components=1, dtype="f4"), np.float32)
-        assert context.error == "GL_NO_ERROR"
-    context.release()
-    want = cos_incidence(*np.split(data.astype(float), 2, axis=1))
-    np.testing.assert_allclose(got, want, atol=2e-7)  # float32
+    normal, direction = np.float32(normal), np.float32(direction)
+    got = glsl.call("echo.glsl", {"n": normal, "d": direction}, "cos_incidence(n, d)")[:, 0]
+    np.testing.assert_allclose(got, cos_incidence(normal.astype(float), direction), atol=2e-7)  # float32
     assert got.max() <= 1
     assert got.min() >= 0
+
+
+def test_glsl_functions_of_planes_equal_their_numpy_twins():
+    rng = np.random.default_rng(1)
+    q = np.float32(1 / rng.uniform(0.5, 60, 4096))
+    at, slopes = np.float32(rng.uniform(-0.5, 0.5, (4096, 2))), np.float32(rng.normal(size=(4096, 2)) * 0.3)
+    normal = np.float32(rng.normal(size=(4096, 3)) * rng.uniform(0.1, 10, (4096, 1)))
+    normal[::5] = 0.0  # flat
+    inputs = {"q": q, "slopes": slopes, "at": at}
+    planes = plane_of(*(value.astype(float) for value in (q, slopes, at)))
+    got = glsl.call("plane.glsl", inputs, "plane_of(q, slopes, at)", 3)
+    np.testing.assert_allclose(got, planes, atol=3e-7)  # float32, numbers up to 2
+    got = glsl.call(
+        "plane.glsl", inputs | {"n": normal}, "cos_times_range(plane_of(q, slopes, at), q, at, n)"
+    )[:, 0]
+    want = cos_times_range(planes, q.astype(float), at.astype(float), normal.astype(float))
+    # near grazing the plane may be on either side of the normal: the sign is that of a difference
+    clear = np.abs((planes * normal).sum(axis=1)) > 1e-5 * np.linalg.norm(normal, axis=1)
+    clear |= ~normal.any(axis=1)
+    assert clear.mean() > 0.99
+    np.testing.assert_allclose(got[clear], want[clear], rtol=1e-4, atol=1e-4)  # of metres up to 70
 
 
 def test_a_shader_error_names_its_file_and_line(tmp_path):

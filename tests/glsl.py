@@ -1,0 +1,42 @@
+"""Functions of the shader files, called: what they give is written to a texture and read back."""
+
+import moderngl
+import numpy as np
+
+from sonar_gl import gl
+from sonar_gl.load import data_folder
+from sonar_gl.programs import load_shader
+
+SIDE = 64
+KINDS = {1: "float", 2: "vec2", 3: "vec3"}
+
+
+def call(file, inputs, expression, components=1):
+    """(SIDE², components) float32 of an expression; inputs : names to (SIDE²,) or (SIDE², 2 or 3) float32."""
+    columns = {name: np.float32(value).reshape(SIDE * SIDE, -1) for name, value in inputs.items()}
+    kinds = {name: KINDS[column.shape[1]] for name, column in columns.items()}
+    context = gl.create_context()
+    with context:
+        program = context.program(
+            vertex_shader="#version 330 core\n"
+            + "".join(f"in {kind} in_{name}; flat out {kind} {name};\n" for name, kind in kinds.items())
+            + "void main() {"
+            + "".join(f" {name} = in_{name};" for name in kinds)
+            + f"""
+            gl_Position = vec4((gl_VertexID % {SIDE} + 0.5) / {SIDE / 2} - 1.0,
+                               (gl_VertexID / {SIDE} + 0.5) / {SIDE / 2} - 1.0, 0.0, 1.0); }}""",
+            fragment_shader="#version 330 core\n"
+            + load_shader(file, data_folder("shaders"), {})[0]
+            + "".join(f"flat in {kind} {name};\n" for name, kind in kinds.items())
+            + f"out {KINDS[components]} given;\nvoid main() {{ given = {expression}; }}",
+        )
+        frame = context.simple_framebuffer((SIDE, SIDE), components, dtype="f4")
+        frame.use()
+        layout = [
+            (context.buffer(column), f"{column.shape[1]}f", f"in_{name}") for name, column in columns.items()
+        ]
+        context.vertex_array(program, layout).render(moderngl.POINTS, vertices=SIDE * SIDE)
+        out = np.frombuffer(frame.read(components=components, dtype="f4"), np.float32)
+        assert context.error == "GL_NO_ERROR"
+    context.release()
+    return out.reshape(-1, components)
