@@ -17,6 +17,8 @@ _HOMES = {
     "acoustics": ("Acoustics",),
     "axes": ("draw_axes",),
     "bubbles": ("Bubbles",),
+    "camera": ("Camera",),
+    "embed": ("ping_from_depth",),
     "export": ("load_npz", "save_animation", "save_npz", "save_png"),
     "fan": ("Sampling",),
     "image": ("colorize", "fan_image"),

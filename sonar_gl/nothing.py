@@ -23,17 +23,9 @@ def why_nothing(scene: Scene, where, sonar: Sonar, drawn: Sonar, pose, views) ->
         return "no echo came back: the scene has no bodies"
     if not where.shown.any():
         return "no echo came back: all bodies of the scene were taken away"
-    inside = _nearest_in_view(views)
-    if inside is not None:
-        range_m, echo = inside[0] * sonar.range_max_m / drawn.range_max_m, inside[1]
-        where = f"the nearest surface in the fan lies at {range_m:.2f} m"
-        if range_m >= sonar.range_max_m:
-            return f"no echo came back: {where}, beyond range_max_m = {sonar.range_max_m:g}"
-        if range_m < sonar.range_min_m:
-            return f"no echo came back: {where}, nearer than range_min_m = {sonar.range_min_m:g}"
-        if echo <= 0:
-            return f"no echo came back: {where}, of reflectivity 0 or seen edge-on"
-        return f"no echo came back: {where}, and its echo is too weak to be told from zero"
+    seen = why_unheard(sonar, drawn, views)
+    if seen is not None:
+        return seen
     name, point = _nearest_body(scene, where, pose)
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
@@ -43,6 +35,22 @@ def why_nothing(scene: Scene, where, sonar: Sonar, drawn: Sonar, pose, views) ->
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
         f"±{sonar.azimuth_fov_deg / 2:g}° and ±{drawn.elevation_fov_deg / 2:.4g}°; turn or move the sonar"
     )
+
+
+def why_unheard(sonar: Sonar, drawn: Sonar, views) -> str | None:
+    """Why what lies in the fan was not heard, or None if nothing does; arguments as of `why_nothing`."""
+    inside = _nearest_in_view(views)
+    if inside is None:
+        return None
+    range_m, echo = inside[0] * sonar.range_max_m / drawn.range_max_m, inside[1]
+    where = f"the nearest surface in the fan lies at {range_m:.2f} m"
+    if range_m >= sonar.range_max_m:
+        return f"no echo came back: {where}, beyond range_max_m = {sonar.range_max_m:g}"
+    if range_m < sonar.range_min_m:
+        return f"no echo came back: {where}, nearer than range_min_m = {sonar.range_min_m:g}"
+    if echo <= 0:
+        return f"no echo came back: {where}, of reflectivity 0 or seen edge-on"
+    return f"no echo came back: {where}, and its echo is too weak to be told from zero"
 
 
 def _nearest_in_view(views):

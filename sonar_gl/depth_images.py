@@ -1,0 +1,136 @@
+"""Depth images and what comes with them, as other programs give them, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.camera import Camera
+from sonar_gl.types import Error, check_kind
+
+UNKNOWN = 0.5  # reflectivity of bodies that none was given for
+LAST_BODY = 65534
+NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """What one camera sees.
+
+    Attributes
+    ----------
+    depth : (H, W) float32, metres
+    normals : (H, W, 3) float32, or of no size
+    body_id : (H, W) uint16, or of no size
+    reflectivity : μ, one or (H, W) float32
+    """
+
+    depth: np.ndarray
+    normals: np.ndarray
+    body_id: np.ndarray
+    reflectivity: np.ndarray
+
+
+def images_of(camera, depth, normals, body_id, reflectivity) -> tuple[list[Camera], list[DepthImage]]:
+    """Cameras and what they see; the arguments are those of `Sensor.ping_from_depth`.
+
+    Raises
+    ------
+    Error
+        if an image does not fit its camera.
+    """
+    several = isinstance(camera, (list, tuple))
+    cameras = list(camera) if several else [camera]
+    if not cameras:
+        raise Error("camera must be a Camera or a list of at least one (got an empty list)")
+    for one in cameras:
+        check_kind("camera", one, Camera, "such as sonar_gl.Camera.of_fov(640, 480, fov_x_rad=1.5)")
+    shared = isinstance(reflectivity, dict) or np.ndim(reflectivity) == 0
+    each = [
+        _each("depth", depth, len(cameras), several),
+        _each("normals", normals, len(cameras), several),
+        _each("body_id", body_id, len(cameras), several),
+        [reflectivity] * len(cameras)
+        if shared and not isinstance(reflectivity, (list, tuple))
+        else _each("reflectivity", reflectivity, len(cameras), several),
+    ]
+    return cameras, [_image(*one) for one in zip(cameras, *each, strict=True)]
+
+
+def _each(name: str, value, n: int, several: bool) -> list:
+    """One for each camera."""
+    if value is None or not several:
+        return [value] * n
+    if not isinstance(value, (list, tuple)) or len(value) != n:
+        got = f"{len(value)} of them" if isinstance(value, (list, tuple)) else type(value).__name__
+        raise Error(f"{name} must be a list of as many images as cameras (got {got} for {n} cameras)")
+    return list(value)
+
+
+def _image(camera: Camera, depth, normals, body_id, reflectivity) -> DepthImage:
+    shape = camera.height, camera.width
+    depth = _array("depth", depth, shape)
+    if not np.issubdtype(depth.dtype, np.floating):
+        raise Error(f"depth must be metres in floating point (got {depth.dtype}; divide millimetres by 1000)")
+    if normals is not None:
+        normals = _array("normals", normals, (*shape, 3)).astype(np.float32, order="C", copy=False)
+    if body_id is not None:
+        body_id = _array("body_id", body_id, shape)
+        if not np.issubdtype(body_id.dtype, np.integer):
+            raise Error(f"body_id must hold whole numbers (got {body_id.dtype}; colours are none)")
+        low, high = body_id.min(), body_id.max()
+        if low < 0 or high > LAST_BODY:
+            raise Error(f"body_id must lie in 0..{LAST_BODY}, 0 where none is known (got {low} to {high})")
+        body_id = body_id.astype(np.uint16, order="C", copy=False)
+    return DepthImage(
+        depth.astype(np.float32, order="C", copy=False),
+        NO_NORMALS if normals is None else normals,
+        NO_BODIES if body_id is None else body_id,
+        _reflectivity(reflectivity, body_id, shape),
+    )
+
+
+def _array(name: str, value, shape) -> np.ndarray:
+    try:
+        out = np.asarray(value)
+    except ValueError:  # ragged
+        out = np.empty(0)
+    if out.shape != shape:
+        raise Error(f"{name} must have the shape of the camera's image, {shape} (got {out.shape})")
+    if out.dtype.kind not in "fiu":
+        raise Error(f"{name} must be an array of numbers (got {out.dtype})")
+    return out
+
+
+def _reflectivity(value, body_id, shape) -> np.ndarray:
+    """One μ or one a pixel, float32."""
+    if isinstance(value, dict):
+        if body_id is None:
+            raise Error("reflectivity by numbers of bodies needs body_id (got none)")
+        for number in value:
+            if not isinstance(number, (int, np.integer)) or not 0 <= number <= LAST_BODY:
+                raise Error(f"reflectivity must name numbers of bodies, 0..{LAST_BODY} (got {number!r})")
+        table = np.full(1 + max([int(body_id.max()), *value]), UNKNOWN, np.float32)
+        table[list(value)] = _within([*value.values()])
+        return table[body_id]
+    return _within(value) if np.ndim(value) == 0 else _within(_array("reflectivity", value, shape))
+
+
+def _within(value) -> np.ndarray:
+    try:
+        out = np.asarray(value, np.float32)
+    except (TypeError, ValueError):
+        raise Error(f"reflectivity must be a number in 0..1 (got {value!r})") from None
+    if not ((out >= 0) & (out <= 1)).all():  # NaN too
+        raise Error(
+            f"reflectivity must lie in 0..1 (got {out.min():g} to {out.max():g}; divide 8-bit images by 255)"
+        )
+    return out
+
+
+def names_of(bodies) -> list[str]:
+    """Names of bodies, that of number 1 first."""
+    if isinstance(bodies, str) or not all(isinstance(name, str) for name in bodies):
+        raise Error(f"bodies must be several names, that of number 1 first (got {bodies!r})")
+    return list(bodies)
