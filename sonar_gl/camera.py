@@ -86,8 +86,8 @@ class Camera:
         width, height = _count("width", width), _count("height", height)
         if fov_x_rad is None and fov_y_rad is None:
             raise Error("a camera must be given its field of view, fov_x_rad, fov_y_rad or both")
-        fx = fov_x_rad and width / 2 / math.tan(_angle("fov_x_rad", fov_x_rad) / 2)
-        fy = fov_y_rad and height / 2 / math.tan(_angle("fov_y_rad", fov_y_rad) / 2)
+        fx = None if fov_x_rad is None else width / 2 / math.tan(_angle("fov_x_rad", fov_x_rad) / 2)
+        fy = None if fov_y_rad is None else height / 2 / math.tan(_angle("fov_y_rad", fov_y_rad) / 2)
         K = [[fx or fy, 0, (width - 1) / 2], [0, fy or fx, (height - 1) / 2], [0, 0, 1]]
         return cls(width, height, K, rotation)
 
@@ -105,14 +105,15 @@ class Camera:
             if it is no perspective.
         """
         P = frozen_array(matrix, np.float64, (4, 4), "projection")
-        if P[3, 2] >= 0 or np.abs(P[[3, 3, 3, 0, 1], [0, 1, 3, 3, 3]]).max() > 1e-9 * np.abs(P).max():
+        if np.abs(P[3] - [0, 0, -1, 0]).max() > 1e-6 or P[0, 3] or P[1, 3]:
             raise Error(
                 "projection must be an OpenGL perspective, whose last row is 0 0 -1 0 "
                 f"(got {P[3].tolist()}; an orthographic one, or a transposed matrix, has another)"
             )
         width, height = _count("width", width), _count("height", height)
         K = np.linalg.inv(_ndc_from_pixels(width, height)) @ P[[0, 1, 3], :3] @ OPENGL
-        return cls(width, height, K / K[2, 2], rotation)
+        K[2] = 0, 0, 1
+        return cls(width, height, K, rotation)
 
     @classmethod
     def covering(
@@ -174,7 +175,7 @@ class Camera:
         d = np.linalg.solve(A, [(self.width - 1) / 2, (self.height - 1) / 2, 1.0])
         d /= np.linalg.norm(d)
         level = math.hypot(d[0], d[1]) or 1e-9
-        steps = np.array([[-d[1], d[0], 0], [-d[0] * d[2], -d[1] * d[2], level**2]]) / level
+        steps = np.array([[-d[1], d[0], 0], [-d[0] * d[2] / level, -d[1] * d[2] / level, level]])
         moved, at = steps @ A.T, A @ d
         across, up = np.linalg.norm(moved[:, :2] - moved[:, 2:] * at[:2] / at[2], axis=1) / at[2]
         return 1 / max(across, 1e-9), 1 / max(up, 1e-9)

@@ -20,8 +20,9 @@ from sonar_gl.hearing import Hearing
 from sonar_gl.motion import check_velocity
 from sonar_gl.noise import Noise, add_noise, check_seed
 from sonar_gl.nothing import why_unheard
+from sonar_gl.pair import Pair
 from sonar_gl.record import Record
-from sonar_gl.resample import UNSEEN, Planes
+from sonar_gl.resample import Planes
 from sonar_gl.rigid import check_pose
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, Ping, check_kind
@@ -38,11 +39,16 @@ class _Setup:
 
     def __init__(self, sonar: Sonar, acoustics: Acoustics, cameras: list[Camera], sampling: Sampling | None):
         self.hearing = Hearing(sonar, acoustics, sampling or sampling_of(sonar, cameras))
-        self.planes = [Planes(camera) for camera in cameras]
+        self.pair = Pair()
+        self.planes = [Planes(camera, self.pair) for camera in cameras]
         self.views = [
             (s, np.zeros((s.rows, s.columns, 4), np.float32), np.zeros((s.rows, s.columns), np.uint16))
             for s in self.hearing.fan.sectors
         ]
+
+    def close(self):
+        self.hearing.reducer.close()
+        self.pair.close()
 
 
 def _check_coverage(sonar: Sonar, cameras) -> None:
@@ -175,7 +181,7 @@ class Sensor:
             found = _Setup(self.sonar, self.acoustics, cameras, self.sampling)
         self._setups[key] = found  # the last one used is last
         while len(self._setups) > KEPT:
-            self._setups.pop(next(iter(self._setups))).hearing.reducer.close()
+            self._setups.pop(next(iter(self._setups))).close()
         return found
 
     def _hear(self, setup, images, planar, labels, n_bodies):
@@ -185,10 +191,11 @@ class Sensor:
         hearing, far_m = setup.hearing, FAR_FACTOR * setup.hearing.fan.sonar.range_max_m
         for image, planes in zip(images, setup.planes, strict=True):
             planes.find(image.depth, bool(planar), image.normals, image.reflectivity)
+        seen = list(zip(images, setup.planes, strict=True))
+        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
         for sector, plane_echo, numbers in setup.views:
-            plane_echo[..., 0], plane_echo[..., 3], numbers[...] = UNSEEN, 0.0, 0
-            for image, planes in zip(images, setup.planes, strict=True):
-                planes.lay(sector, far_m, image.body_id, plane_echo, numbers)
+            for n, (image, planes, beyond) in enumerate(looks):
+                planes.lay(sector, far_m, image.body_id, n == 0, beyond, plane_echo, numbers)
             if labels:  # the sums take 0 for all bodies: what is unknown gets a number of its own
                 numbers[(numbers == 0) & (plane_echo[..., 3] > 0)] = n_bodies + 1
         intensity = hearing.intensity(setup.views)
@@ -203,7 +210,7 @@ class Sensor:
         """Give back what this holds; twice does no harm."""
         with self._lock:
             while self._setups:
-                self._setups.popitem()[1].hearing.reducer.close()
+                self._setups.popitem()[1].close()
 
     def __enter__(self):
         return self

@@ -14,6 +14,7 @@ import numpy as np
 from sonar_gl.camera import Camera
 from sonar_gl.compiled import compiled
 from sonar_gl.lattice import Sector
+from sonar_gl.pair import Pair
 
 # Centre differences err least on curved surfaces: they are taken unless they fit so many times worse than
 # those of one side, which end at an edge.
@@ -23,13 +24,14 @@ NOISE = 1e-6  # of 1/Z: fits as good as that are alike
 # face the camera.
 ALONE = 0.1
 STEEPEST = 2.0  # of 1/Z a pixel: a plane that is seen edge-on ends where the pixel does
+HAIR = 1e-6  # of a pixel: cameras side by side meet without a gap
 UNSEEN = -1.0  # 1/x of a ray that no camera has looked at; 0 of one that met nothing
 
 
 @compiled
-def _invert(depth, K_inverse, planar, inverse):
-    """1/Z of each pixel, 0 where there is none."""
-    for j in range(depth.shape[0]):
+def _invert(start, stop, depth, K_inverse, planar, inverse):
+    """1/Z of each pixel of some rows, 0 where there is none."""
+    for j in range(start, stop):
         for i in range(depth.shape[1]):
             x = K_inverse[0, 0] * i + K_inverse[0, 1] * j + K_inverse[0, 2]
             y = K_inverse[1, 0] * i + K_inverse[1, 1] * j + K_inverse[1, 2]
@@ -54,17 +56,22 @@ def _step(q, before, two_before, after, two_after):
         return (back + ahead) / 2
     if best >= ALONE * q:
         return 0.0
-    return back if fit_back <= fit_ahead else ahead
+    # where the last pixels bend, this one does: limbs of round things are steeper than the step to them
+    if fit_back <= fit_ahead:
+        bend = back - (before - two_before) if two_before > 0.0 else 0.0
+        return back + bend / 2 if abs(bend) == fit_back else back
+    bend = (two_after - after) - ahead if two_after > 0.0 else 0.0
+    return ahead - bend / 2 if abs(bend) == fit_ahead else ahead
 
 
 @compiled
-def _find_planes(inverse, normals, K, K_inverse, planes):
-    """Fill (H, W, 4): 1/Z, its steps across and down, cosine of incidence times slant range.
+def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
+    """Fill some rows of (H, W, 4): 1/Z, its steps across and down, cosine of incidence times slant range.
 
     normals : (H, W, 3), camera axes, or of no size
     """
     n_rows, n_columns = inverse.shape
-    for j in range(n_rows):
+    for j in range(start, stop):
         for i in range(n_columns):
             q = np.float64(inverse[j, i])
             planes[j, i, 0] = q
@@ -104,13 +111,16 @@ def _find_planes(inverse, normals, K, K_inverse, planes):
 
 
 @compiled
-def _lay(planes, bodies, H, u, v, far_inverse, plane_echo, body_id):
-    """What the rays that no camera has looked at see of this image."""
+def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, beyond, plane_echo, body_id):
+    """What the rays of some rows see of this image; unless they are fresh, those that saw none before."""
     n_rows, n_columns = planes.shape[0], planes.shape[1]
-    labels = bodies.shape[0] > 0
-    for j in range(plane_echo.shape[0]):
+    labels, reach = bodies.shape[0] > 0, HAIR
+    du, dv = abs(u[1]) / 2, abs(v[2]) / 2
+    for j in range(start, stop):
         for i in range(plane_echo.shape[1]):
-            if plane_echo[j, i, 0] != UNSEEN:
+            if fresh:
+                plane_echo[j, i, 0], plane_echo[j, i, 3], body_id[j, i] = UNSEEN, 0.0, 0
+            elif plane_echo[j, i, 0] != UNSEEN:
                 continue
             u_ray, v_ray = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
             ahead = H[2, 0] - H[2, 1] * u_ray + H[2, 2] * v_ray
@@ -118,10 +128,18 @@ def _lay(planes, bodies, H, u, v, far_inverse, plane_echo, body_id):
                 continue
             column = (H[0, 0] - H[0, 1] * u_ray + H[0, 2] * v_ray) / ahead
             row = (H[1, 0] - H[1, 1] * u_ray + H[1, 2] * v_ray) / ahead
-            # a hair wider than the image: cameras side by side meet without a gap
-            if not (abs(column - (n_columns - 1) / 2) <= n_columns / 2 + 1e-6):
+            over = abs(column - (n_columns - 1) / 2) - n_columns / 2
+            if beyond:
+                reach = (
+                    HAIR
+                    + (abs(H[0, 1] - column * H[2, 1]) * du + abs(H[0, 2] - column * H[2, 2]) * dv) / ahead
+                )
+            if not over <= reach:
                 continue
-            if not (abs(row - (n_rows - 1) / 2) <= n_rows / 2 + 1e-6):
+            over = abs(row - (n_rows - 1) / 2) - n_rows / 2
+            if beyond:
+                reach = HAIR + (abs(H[1, 1] - row * H[2, 1]) * du + abs(H[1, 2] - row * H[2, 2]) * dv) / ahead
+            if not over <= reach:
                 continue
             m = min(max(int(row + 0.5), 0), n_rows - 1)
             n = min(max(int(column + 0.5), 0), n_columns - 1)
@@ -145,8 +163,8 @@ class Planes:
     planes : (H, W, 4) float32, of `_find_planes`; the last times reflectivity
     """
 
-    def __init__(self, camera: Camera):
-        self.camera = camera
+    def __init__(self, camera: Camera, pair: Pair):
+        self.camera, self.pair = camera, pair
         self.inverse = np.zeros((camera.height, camera.width), np.float32)
         self.planes = np.zeros((camera.height, camera.width, 4), np.float32)
 
@@ -163,18 +181,26 @@ class Planes:
         """
         K = self.camera.intrinsics
         K_inverse = np.linalg.inv(K)
-        _invert(depth, K_inverse, planar, self.inverse)
-        _find_planes(self.inverse, normals, K, K_inverse, self.planes)
+        self._by_rows(_invert, len(depth), depth, K_inverse, planar, self.inverse)
+        self._by_rows(_find_planes, len(depth), self.inverse, normals, K, K_inverse, self.planes)
         self.planes[..., 3] *= reflectivity
 
-    def lay(self, sector: Sector, range_m: float, bodies, plane_echo, body_id) -> None:
-        """Give rays of a sector that are `UNSEEN` what they see.
+    def lay(self, sector: Sector, range_m, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> None:
+        """Give rays of a sector what they see.
 
         Parameters
         ----------
         range_m : what lies further ahead is let go
         bodies : (H, W) uint16, or of no size
+        fresh : nothing was laid before; else those rays alone that are `UNSEEN`
+        beyond : rays half a sample beside the image take its border: what they stand for begins there
         plane_echo, body_id : (R, C, 4) float32 and (R, C) uint16, written to
         """
         H = np.ascontiguousarray(self.camera.pixel_from_sonar @ sector.rotation().T)
-        _lay(self.planes, bodies, H, sector.u, sector.v, 1 / range_m, plane_echo, body_id)
+        rays = H, sector.u, sector.v, 1 / range_m
+        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
+
+    def _by_rows(self, work, n: int, *arguments):
+        """Have half of the rows done in the other thread."""
+        bounds = (0, n // 2, n)
+        self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))

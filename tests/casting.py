@@ -1,4 +1,4 @@
-"""Depth images of planes, spheres, boxes and upright cylinders, by rays: nothing of the package's own in it."""
+"""Depth images of planes, spheres, boxes and cylinders, by rays, with nothing of the package's own."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ class Cast:
         self.shapes = shapes
 
     def images(self, camera):
-        """(H, W) slant range, infinite where nothing is; planar depth; (H, W, 3) normals, camera axes; body."""
+        """(H, W) range, inf where nothing is; planar depth; (H, W, 3) normals, camera axes; body."""
         K, R = np.asarray(camera.intrinsics), np.asarray(camera.rotation)
         j, i = np.mgrid[0 : camera.height, 0 : camera.width]
         rays = np.stack([i, j, np.ones_like(i)], -1) @ np.linalg.inv(K).T
@@ -45,7 +45,9 @@ def sphere(centre, radius):
         inside = b * b - np.dot(centre, centre) + radius**2
         r = np.where(inside > 0, b - np.sqrt(np.maximum(inside, 0)), np.inf)
         r = np.where(r > 0, r, np.inf)
-        return r, np.where(np.isfinite(r)[..., None], np.where(np.isfinite(r), r, 0)[..., None] * d - centre, 0)
+        return r, np.where(
+            np.isfinite(r)[..., None], np.where(np.isfinite(r), r, 0)[..., None] * d - centre, 0
+        )
 
     return hit
 
