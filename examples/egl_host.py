@@ -145,8 +145,9 @@ def main(out="out"):
         for x in (6.5, 7.5):
             poses["block"] = sg.pose(x, -1, 0.3, yaw=0.4)
             draw(program, arrays, poses, clip_from_world)
-            ping = simulator.ping(place, bodies=poses)
-            print(f"block at x = {x} m: strongest echo {ping.intensity.max():.3g}")
+            ping = simulator.ping(place, bodies=poses, labels=True)
+            echoes = zip(meshes, ping.body_echo[1:], strict=True)
+            print(f"block at x = {x} m: " + ", ".join(f"{name} {echo:.3g}" for name, echo in echoes))
     # Door 2: this program draws with its own shader, sector by sector.
     # Door 3: this program hands over textures that it drew into.
 
