@@ -1,0 +1,38 @@
+"""Runs an example as its readers do, then pings what it pinged without its host: for test_examples.py.
+
+python tests/run_example.py NAME FOLDER [KEYWORD=NUMBER ...]
+"""
+
+import sys
+from importlib import import_module
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+import sonar_gl as sg
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main(name, folder, *options):
+    sys.path.insert(0, str(ROOT / "examples"))
+    example, keywords = import_module(name), dict(option.split("=") for option in options)
+    if name == "window_host":  # nobody sits at the keyboard, and a frame takes what it ought to
+        clock, held = count(), example.glfw.KEY_UP
+        example.glfw.get_time = lambda: next(clock) / 60
+        example.glfw.get_key = lambda window, key: int(key == held)
+    found = example.main(folder, **{key: int(value) for key, value in keywords.items()})
+
+    # the samples are those of the host's last ping, which hung on those before
+    sampling = sg.Sampling(**found["ping"].meta["sampling"])
+    with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
+        alone = simulator.ping(found["pose"], bodies=found.get("bodies"), labels=True)
+    for key, ping in (("ping", found["ping"]), ("alone", alone), ("depth", found.get("depth_ping"))):
+        if ping is not None:
+            sg.save_npz(Path(folder) / f"{key}.npz", ping)
+    np.save(Path(folder) / "names.npy", [body.name for body in found["scene"].bodies])
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
