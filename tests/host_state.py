@@ -1,7 +1,7 @@
-"""All the state of an OpenGL context that a host could care for, read and made hostile, by no code of ours."""
+"""All the state of an OpenGL context that a host could care for, read and made nasty by no code of ours."""
 
 import ctypes
-import ctypes.util
+from functools import cache
 
 import numpy as np
 from OpenGL import GL as NAMES
@@ -45,7 +45,8 @@ SINGLE = {
     440: "QUERY_BUFFER_BINDING",
     450: "CLIP_ORIGIN CLIP_DEPTH_MODE",
 }
-COMPATIBILITY = """ALPHA_TEST_FUNC ALPHA_TEST_REF CLAMP_VERTEX_COLOR CLAMP_FRAGMENT_COLOR MAP_COLOR MAP_STENCIL
+COMPATIBILITY = """
+    ALPHA_TEST_FUNC ALPHA_TEST_REF CLAMP_VERTEX_COLOR CLAMP_FRAGMENT_COLOR MAP_COLOR MAP_STENCIL
     INDEX_SHIFT INDEX_OFFSET RED_SCALE RED_BIAS GREEN_SCALE GREEN_BIAS BLUE_SCALE BLUE_BIAS ALPHA_SCALE
     ALPHA_BIAS DEPTH_SCALE DEPTH_BIAS ZOOM_X ZOOM_Y SHADE_MODEL MATRIX_MODE CURRENT_COLOR LINE_STIPPLE_PATTERN
     MODELVIEW_MATRIX PROJECTION_MATRIX CLIENT_ACTIVE_TEXTURE"""
@@ -58,7 +59,8 @@ ENABLES = {
     400: "SAMPLE_SHADING",
     430: "PRIMITIVE_RESTART_FIXED_INDEX DEBUG_OUTPUT DEBUG_OUTPUT_SYNCHRONOUS",
 }
-COMPATIBILITY_ENABLES = """ALPHA_TEST POLYGON_STIPPLE LINE_STIPPLE FOG LIGHTING COLOR_SUM NORMALIZE POINT_SPRITE
+COMPATIBILITY_ENABLES = """
+    ALPHA_TEST POLYGON_STIPPLE LINE_STIPPLE FOG LIGHTING COLOR_SUM NORMALIZE POINT_SPRITE
     POINT_SMOOTH VERTEX_PROGRAM_TWO_SIDE COLOR_MATERIAL"""
 # of each: the limit, what is asked for each index, what answers
 INDEXED = [
@@ -98,6 +100,7 @@ HIGHEST_NAME = 2000
 ERRORS = "INVALID_ENUM", "INVALID_VALUE", "INVALID_OPERATION", "INVALID_FRAMEBUFFER_OPERATION"
 
 
+@cache
 def enum(name: str) -> int:
     """What OpenGL calls GL_<name>."""
     return LATER[name] if name in LATER else int(getattr(NAMES, f"GL_{name}"))
@@ -109,6 +112,8 @@ class GL:
     def __init__(self):
         self._library = ctypes.CDLL("libGL.so.1")
         self._library.glXGetProcAddressARB.restype = ctypes.c_void_p
+        self._room = (ctypes.c_int * 32)()
+        self._room_at = ctypes.c_void_p(ctypes.addressof(self._room))
         self.version = 10 * (10 * self.integer("MAJOR_VERSION") + self.integer("MINOR_VERSION"))
         self.is_compatible = bool(self.integer("CONTEXT_PROFILE_MASK") & 2)
 
@@ -131,9 +136,8 @@ class GL:
         return tuple(out[: np.isnan(out).argmax()].tolist())
 
     def integer(self, name: str) -> int:
-        out = np.zeros(16, np.int32)
-        self.GetIntegerv(enum(name), out)
-        return int(out[0])
+        self.GetIntegerv(enum(name), self._room_at)
+        return self._room[0]
 
     def text(self, name: str) -> str:
         function = ctypes.CFUNCTYPE(ctypes.c_char_p)(self._library.glXGetProcAddressARB(b"glGetString"))
@@ -164,12 +168,15 @@ class GL:
         elif name == "INVALID_VALUE":
             self.Viewport(0, 0, -1, -1)
         elif name == "INVALID_OPERATION":
-            self.UseProgram(self.CreateShader(enum("VERTEX_SHADER")))
+            shader = self.CreateShader(enum("VERTEX_SHADER"))
+            self.UseProgram(shader)
+            self.DeleteShader(shader)
         else:
-            was = self.integer("DRAW_FRAMEBUFFER_BINDING")
-            self.BindFramebuffer(enum("DRAW_FRAMEBUFFER"), self.name("Framebuffers"))
+            was, incomplete = self.integer("DRAW_FRAMEBUFFER_BINDING"), self.name("Framebuffers")
+            self.BindFramebuffer(enum("DRAW_FRAMEBUFFER"), incomplete)
             self.Clear(enum("COLOR_BUFFER_BIT"))
             self.BindFramebuffer(enum("DRAW_FRAMEBUFFER"), was)
+            self.DeleteFramebuffers(1, np.array([incomplete], np.uint32))
         self.drop_messages()
 
 
@@ -241,7 +248,16 @@ def snapshot(gl: GL, platform=tuple) -> dict:
 def _attributes(gl: GL) -> dict:
     out, room = {}, np.zeros(8, np.int32)
     for k in range(gl.integer("MAX_VERTEX_ATTRIBS")):
-        for name in "ENABLED SIZE STRIDE TYPE NORMALIZED INTEGER DIVISOR BUFFER_BINDING".split():
+        for name in (
+            "ENABLED",
+            "SIZE",
+            "STRIDE",
+            "TYPE",
+            "NORMALIZED",
+            "INTEGER",
+            "DIVISOR",
+            "BUFFER_BINDING",
+        ):
             gl.GetVertexAttribiv(k, enum(f"VERTEX_ATTRIB_ARRAY_{name}"), room)
             out[f"VERTEX_ATTRIB_ARRAY_{name}[{k}]"] = int(room[0])
     return out
@@ -250,7 +266,7 @@ def _attributes(gl: GL) -> dict:
 def changes(before: dict, after: dict) -> dict:
     """name -> (before, after) of what differs."""
     names = before.keys() | after.keys()
-    return {n: (before.get(n), after.get(n)) for n in names if before.get(n) != after.get(n)}
+    return {n: (before.get(n), after.get(n)) for n in sorted(names) if before.get(n) != after.get(n)}
 
 
 VERTEX = b"#version 330\nin vec3 at; void main() { gl_Position = vec4(at, 1.0); }"
@@ -349,7 +365,9 @@ def make_hostile(gl: GL) -> None:
         gl.Disable(enum(name))
     _hostile_by_index(gl)
     if gl.version >= 430:
-        anything = enum("DONT_CARE")  # but errors are none of ours: the driver tells what it thinks of the host
+        anything = enum(
+            "DONT_CARE"
+        )  # but errors are none of ours: the driver tells what it thinks of the host
         gl.DebugMessageControl(anything, anything, anything, 0, None, 0)
         gl.DebugMessageControl(anything, enum("DEBUG_TYPE_ERROR"), anything, 0, None, 1)
         gl.PushDebugGroup(enum("DEBUG_SOURCE_APPLICATION"), 1, -1, b"the host's")

@@ -4,7 +4,6 @@ Each draws a scene by state that it set once, and never looks after again.
 """
 
 import ctypes
-import ctypes.util
 import math
 import os
 
@@ -159,10 +158,8 @@ class Scene:
         gl = self.gl
         gl.Viewport(4, 2, SIZE - 6, SIZE - 4)
         gl.Scissor(5, 3, SIZE - 9, SIZE - 8)
-        for name in (
-            "DEPTH_TEST SCISSOR_TEST BLEND STENCIL_TEST CULL_FACE FRAMEBUFFER_SRGB PRIMITIVE_RESTART "
-            "POLYGON_OFFSET_FILL"
-        ).split():
+        tests = "DEPTH_TEST", "SCISSOR_TEST", "STENCIL_TEST", "CULL_FACE"
+        for name in (*tests, "BLEND", "FRAMEBUFFER_SRGB", "PRIMITIVE_RESTART", "POLYGON_OFFSET_FILL"):
             gl.Enable(enum(name))
         gl.PrimitiveRestartIndex(77)
         gl.FrontFace(enum("CW"))
