@@ -5,10 +5,25 @@ from __future__ import annotations
 import ctypes
 from contextlib import contextmanager
 from functools import cache
+from itertools import count
+
+from sonar_gl.functions import Functions
+from sonar_gl.types import Error
 
 # by their sonames: the unversioned ones come with development packages only
 LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
 DRAW, READ, EXTENSIONS = 0x3059, 0x305A, 0x3055
+BAD_ACCESS, BAD_CONTEXT = 0x3002, 0x3006  # the former most often because a context of GLX is current
+# Of each context of ours another number: nobody else has such, and we do not draw with it.
+POLYGON_OFFSET_UNITS, MARKS = 0x2A00, count(8_000_001)
+GONE = (
+    "the OpenGL context of this sonar must still be there (got EGL error 0x{error:04x}: its display was closed, "
+    "as pyrender's delete() does); make the host's anew if it has one, and then the sonar"
+)
+REFUSED = (
+    "no OpenGL context of GLX may be current where a sonar has one of EGL (got one in this thread); have the "
+    "sonar join it by context='current', or make it not current first"
+)
 POINTER = ctypes.c_void_p
 # what is returned and what is taken: p a pointer, i an int, s a text
 SIGNATURES = {
@@ -52,12 +67,67 @@ def current() -> tuple | None:
     return egl.eglGetCurrentDisplay(), *surfaces, context
 
 
+class Private:
+    """A context of ours, current inside `with` blocks; what was current before one is so after it.
+
+    It is what moderngl takes for a window system.
+
+    Parameters
+    ----------
+    display, surface, handle : of EGL; it is current now
+    destroy : function that gives it back
+
+    Attributes
+    ----------
+    is_gone : whether it has turned out to be there no more
+    """
+
+    def __init__(self, display, surface, handle, destroy):
+        egl = self._egl = library()
+        self.load_opengl_function = lambda name: egl.eglGetProcAddress(name.encode()) or 0
+        self.display, self._ours, self._destroy = display, (display, surface, surface, handle), destroy
+        self._gl, self._mark, self._before, self.is_gone = (
+            Functions(self.load_opengl_function),
+            next(MARKS),
+            [],
+            False,
+        )
+        self._room = ctypes.c_float()
+        self._gl.glPolygonOffset(0.0, self._mark)
+
+    def __enter__(self):
+        before = current() or (self.display, None, None, None)
+        if not self._egl.eglMakeCurrent(*self._ours):
+            error = self._egl.eglGetError()
+            self.is_gone = error != BAD_ACCESS
+            raise Error(GONE.format(error=error) if self.is_gone else REFUSED)
+        self._gl.glGetFloatv(POLYGON_OFFSET_UNITS, ctypes.addressof(self._room))
+        if self._room.value != self._mark:  # a later one of somebody else has its address
+            self._egl.eglMakeCurrent(*before)
+            self.is_gone = True
+            raise Error(GONE.format(error=BAD_CONTEXT))
+        self._before.append(before)
+        return self
+
+    def __exit__(self, *_):
+        self._egl.eglMakeCurrent(*self._before.pop())
+
+    def is_reachable(self) -> bool:
+        """Yes: from everywhere."""
+        return True
+
+    def release(self):
+        """Give the context back, if it is there."""
+        if not self.is_gone:
+            self._destroy()
+
+
 @contextmanager
 def kept():
-    """Have what is current before the block current after it: contexts of glcontext leave none."""
+    """Have what is current before the block current after it, be it none."""
     was = current()
     try:
         yield
     finally:
-        if was is not None:
-            library().eglMakeCurrent(*was)
+        if was or (now := current()):
+            library().eglMakeCurrent(*(was or (now[0], None, None, None)))

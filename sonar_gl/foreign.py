@@ -10,6 +10,7 @@ import ctypes
 import threading
 
 import moderngl
+import numpy as np
 
 from sonar_gl import egl
 from sonar_gl.functions import RENDERER, Functions
@@ -26,9 +27,10 @@ NONE_CURRENT = (
     "current first, or leave out context='current' to have one of our own)"
 )
 GONE = (
-    "the OpenGL context that was joined must still be there (got EGL error 0x{error:04x}: its display was "
-    "closed, as pyrender's delete() does); make the host's anew, and then what joins it"
+    "the OpenGL context that was joined must still be there (got another one that is current in its place); "
+    "make a new sonar in that"
 )
+LOD_BIAS = 0x8501  # of a texture's sampler, which we have none of
 
 
 def _glx():
@@ -102,78 +104,70 @@ def check_thread(thread) -> None:
         )
 
 
-class Guest:
-    """A context of our own in the share group of a host's, which came by EGL; current inside `with` blocks.
-
-    This, like `Tenant`, is what moderngl takes for a window system.
-    """
-
-    def __init__(self, host: Host):
-        number, config, library = ctypes.c_int(0), ctypes.c_void_p(None), egl.library()
-        self.library, self.load_opengl_function = library, host.address_of
-        self.display = library.eglGetCurrentDisplay()
-        if SURFACELESS not in (library.eglQueryString(self.display, egl.EXTENSIONS) or b"").split():
-            raise Error(
-                f"EGL must have {SURFACELESS.decode()} (got a driver without); leave out context='current'"
-            )
-        library.eglQueryContext(self.display, host.handle, CONFIG_ID, ctypes.addressof(number))
-        if number.value:  # else the host's was made without one
-            wanted = (ctypes.c_int * 3)(CONFIG_ID, number.value, NONE)
-            found = ctypes.addressof(config), 1, ctypes.addressof(number)
-            library.eglChooseConfig(self.display, ctypes.addressof(wanted), *found)
-        attributes, api = (ctypes.c_int * 7)(*CORE_33), library.eglQueryAPI()
-        library.eglBindAPI(OPENGL_API)
-        asked = self.display, config.value, host.handle, ctypes.addressof(attributes)
-        self.handle, error = library.eglCreateContext(*asked), library.eglGetError()
-        library.eglBindAPI(api)
-        if not self.handle:
-            raise Error(f"the host's OpenGL context must let another join it (got EGL error 0x{error:04x})")
-        self._hosts = []
-
-    def __enter__(self):
-        was = egl.current() or (self.display, None, None, None)
-        if not self.library.eglMakeCurrent(self.display, None, None, self.handle):
-            raise Error(GONE.format(error=self.library.eglGetError()))
-        self._hosts.append(was)
-        return self
-
-    def __exit__(self, *_):
-        self.library.eglMakeCurrent(*self._hosts.pop())
-
-    def release(self):
-        """Give the context back; what is left in it of buffers lives on with the share group."""
-        self.library.eglDestroyContext(self.display, self.handle)
+def make_guest(host: Host) -> egl.Private:
+    """A context of our own in the share group of a host's, which came by EGL."""
+    number, config, library = ctypes.c_int(0), ctypes.c_void_p(None), egl.library()
+    display = library.eglGetCurrentDisplay()
+    if SURFACELESS not in (library.eglQueryString(display, egl.EXTENSIONS) or b"").split():
+        raise Error(
+            f"EGL must have {SURFACELESS.decode()} (got a driver without); leave out context='current'"
+        )
+    library.eglQueryContext(display, host.handle, CONFIG_ID, ctypes.addressof(number))
+    if number.value:  # else the host's was made without one
+        wanted = (ctypes.c_int * 3)(CONFIG_ID, number.value, NONE)
+        found = ctypes.addressof(config), 1, ctypes.addressof(number)
+        library.eglChooseConfig(display, ctypes.addressof(wanted), *found)
+    attributes, api = (ctypes.c_int * 7)(*CORE_33), library.eglQueryAPI()
+    library.eglBindAPI(OPENGL_API)
+    handle = library.eglCreateContext(display, config.value, host.handle, ctypes.addressof(attributes))
+    error = library.eglGetError()
+    library.eglBindAPI(api)
+    if not handle:
+        raise Error(f"the host's OpenGL context must let another join it (got EGL error 0x{error:04x})")
+    with egl.kept():
+        library.eglMakeCurrent(display, None, None, handle)
+        return egl.Private(display, None, handle, lambda: library.eglDestroyContext(display, handle))
 
 
 class Tenant:
-    """A host's own context, guarded inside `with` blocks; outside of EGL."""
+    """A host's own context, guarded inside `with` blocks; outside of EGL.
 
-    is_hosts_own = True
+    Attributes
+    ----------
+    is_gone : whether it has turned out to be there no more
+    """
 
     def __init__(self, host: Host):
-        self.host, self.load_opengl_function = host, host.address_of
+        self._host, self.load_opengl_function, self.is_gone = host, host.address_of, False
+        self._name, self._mark, self._room = np.zeros(1, np.uint32), next(egl.MARKS), np.zeros(1, np.float32)
+        host.gl.glGenSamplers(1, self._name.ctypes.data)
+        host.gl.glSamplerParameterf(int(self._name[0]), LOD_BIAS, self._mark)
 
     def __enter__(self):
-        self.host.check()
-        self.host.guard.__enter__()
+        self._host.check()
+        gl, name, self._room[0] = self._host.gl, int(self._name[0]), 0
+        if gl.glIsSampler(name):
+            gl.glGetSamplerParameterfv(name, LOD_BIAS, self._room.ctypes.data)
+        if self._room[0] != self._mark:  # a later one has its address
+            self.is_gone = True
+            raise Error(GONE)
+        self._host.guard.__enter__()
         return self
 
     def __exit__(self, *_):
-        self.host.guard.__exit__()
+        self._host.guard.__exit__()
+
+    def is_reachable(self) -> bool:
+        """Whether it is current, in its thread."""
+        return threading.current_thread() is self._host.thread and self._host.is_current()
 
     def release(self):
-        """Nothing: it is the host's."""
+        """Give back what marks it; the context is the host's."""
+        if not self.is_gone:
+            self._host.gl.glDeleteSamplers(1, self._name.ctypes.data)
 
 
 def join() -> moderngl.Context:
     """A moderngl context that draws beside the host whose context is current."""
     host = Host()
-    if host.by_egl:
-        return make_context(Guest(host))
-    with host.guard:
-        errors = host.gl.take_errors()  # moderngl takes them, too
-        try:
-            return make_context(Tenant(host))
-        finally:
-            host.gl.take_errors()
-            host.gl.leave_errors(errors)
+    return make_context(make_guest(host) if host.by_egl else Tenant(host))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import os
 import re
-import warnings
+from collections import deque
 from contextlib import contextmanager
+from threading import Lock
 from typing import NamedTuple
 
+import glcontext.egl
 import moderngl
 
 from sonar_gl import egl
@@ -23,37 +25,37 @@ NO_EGL = (
     "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
 )
 
-_discarded: list[moderngl.Context] = []
+_discarded: deque[moderngl.Context] = deque()
+_releasing = Lock()
 
 
 def discard(context: moderngl.Context) -> None:
-    """Have a context released later, when nobody is drawing; a host's own is left alone, and told of.
+    """Have a context released later, when nobody is drawing.
 
-    For finalisers: the garbage collector may call them in the midst of another context's drawing, and
-    releasing a context leaves none current.
+    For finalisers: the garbage collector may call them in the midst of another context's drawing.
     """
-    if getattr(context.extra, "is_hosts_own", False):  # where it is current nobody knows
-        message = "a Simulator in a host's OpenGL context was not closed: what it made stays there"
-        warnings.warn(message, ResourceWarning, stacklevel=2)
-        return
     _discarded.append(context)
 
 
 def release(context: moderngl.Context) -> None:
-    """Give a context back with all that is in it and that nobody holds; what was current stays so."""
-    with egl.kept():
-        try:
-            with context:
-                context.gc()  # in a host's share group objects would outlive it
-        except Error as why:  # most often the host's is gone, and its objects with it
-            warnings.warn(f"OpenGL objects were left to the host: {why}", ResourceWarning, stacklevel=2)
-        context.release()
+    """Give a context back with all that is in it and that nobody holds; later, where it is out of reach now."""
+    try:
+        with context:
+            context.fbo = None  # the last one drawn into, that else would be held
+            context.gc()  # in a host's share group objects would outlive it
+    except Error:
+        if not context.extra.is_gone:
+            discard(context)
+            return
+    context.release()
 
 
 def release_discarded() -> None:
-    """Release what was discarded; not to be called inside a `with context` block."""
-    while _discarded:
-        release(_discarded.pop())
+    """Release what was discarded, as far as it is in reach; not to be called inside a `with context` block."""
+    with _releasing:
+        for _ in range(len(_discarded)):
+            context = _discarded.popleft()
+            (release if context.extra.is_reachable() else discard)(context)
 
 
 class Device(NamedTuple):
@@ -158,17 +160,16 @@ def make_context(loader) -> moderngl.Context:
 
 @_its_own_default()
 def _create(index: int | None) -> moderngl.Context:
-    how = {"standalone": True, "require": REQUIRED_GL}
+    how = {"mode": "standalone", "glversion": REQUIRED_GL, **LIBRARIES}
     if index is None:  # whatever glcontext takes of itself
-        return moderngl.create_context(backend="egl", **LIBRARIES, **how)
-    import glcontext.egl  # beneath the layer where variables would win over an index
-
-    return moderngl.create_context(
-        context=glcontext.egl.create_context(
-            mode="standalone", glversion=REQUIRED_GL, device_index=index, **LIBRARIES
-        ),
-        **how,
-    )
+        made = glcontext.get_backend_by_name("egl")(**how)
+    else:  # beneath the layer where variables would win over an index
+        made = glcontext.egl.create_context(device_index=index, **how)
+    display, surface, _, handle = egl.current()
+    loader = egl.Private(display, surface, handle, made.release)
+    context = moderngl.create_context(context=loader, require=REQUIRED_GL)
+    context.extra = loader
+    return context
 
 
 def create_context(device: int | None = None) -> moderngl.Context:

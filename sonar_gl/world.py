@@ -49,11 +49,16 @@ class World:
         self.thread = threading.current_thread() if joins else None
         self.scene, self.users = scene, 0
         self.plumes = {plume.name: plume.pose for plume in scene.plumes}
+        gl.release_discarded()
         with egl.kept():
             self.context = join() if joins else gl.create_context(device)
+        try:
             with self.context:
                 self.gl_info = gl.describe(self.context)
                 self.gpu = SceneOnGpu(self.context, scene, data_folder("shaders"))
+        except BaseException:
+            gl.discard(self.context)  # the exception holds what is in it
+            raise
         self._number()
 
     def _number(self):
@@ -73,7 +78,8 @@ class World:
         with self.lock:
             if self.context is None:
                 raise Error("this Simulator is closed; make a new one")
-            with egl.kept(), self.context as context:
+            gl.release_discarded()
+            with self.context as context:
                 context.gc()
                 yield context
 

@@ -1,4 +1,51 @@
+import os
+import select
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+import pytest
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+
+@pytest.fixture(scope="session")
+def display():
+    """Name of an X display that nobody sees."""
+    if shutil.which("Xvfb") is None:
+        why = "hosts that come by GLX need a display: apt-get install xvfb"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
+    command = "Xvfb", "-displayfd", "1", "-screen", "0", "640x480x24", "-nolisten", "tcp"
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        ready, _, _ = select.select([server.stdout], [], [], 30)
+        number = server.stdout.readline().decode().strip() if ready else ""
+        assert number, "Xvfb must say which display it has"
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait()
+
+
+@pytest.fixture(scope="session")
+def run_beside(request):
+    """Function (program of this folder, *arguments) -> what it printed; those with "glx" have a display."""
+
+    def run(name: str, *arguments: str, **environment: str) -> str:
+        inherited = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MESA_GL_VERSION_OVERRIDE")}
+        if "glx" in arguments:
+            environment["DISPLAY"] = request.getfixturevalue("display")
+        home = os.pathsep.join([str(HERE.parent), *sys.path])
+        done = subprocess.run(
+            [sys.executable, HERE / name, *arguments],
+            env={**inherited, "PYTHONPATH": home, **environment},
+            capture_output=True,
+            text=True,
+            timeout=100,
+        )
+        assert done.returncode == 0, done.stderr[-3000:]
+        return done.stdout
+
+    return run

@@ -12,14 +12,18 @@ SONAR = sg.Sonar("soak", 900e3, 128, 200, 60.0, 20.0, 1.0, 0.5, 20.0)
 POSES = 997  # then again
 
 
-def make_simulator():
-    """A floor and two bodies; 256 by 40 samples."""
-    bodies = [
+def make_bodies():
+    """A floor and two bodies."""
+    return [
         sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.3),
         sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(7, 2, -1), 0.8),
         sg.Body("box", trimesh.creation.box((1, 1, 2)), sg.pose(9, -2, -1.5), 0.8),
     ]
-    return sg.Simulator(sg.Scene(bodies), SONAR, sampling=sg.Sampling(2, 40))
+
+
+def make_simulator(context=None):
+    """Of these bodies; 256 by 40 samples."""
+    return sg.Simulator(sg.Scene(make_bodies()), SONAR, sampling=sg.Sampling(2, 40), context=context)
 
 
 def pose_of(k):

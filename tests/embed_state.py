@@ -1,0 +1,269 @@
+"""What becomes of a host's context while a sonar is made, used and closed in it: a program of its own.
+
+    embed_state.py egl 3.3 | 4.1 | 4.5
+    embed_state.py glx 3.3 | 4.1 | 4.5 | compatible
+
+prints one JSON object. Mesa gives a host that very version only where MESA_GL_VERSION_OVERRIDE says so.
+"""
+
+import json
+import sys
+import time
+from dataclasses import replace
+from itertools import cycle, islice
+
+import moderngl
+import numpy as np
+import pytest
+import soak
+import trimesh
+from host_state import ERRORS, changes, make_hostile, objects, snapshot
+from hosts import HOSTS, SIZE, Scene, enum, make_buffer, make_program
+
+import sonar_gl as sg
+from sonar_gl import foreign, gl, world
+from sonar_gl.functions import Functions
+from sonar_gl.guard import Guard
+
+POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
+GHOSTS = sg.Acoustics.physical(multipath="incoherent")
+STATES = "pristine", "working", "hostile"
+
+
+def arrays_of(one) -> list:
+    """What a ping or a G-buffer holds."""
+    if isinstance(one, sg.Ping):
+        return [one.intensity, one.body_id, one.elevation_rad, one.body_echo]
+    return [one.range_m, one.normal, one.echo, one.body_id]
+
+
+def use(context=None):
+    """Do all that can be done with a simulator: yields (name, what came of it) after each."""
+    scene = sg.Scene(soak.make_bodies(), surface_z_m=3.0)
+    simulator = sg.Simulator(scene, soak.SONAR, sampling=sg.Sampling(2, 40), context=context)
+    yield "construct", []
+    yield "ping", [simulator.ping(POSE)]
+    yield "labels", [simulator.ping(POSE, labels=True)]
+    yield "pings", list(simulator.pings([soak.pose_of(k) for k in range(4)]))
+    simulator.place({"ball": sg.pose(6, 1, -1)})
+    yield "place", []
+    simulator.add(sg.Body("rod", trimesh.creation.cylinder(0.2, 3.0), sg.pose(5, -1, -1)))
+    yield "add", []
+    yield "ping of what was placed", [simulator.ping(POSE, labels=True)]
+    other = sg.Simulator(simulator, replace(soak.SONAR, n_beams=32), GHOSTS)
+    yield "second", []
+    yield "ghosts", [other.ping(POSE)]
+    yield "gbuffers", simulator.gbuffers(POSE)
+    simulator.point_cloud(POSE, 20, 5)
+    yield "point cloud", []
+    other.close()
+    yield "close second", []
+    simulator.close()
+    yield "close", []
+
+
+def wrong(got, wanted) -> int:
+    """How many of the numbers are not those of a standalone simulator, bit for bit."""
+    n = 0
+    for one, other in zip(got, wanted, strict=True):
+        for a, b in zip(arrays_of(one), arrays_of(other), strict=True):
+            n += a is not b and int((np.asarray(a).view(np.uint8) != np.asarray(b).view(np.uint8)).sum())
+    return n
+
+
+class Trial:
+    """A host in some state, and what became of it."""
+
+    def __init__(self, kind: str, version, state: str):
+        self.host = HOSTS[kind](version)
+        self.gl, self.scene = self.host.gl, None
+        if state == "working":
+            self.scene = Scene(self.gl)
+        elif state == "hostile":
+            make_hostile(self.gl)
+
+    def snapshot(self):
+        return snapshot(self.gl, self.host.platform)
+
+    def run(self, wanted, first: int) -> dict:
+        """What changed by each thing that was done, an error of each kind pending or none, and what was left.
+
+        first : which of the errors is pending first
+        """
+        before, there = self.snapshot(), objects(self.gl)
+        out = {"values": len(before), "changed": {}, "wrong": {}, "frames": {}}
+        frame, doing = self.scene and self.scene.draw(), use("current")
+        for pending in islice(cycle([None, *ERRORS]), first, None):
+            if pending:
+                self.gl.make_error(pending)
+            if (done := next(doing, None)) is None:
+                break
+            name, got = done
+            after = self.snapshot()
+            out["changed"][name] = changes(before | {"errors": [pending] if pending else []}, after)
+            out["wrong"][name] = wrong(got, wanted[name])
+            if self.scene:
+                out["frames"][name] = int((self.scene.draw() != frame).sum())
+        self.gl.errors()
+        out["left"] = changes(there, objects(self.gl))
+        out["colours"] = len(np.unique(frame.reshape(-1, 4), axis=0)) if self.scene else 0
+        self.host.destroy()
+        return out
+
+
+class Naive:
+    """A host's context, drawn in as it stands."""
+
+    is_gone = False
+
+    def __init__(self, host):
+        self.load_opengl_function = host.address_of
+
+    def is_reachable(self):
+        return False
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def release(self):
+        pass
+
+
+def naive(kind, version, state, wanted) -> dict:
+    """How many values change, and how many numbers of a ping are wrong, where nobody guards the host."""
+    trial, join = Trial(kind, version, state), world.join
+    before, frame = trial.snapshot(), trial.scene and trial.scene.draw()
+    world.join = lambda: gl.make_context(Naive(foreign.Host()))
+    try:
+        doing = use("current")
+        next(doing)
+        attached = len(changes(before, trial.snapshot()))
+        _, (ping,) = next(doing)
+        out = {"wrong": wrong([ping], wanted["ping"]), "attached": attached}
+    except Exception as why:  # moderngl raises plain Exception
+        out = {"error": f"{type(why).__name__}: {why}"}
+    finally:
+        world.join = join
+    out["changed"] = sorted(changes(before, trial.snapshot()))
+    out["frame"] = int((trial.scene.draw() != frame).sum()) if trial.scene else 0
+    doing.close()
+    return out
+
+
+def plain_draw(gl) -> np.ndarray:
+    """A triangle as a new context draws it, by OpenGL alone."""
+    framebuffer, array = gl.name("Framebuffers"), gl.name("VertexArrays")
+    colour, depth = gl.name("Renderbuffers"), gl.name("Renderbuffers")
+    gl.BindFramebuffer(enum("FRAMEBUFFER"), framebuffer)
+    for at, kind, one in (
+        ("COLOR_ATTACHMENT0", "RGBA32F", colour),
+        ("DEPTH_ATTACHMENT", "DEPTH_COMPONENT24", depth),
+    ):
+        gl.BindRenderbuffer(enum("RENDERBUFFER"), one)
+        gl.RenderbufferStorage(enum("RENDERBUFFER"), enum(kind), SIZE, SIZE)
+        gl.FramebufferRenderbuffer(enum("FRAMEBUFFER"), enum(at), enum("RENDERBUFFER"), one)
+    gl.BindVertexArray(array)
+    buffer = make_buffer(gl, "ARRAY_BUFFER", np.array([[-1, -1, 0.5], [3, -1, 0], [-1, 0.5, 1]], np.float32))
+    gl.VertexAttribPointer(0, 3, enum("FLOAT"), 0, 12, None)
+    gl.EnableVertexAttribArray(0)
+    program = make_program(gl)
+    gl.UseProgram(program)
+    gl.Uniform4f(gl.GetUniformLocation(program, b"colour"), 2.5, -1.0, 0.25, 0.1)
+    gl.Viewport(0, 0, SIZE, SIZE)
+    gl.Enable(enum("DEPTH_TEST"))
+    gl.Enable(enum("BLEND"))
+    gl.Clear(enum("COLOR_BUFFER_BIT") | enum("DEPTH_BUFFER_BIT"))
+    gl.DrawArrays(enum("TRIANGLES"), 0, 3)
+    out = np.zeros((SIZE, SIZE, 5), np.float32)
+    gl.ReadPixels(0, 0, SIZE, SIZE, enum("RGBA"), enum("FLOAT"), out)
+    gl.ReadPixels(0, 0, SIZE, SIZE, enum("DEPTH_COMPONENT"), enum("FLOAT"), out.ravel()[4 * SIZE**2 :])
+    for kind, one in (
+        ("Framebuffers", framebuffer),
+        ("VertexArrays", array),
+        ("Renderbuffers", colour),
+        ("Renderbuffers", depth),
+        ("Buffers", buffer),
+    ):
+        getattr(gl, f"Delete{kind}")(1, np.array([one], np.uint32))
+    gl.DeleteProgram(program)
+    return out
+
+
+def guarded(kind, version, state, wanted) -> dict:
+    """The guard alone in a host's own context: what its blocks draw, and what they leave."""
+    trial = Trial(kind, version, state)
+    functions = Functions(foreign.Host().address_of)
+    guard, before = Guard(functions), trial.snapshot()
+    out = {"made": changes(before, trial.snapshot())}
+    with guard:
+        drawn = [plain_draw(trial.gl)]
+        out["errors inside"] = trial.gl.errors()
+    out["block"] = changes(before, trial.snapshot())
+    with pytest.raises(KeyError), guard:
+        plain_draw(trial.gl)
+        raise KeyError
+    out["raises"] = changes(before, trial.snapshot())
+    with guard:
+        inner = trial.snapshot()
+        with guard:
+            plain_draw(trial.gl)
+        out["nested"] = changes(inner, trial.snapshot())
+        drawn.append(plain_draw(trial.gl))
+    out["nests"] = changes(before, trial.snapshot())
+    for error in ERRORS:
+        trial.gl.make_error(error)
+        with guard:
+            drawn.append(plain_draw(trial.gl))
+        out[error] = changes(before | {"errors": [error]}, trial.snapshot())
+    out["drawn wrongly"] = [int((one != wanted).sum()) for one in drawn]
+    start = time.perf_counter()
+    for _ in range(200):
+        with guard:
+            pass
+    out["microseconds"] = (time.perf_counter() - start) / 200 * 1e6
+    with guard:
+        make_hostile(trial.gl)
+    changed = changes(before, trial.snapshot())
+    out["not held"] = sorted({name.split("[")[0] for name in changed})
+    trial.host.destroy()
+    return out
+
+
+def hosts_moderngl(kind, version, wanted) -> dict:
+    """A host that uses moderngl: its default context is its own still."""
+    trial = Trial(kind, version, "pristine")
+    mine = moderngl.create_context()
+    buffer, same, wrongs = mine.buffer(b"mine"), [], 0
+    for name, got in use("current"):
+        same.append(moderngl.get_context() is mine)
+        wrongs += wrong(got, wanted[name])
+    out = {"same": all(same), "wrong": wrongs, "buffer": buffer.read().decode()}
+    mine.release()
+    trial.host.destroy()
+    return out
+
+
+def main(kind: str, version: str):
+    """Print what came of every trial."""
+    wanted = dict(use())  # before a GLX context is current: EGL would refuse
+    version = None if version == "compatible" else tuple(map(int, version.split(".")))
+    trial = Trial(kind, version, "pristine")
+    out = {
+        "version": trial.gl.version,
+        "name": trial.gl.text("VERSION"),
+        "compatible": trial.gl.is_compatible,
+    }
+    triangle = plain_draw(trial.gl)
+    trial.host.destroy()
+    out["runs"] = {s: Trial(kind, version, s).run(wanted, 2 * k) for k, s in enumerate(STATES)}
+    out["guard"] = {state: guarded(kind, version, state, triangle) for state in STATES}
+    out["moderngl"] = hosts_moderngl(kind, version, wanted)
+    out["naive"] = {state: naive(kind, version, state, wanted) for state in STATES}
+    print(json.dumps(out, default=str))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
