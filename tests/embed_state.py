@@ -12,6 +12,7 @@ import time
 from dataclasses import replace
 from itertools import cycle, islice
 
+import embed_doors
 import moderngl
 import numpy as np
 import pytest
@@ -261,6 +262,11 @@ def main(kind: str, version: str):
     out["runs"] = {s: Trial(kind, version, s).run(wanted, 2 * k) for k, s in enumerate(STATES)}
     out["guard"] = {state: guarded(kind, version, state, triangle) for state in STATES}
     out["moderngl"] = hosts_moderngl(kind, version, wanted)
+    out["doors"], pings = {}, {}
+    for k, state in enumerate(("pristine", "hostile")):
+        out["doors"][state], pings[state] = embed_doors.run(Trial(kind, version, "pristine"), state, 3 * k)
+        wrongs = [wrong(pings[state][name], pings["pristine"][name]) for name in pings["pristine"]]
+        out["doors"][state]["wrong"] = sum(wrongs)
     out["naive"] = {state: naive(kind, version, state, wanted) for state in STATES}
     print(json.dumps(out, default=str))
 

@@ -98,5 +98,9 @@ def test_beside_a_host(kind, run_beside):
     for state in STATES:
         check_run(state, got["runs"][state])
         check_guard(got["guard"][state])
+    for doors in got["doors"].values():
+        assert {name: changed for name, changed in doors["changed"].items() if changed} == {}
+        assert len(doors["changed"]) == 9
+        assert doors["left"] == {} and doors["wrong"] == 0
     check_naive(*(got["naive"][state] for state in STATES))
     assert got["moderngl"] == {"same": True, "wrong": 0, "buffer": "mine"}
