@@ -9,7 +9,7 @@ from sonar_gl.compiled import compiled
 from sonar_gl.foreign import Host
 from sonar_gl.types import Error
 
-TEXTURE_2D, BINDING_2D, WIDTH, HEIGHT = 0x0DE1, 0x8069, 0x1000, 0x1001
+TEXTURE_2D, WIDTH, HEIGHT = 0x0DE1, 0x1000, 0x1001
 PACK_ALIGNMENT = 0x0D05
 HOLDS = "z-buffer", "planar", "range"
 UPSIDE = np.float32([1, -1, -1])  # optical axes from OpenGL's, and back
@@ -80,13 +80,12 @@ def read_all(host: Host, wanted) -> list:
     host.check()
     gl, out = host.gl, []
     with host.guard:
-        pending, bound = gl.take_errors(), gl.integer(BINDING_2D)
+        pending = gl.take_errors()
         try:
             gl.glPixelStorei(PACK_ALIGNMENT, 1)
             for name, kind, what in wanted:
                 out.append(None if name is None else _read(gl, name, kind, what))
         finally:
-            gl.glBindTexture(TEXTURE_2D, bound)
             gl.take_errors()  # ours
             gl.leave_errors(pending)
     return out
