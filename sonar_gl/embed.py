@@ -44,6 +44,10 @@ class _Setup:
             (s, np.zeros((s.rows, s.columns, 4), np.float32), np.zeros((s.rows, s.columns), np.uint16))
             for s in self.hearing.fan.sectors
         ]
+        # cameras that a sector's rays look at, one after the other; rays beside all images come last
+        order = range(len(cameras))
+        looks = [(n, False) for n in order if len(cameras) > 1] + [(n, True) for n in order]
+        self.looks = [list(looks) for _ in self.views]
 
     def close(self):
         self.hearing.reducer.close()
@@ -190,11 +194,13 @@ class Sensor:
         hearing = setup.hearing
         for image, planes in zip(images, setup.planes, strict=True):
             planes.find(image.depth, bool(planar), image.normals, image.reflectivity)
-        seen = list(zip(images, setup.planes, strict=True))
-        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
-        for sector, plane_echo, numbers in setup.views:
-            for n, (image, planes, beyond) in enumerate(looks):
-                planes.lay(sector, image.body_id, n == 0, beyond, plane_echo, numbers)
+        for looks, (sector, plane_echo, numbers) in zip(setup.looks, setup.views, strict=True):
+            counts = [
+                setup.planes[n].lay(sector, images[n].body_id, k == 0, beyond, plane_echo, numbers)
+                for k, (n, beyond) in enumerate(looks)
+            ]
+            # the first of them clears the rest, too
+            looks[1:] = [look for look, count in zip(looks[1:], counts[1:], strict=True) if count]
             if labels:  # the sums take 0 for all bodies: what is unknown gets a number of its own
                 numbers[(numbers == 0) & (plane_echo[..., 3] > 0)] = n_bodies + 1
         intensity = hearing.intensity(setup.views)

@@ -111,8 +111,9 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
 
 @compiled
 def _lay(start, stop, planes, bodies, H, u, v, fresh, beyond, plane_echo, body_id):
-    """What the rays of some rows see of this image; unless they are fresh, those that saw none before."""
-    n_rows, n_columns = planes.shape[0], planes.shape[1]
+    """What the rays of some rows see of this image; unless they are fresh, those that saw none before. How
+    many look at it."""
+    n_rows, n_columns, n_rays = planes.shape[0], planes.shape[1], 0
     labels, reach = bodies.shape[0] > 0, HAIR
     du, dv = abs(u[1]) / 2, abs(v[2]) / 2
     for j in range(start, stop):
@@ -152,6 +153,8 @@ def _lay(start, stop, planes, bodies, H, u, v, fresh, beyond, plane_echo, body_i
             plane_echo[j, i, 3] = planes[m, n, 3] if met else 0.0
             if labels:
                 body_id[j, i] = bodies[m, n] if met else 0
+            n_rays += 1
+    return n_rays
 
 
 class Planes:
@@ -184,8 +187,8 @@ class Planes:
         self._by_rows(_find_planes, len(depth), self.inverse, normals, K, K_inverse, self.planes)
         self.planes[..., 3] *= reflectivity
 
-    def lay(self, sector: Sector, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> None:
-        """Give rays of a sector what they see.
+    def lay(self, sector: Sector, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> int:
+        """Give rays of a sector what they see; how many look at this image.
 
         Parameters
         ----------
@@ -196,9 +199,11 @@ class Planes:
         """
         H = np.ascontiguousarray(self.camera.pixel_from_sonar @ sector.rotation().T)
         rays = H, sector.u, sector.v
-        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
+        return sum(
+            self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
+        )
 
     def _by_rows(self, work, n: int, *arguments):
         """Have half of the rows done in the other thread."""
         bounds = (0, n // 2, n)
-        self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))
+        return self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))
