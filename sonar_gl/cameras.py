@@ -9,7 +9,6 @@ import numpy as np
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.camera import Camera, covered
 from sonar_gl.fan import MAX_COLUMNS_PER_BEAM, MAX_ROW_DEG, MAX_ROWS, MIN_COLUMNS, MIN_ROWS, Sampling
-from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.hearing import Hearing
 from sonar_gl.pair import Pair
 from sonar_gl.resample import Planes
@@ -54,18 +53,22 @@ class Cameras:
             (s, np.zeros((s.rows, s.columns, 4), np.float32), np.zeros((s.rows, s.columns), np.uint16))
             for s in self.hearing.fan.sectors
         ]
+        # cameras that a sector's rays look at, one after the other; rays beside all images come last
+        order = range(len(cameras))
+        looks = [(n, False) for n in order if len(cameras) > 1] + [(n, True) for n in order]
+        self._looks = [list(looks) for _ in self._views]
 
     def views(self, images, planar: bool) -> list:
         """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector, until the next call."""
-        far_m = FAR_FACTOR * self.hearing.fan.sonar.range_max_m
         for image, planes in zip(images, self._planes, strict=True):
             planes.find(image.depth, planar, image.normals, image.reflectivity)
-        seen = list(zip(images, self._planes, strict=True))
-        # first what cameras show themselves, then what lies beside their borders
-        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
-        for sector, plane_echo, numbers in self._views:
-            for n, (image, planes, beyond) in enumerate(looks):
-                planes.lay(sector, far_m, image.body_id, n == 0, beyond, plane_echo, numbers)
+        for looks, (sector, plane_echo, numbers) in zip(self._looks, self._views, strict=True):
+            counts = [
+                self._planes[n].lay(sector, images[n].body_id, k == 0, beyond, plane_echo, numbers)
+                for k, (n, beyond) in enumerate(looks)
+            ]
+            # the first of them clears the rest, too
+            looks[1:] = [look for look, count in zip(looks[1:], counts[1:], strict=True) if count]
         return self._views
 
     def close(self):

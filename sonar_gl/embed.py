@@ -147,8 +147,8 @@ class Sensor(Listener):
 
         Parameters
         ----------
-        depth : (H, W) float, metres; 0, NaN, infinity and less than 0 are nothing, as is what lies further
-            ahead than eight times range_max_m. The first row is the top one
+        depth : (H, W) float, metres; 0, NaN, infinity and less than 0 are nothing. The first row is the
+            top one
         camera : Camera; or a list of several, to see a wide fan, of depth, and of normals, body_id and an
             image of reflectivity where given, then lists as long. What several see the first one shows
         pose : (4, 4) world_from_sonar, None for the origin; it is kept with the ping, and decides the
