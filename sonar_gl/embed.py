@@ -15,7 +15,6 @@ from sonar_gl.acoustics import Acoustics
 from sonar_gl.camera import Camera, covered
 from sonar_gl.depth_images import UNKNOWN, images_of, names_of
 from sonar_gl.fan import MAX_COLUMNS_PER_BEAM, MAX_ROW_DEG, MAX_ROWS, MIN_COLUMNS, MIN_ROWS, Sampling
-from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.hearing import Hearing
 from sonar_gl.motion import check_velocity
 from sonar_gl.noise import Noise, add_noise, check_seed
@@ -45,6 +44,10 @@ class _Setup:
             (s, np.zeros((s.rows, s.columns, 4), np.float32), np.zeros((s.rows, s.columns), np.uint16))
             for s in self.hearing.fan.sectors
         ]
+        # cameras that a sector's rays look at, one after the other; rays beside all images come last
+        order = range(len(cameras))
+        looks = [(n, False) for n in order if len(cameras) > 1] + [(n, True) for n in order]
+        self.looks = [list(looks) for _ in self.views]
 
     def close(self):
         self.hearing.reducer.close()
@@ -126,8 +129,8 @@ class Sensor:
 
         Parameters
         ----------
-        depth : (H, W) float, metres; 0, NaN, infinity and less than 0 are nothing, as is what lies further
-            ahead than eight times range_max_m. The first row is the top one
+        depth : (H, W) float, metres; 0, NaN, infinity and less than 0 are nothing. The first row is the
+            top one
         camera : Camera; or a list of several, to see a wide fan, of depth, and of normals, body_id and an
             image of reflectivity where given, then lists as long. What several see the first one shows
         pose : (4, 4) world_from_sonar, None for the origin; it is kept with the ping, and decides the
@@ -188,14 +191,16 @@ class Sensor:
         """(B, K) intensity, its sum, and labels or three None."""
         if labels:
             n_bodies = max([n_bodies] + [int(image.body_id.max(initial=0)) for image in images])
-        hearing, far_m = setup.hearing, FAR_FACTOR * setup.hearing.fan.sonar.range_max_m
+        hearing = setup.hearing
         for image, planes in zip(images, setup.planes, strict=True):
             planes.find(image.depth, bool(planar), image.normals, image.reflectivity)
-        seen = list(zip(images, setup.planes, strict=True))
-        looks = [(*one, False) for one in seen if len(seen) > 1] + [(*one, True) for one in seen]
-        for sector, plane_echo, numbers in setup.views:
-            for n, (image, planes, beyond) in enumerate(looks):
-                planes.lay(sector, far_m, image.body_id, n == 0, beyond, plane_echo, numbers)
+        for looks, (sector, plane_echo, numbers) in zip(setup.looks, setup.views, strict=True):
+            counts = [
+                setup.planes[n].lay(sector, images[n].body_id, k == 0, beyond, plane_echo, numbers)
+                for k, (n, beyond) in enumerate(looks)
+            ]
+            # the first of them clears the rest, too
+            looks[1:] = [look for look, count in zip(looks[1:], counts[1:], strict=True) if count]
             if labels:  # the sums take 0 for all bodies: what is unknown gets a number of its own
                 numbers[(numbers == 0) & (plane_echo[..., 3] > 0)] = n_bodies + 1
         intensity = hearing.intensity(setup.views)

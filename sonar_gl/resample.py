@@ -23,7 +23,7 @@ NOISE = 1e-6  # of 1/Z: fits as good as that are alike
 # Where 1/Z fits no neighbour to this part of itself, the surface is no wider than the pixel, and is taken to
 # face the camera.
 ALONE = 0.1
-STEEPEST = 2.0  # of 1/Z a pixel: a plane that is seen edge-on ends where the pixel does
+EDGE_ON = 1e-6  # of a normal: nearer to that its plane is not told, and hardly echoes
 HAIR = 1e-6  # of a pixel: cameras side by side meet without a gap
 UNSEEN = -1.0  # 1/x of a ray that no camera has looked at; 0 of one that met nothing
 
@@ -88,7 +88,7 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
                 towards = nx * x + ny * y + nz
                 echo = abs(towards) / (q * length)
                 # the plane's 1/Z is q n . (x, y, 1) / towards
-                tilt = q / (math.copysign(max(abs(towards), 1e-12 * length), towards))
+                tilt = q / math.copysign(max(abs(towards), EDGE_ON * length), towards)
                 across = tilt * (nx * K_inverse[0, 0] + ny * K_inverse[1, 0])
                 down = tilt * (nx * K_inverse[0, 1] + ny * K_inverse[1, 1])
             else:
@@ -106,14 +106,14 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
                 px, py = K[0, 0] * across + K[1, 0] * down, K[0, 1] * across + K[1, 1] * down
                 pz = q - px * x - py * y
                 echo = 1.0 / math.sqrt(px * px + py * py + pz * pz)
-            steep = min(STEEPEST * q / max(abs(across) + abs(down), 1e-300), 1.0)
-            planes[j, i, 1], planes[j, i, 2], planes[j, i, 3] = steep * across, steep * down, echo
+            planes[j, i, 1], planes[j, i, 2], planes[j, i, 3] = across, down, echo
 
 
 @compiled
-def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, beyond, plane_echo, body_id):
-    """What the rays of some rows see of this image; unless they are fresh, those that saw none before."""
-    n_rows, n_columns = planes.shape[0], planes.shape[1]
+def _lay(start, stop, planes, bodies, H, u, v, fresh, beyond, plane_echo, body_id):
+    """What the rays of some rows see of this image; unless they are fresh, those that saw none before. How
+    many look at it."""
+    n_rows, n_columns, n_rays = planes.shape[0], planes.shape[1], 0
     labels, reach = bodies.shape[0] > 0, HAIR
     du, dv = abs(u[1]) / 2, abs(v[2]) / 2
     for j in range(start, stop):
@@ -145,7 +145,7 @@ def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, beyond, plane
             n = min(max(int(column + 0.5), 0), n_columns - 1)
             across, down = np.float64(planes[m, n, 1]), np.float64(planes[m, n, 2])
             q = planes[m, n, 0] + across * (column - n) + down * (row - m)
-            met = planes[m, n, 0] > 0.0 and q * ahead > far_inverse
+            met = planes[m, n, 0] > 0.0 and q > 0.0
             rest = q - across * column - down * row
             plane_echo[j, i, 0] = q * ahead if met else 0.0
             plane_echo[j, i, 1] = -(H[0, 1] * across + H[1, 1] * down + H[2, 1] * rest) if met else 0.0
@@ -153,6 +153,8 @@ def _lay(start, stop, planes, bodies, H, u, v, far_inverse, fresh, beyond, plane
             plane_echo[j, i, 3] = planes[m, n, 3] if met else 0.0
             if labels:
                 body_id[j, i] = bodies[m, n] if met else 0
+            n_rays += 1
+    return n_rays
 
 
 class Planes:
@@ -185,22 +187,23 @@ class Planes:
         self._by_rows(_find_planes, len(depth), self.inverse, normals, K, K_inverse, self.planes)
         self.planes[..., 3] *= reflectivity
 
-    def lay(self, sector: Sector, range_m, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> None:
-        """Give rays of a sector what they see.
+    def lay(self, sector: Sector, bodies, fresh: bool, beyond: bool, plane_echo, body_id) -> int:
+        """Give rays of a sector what they see; how many look at this image.
 
         Parameters
         ----------
-        range_m : what lies further ahead is let go
         bodies : (H, W) uint16, or of no size
         fresh : nothing was laid before; else those rays alone that are `UNSEEN`
         beyond : rays half a sample beside the image take its border: what they stand for begins there
         plane_echo, body_id : (R, C, 4) float32 and (R, C) uint16, written to
         """
         H = np.ascontiguousarray(self.camera.pixel_from_sonar @ sector.rotation().T)
-        rays = H, sector.u, sector.v, 1 / range_m
-        self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
+        rays = H, sector.u, sector.v
+        return sum(
+            self._by_rows(_lay, sector.rows, self.planes, bodies, *rays, fresh, beyond, plane_echo, body_id)
+        )
 
     def _by_rows(self, work, n: int, *arguments):
         """Have half of the rows done in the other thread."""
         bounds = (0, n // 2, n)
-        self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))
+        return self.pair.run(lambda half: work(bounds[half], bounds[half + 1], *arguments))
