@@ -7,7 +7,7 @@ Writes egl_host.png: what it draws, and a ping of the same meshes by a context t
 
 import argparse
 import os
-from ctypes import CFUNCTYPE, byref, c_int, c_void_p
+from ctypes import CFUNCTYPE, c_int, c_void_p, pointer
 
 os.environ["PYOPENGL_PLATFORM"] = "egl"
 
@@ -45,14 +45,14 @@ def make_context():
         EGL.eglGetProcAddress("eglGetPlatformDisplayEXT")
     )
     device, number = c_void_p(), EGL.EGLint()
-    query(1, byref(device), byref(number))
+    query(1, pointer(device), pointer(number))
     display, config = display_of(0x313F, device, None), EGL.EGLConfig()  # EGL_PLATFORM_DEVICE_EXT
     EGL.eglInitialize(display, None, None)
     EGL.eglBindAPI(EGL.EGL_OPENGL_API)
     wanted = (EGL.EGLint * 5)(
         EGL.EGL_SURFACE_TYPE, EGL.EGL_PBUFFER_BIT, EGL.EGL_RENDERABLE_TYPE, EGL.EGL_OPENGL_BIT, EGL.EGL_NONE
     )
-    EGL.eglChooseConfig(display, wanted, byref(config), 1, byref(number))
+    EGL.eglChooseConfig(display, wanted, pointer(config), 1, pointer(number))
     version = (EGL.EGLint * 5)(0x3098, 3, 0x30FB, 3, EGL.EGL_NONE)  # EGL_CONTEXT_MAJOR_ and MINOR_VERSION
     context = EGL.eglCreateContext(display, config, EGL.EGL_NO_CONTEXT, version)
     EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, context)
