@@ -7,6 +7,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # before OpenGL is imported, 
 
 import numpy as np
 from glcontext import egl
+from host_state import GL as Plain
 from OpenGL import GL
 
 import sonar_gl as sg
@@ -61,6 +62,11 @@ void main() {
     colour = vec4(vec3(0.2 + 0.8 * abs(face.z)) * mu, 0.6);
 }
 """
+
+
+def new_texture():
+    """Its name; PyOpenGL 3.1.0, which pyrender pins, makes none on Python 3.12 and newer."""
+    return Plain().name("Textures")
 
 
 def make_context():
@@ -139,7 +145,7 @@ class Program:
     def textures(self, view, projection, width, height):
         """Names of the textures z-buffer, normals, numbers and metres of a view, drawn anew."""
         if (width, height) not in self.framebuffers:
-            names = [int(name) for name in GL.glGenTextures(4)]
+            names = [new_texture() for _ in range(4)]
             framebuffer = GL.glGenFramebuffers(1)
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, framebuffer)
             for name, inside, layout, numbers, attachment in (

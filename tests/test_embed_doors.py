@@ -289,10 +289,9 @@ def test_what_is_no_such_texture():
     camera = sg.Camera.of_fov(64, 32, fov_x_rad=1.4)
     projection = camera.projection(0.1, 100)
     drawn = host.textures(np.linalg.inv(camera.pose_gl(POSE)), projection, 64, 32)
-    cube, layers = GL.glGenTextures(2)
+    cube, layers, empty = (gl_host.new_texture() for _ in range(3))
     GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, cube)
     GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, layers)
-    empty = GL.glGenTextures(1)
     GL.glBindTexture(GL.GL_TEXTURE_2D, empty)
     z_buffer = drawn["z-buffer"]
     with embed.Sensor(SONAR) as sensor:
