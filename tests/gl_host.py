@@ -5,9 +5,9 @@ import os
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # before OpenGL is imported, or it looks for a display
 
+import host_state
 import numpy as np
 from glcontext import egl
-from host_state import GL as Plain
 from OpenGL import GL
 
 import sonar_gl as sg
@@ -66,7 +66,7 @@ void main() {
 
 def new_texture():
     """Its name; PyOpenGL 3.1.0, which pyrender pins, makes none on Python 3.12 and newer."""
-    return Plain().name("Textures")
+    return host_state.GL().name("Textures")
 
 
 def make_context():
