@@ -26,6 +26,7 @@ from time import perf_counter
 
 import numpy as np
 from chart_scenes import make_scene, make_sonar, make_truth
+from PIL import Image
 
 import sonar_gl as sg
 from sonar_gl import embed
@@ -55,6 +56,7 @@ LOOKS = {
 }
 KINDS = "metres", "normals", "numbers"
 HOSTS = ("pyrender_host", "egl_host", "window_host", "mujoco_host", "panda3d_host")
+SHOWN = "pyrender_host", "mujoco_host"  # in the page
 REPEATS = 15
 
 
@@ -152,7 +154,7 @@ def measure(name: str, repeats: int) -> list[dict]:
 def table(rows) -> str:
     """As Markdown."""
     lines = [
-        "| way | samples, or pixels | ms | over standalone | echo in wrong bins |",
+        "| door | samples, or pixels | ms | over standalone | echo in wrong bins |",
         "|---|---|---|---|---|",
     ]
     for way in LOOKS:
@@ -168,7 +170,6 @@ def draw_chart(path: Path, charts: dict, about: str):
     """Time and error of all ways, one panel a scene."""
     from matplotlib import pyplot
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-    from PIL import Image
 
     figure, panels = pyplot.subplots(1, len(charts), figsize=(3.6 * len(charts) + 0.6, 5.0), sharey=True)
     panels = np.atleast_1d(panels)
@@ -236,8 +237,8 @@ print("ms", np.median(alone), *(f"{{way}}:{{np.median(ms)}}" for way, ms in sort
 """
 
 
-def measure_host(name: str) -> dict:
-    """Milliseconds of a ping in one of the examples, by its ways, and by itself."""
+def measure_host(name: str, pictures: Path | None) -> dict:
+    """Milliseconds of a ping in one of the examples, by its ways, and by itself; keeps its picture, if shown."""
     with tempfile.TemporaryDirectory() as folder:
         keywords = {"frames": 60} if name == "window_host" else {}
         program = HOST_PROGRAM.format(
@@ -252,8 +253,11 @@ def measure_host(name: str) -> dict:
         if name == "window_host" and "DISPLAY" not in os.environ:
             command = ["xvfb-run", "-a", *command]
         done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
-    if done.returncode:
-        raise SystemExit(f"{name} failed:\n{done.stdout}{done.stderr}")
+        if done.returncode:
+            raise SystemExit(f"{name} failed:\n{done.stdout}{done.stderr}")
+        if pictures and name in SHOWN:
+            picture = Image.open(Path(folder) / f"{name}.png").convert("RGB").quantize(160)
+            picture.save(pictures / f"embedding_{name}.png", optimize=True)
     alone, *ways = re.search("^ms (.+)$", done.stdout, re.MULTILINE)[1].split()
     return {"alone": float(alone)} | {way[0]: float(way[2:]) for way in ways}
 
@@ -297,7 +301,8 @@ def main():
         texts[name] = table(charts[name])
         print(f"{name}; {about}\n\n{texts[name]}\n", flush=True)
     if whole or options.hosts:
-        texts["hosts"] = host_table({name: measure_host(name) for name in HOSTS})
+        pictures = docs and docs / "pictures"
+        texts["hosts"] = host_table({name: measure_host(name, pictures) for name in HOSTS})
         print(f"hosts; {about}\n\n{texts['hosts']}\n")
     if docs:
         if charts:
