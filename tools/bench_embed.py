@@ -197,77 +197,27 @@ def draw_chart(path: Path, charts: dict, about: str):
     Image.open(held).convert("RGB").quantize(96).save(path, format="png", optimize=True)
 
 
-HOST_PROGRAM = """
-import sys, time
-sys.path[:0] = [{examples!r}, {tests!r}]
-import numpy as np
-import sonar_gl as sg
-from sonar_gl import embed
-
-taken = {{}}
-
-def timed(owner, name, what):
-    plain = getattr(owner, name)
-    def ping(self, *arguments, **keywords):
-        out = plain(self, *arguments, **keywords)
-        for _ in range({repeats}):
-            start = time.perf_counter()
-            plain(self, *arguments, **keywords)
-            taken.setdefault(what, []).append(1e3 * (time.perf_counter() - start))
-        return out
-    setattr(owner, name, ping)
-
-timed(embed.Sensor, "ping_from_depth", "4")
-timed(embed.Sensor, "ping_from_textures", "3")
-example = __import__({name!r})
-plain = sg.Simulator.ping
-timed(sg.Simulator, "ping", "1")
-found = example.main({folder!r}, **{keywords!r})
-sg.Simulator.ping = plain
-sampling = sg.Sampling(**found["ping"].meta["sampling"])
-with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
-    keywords = dict(bodies=found.get("bodies"), labels=True)
-    simulator.ping(found["pose"], **keywords)
-    alone = []
-    for _ in range(20 * {repeats}):
-        start = time.perf_counter()
-        simulator.ping(found["pose"], **keywords)
-        alone.append(1e3 * (time.perf_counter() - start))
-print("ms", np.median(alone), *(f"{{way}}:{{np.median(ms)}}" for way, ms in sorted(taken.items())))
-"""
-
-
-def measure_host(name: str, pictures: Path | None) -> dict:
-    """Milliseconds of a ping in one of the examples, by its ways, and by itself; keeps its picture, if shown."""
+def measure_host(name: str, pictures: Path | None) -> list[list[str]]:
+    """(door, ms, standalone ms, ratio) of the doors of an example; keeps its picture, if that is shown."""
     with tempfile.TemporaryDirectory() as folder:
-        keywords = {"frames": 60} if name == "window_host" else {}
-        program = HOST_PROGRAM.format(
-            examples=str(ROOT / "examples"),
-            tests=str(ROOT / "tests"),
-            name=name,
-            folder=folder,
-            keywords=keywords,
-            repeats=5,
-        )
-        command = [sys.executable, "-c", program]
+        command = [sys.executable, str(ROOT / "tools" / "bench_host.py"), name, folder]
         if name == "window_host" and "DISPLAY" not in os.environ:
             command = ["xvfb-run", "-a", *command]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(f"{name} failed:\n{done.stdout}{done.stderr}")
         if pictures and name in SHOWN:
             picture = Image.open(Path(folder) / f"{name}.png").convert("RGB").quantize(160)
             picture.save(pictures / f"embedding_{name}.png", optimize=True)
-    alone, *ways = re.search("^ms (.+)$", done.stdout, re.MULTILINE)[1].split()
-    return {"alone": float(alone)} | {way[0]: float(way[2:]) for way in ways}
+    return [line.split() for line in re.findall("^door (.+)$", done.stdout, re.MULTILINE)]
 
 
 def host_table(found: dict) -> str:
     """As Markdown; found : of `measure_host` by name."""
     lines = ["| example | door | ms | over standalone |", "|---|---|---|---|"]
-    for name, ms in found.items():
-        for way in sorted(set(ms) - {"alone"}):
-            lines.append(f"| `{name}.py` | {way} | {ms[way]:.1f} | {ms[way] / ms['alone']:.2f} |")
+    for name, doors in found.items():
+        for door, ms, _, ratio in doors:
+            lines.append(f"| `{name}.py` | {door} | {float(ms):.1f} | {float(ratio):.2f} |")
     return "\n".join(lines)
 
 
