@@ -13,8 +13,11 @@ from closed_forms import box_beams, cylinder_echo, plane_echo
 import sonar_gl as sg
 from sonar_gl import cameras as heard
 from sonar_gl import embed
+from sonar_gl.fan import make_fan
 from sonar_gl.motion import in_motion
 from sonar_gl.noise import add_noise
+from sonar_gl.pair import Pair
+from sonar_gl.resample import UNSEEN, Planes
 
 IDEAL = sg.Acoustics.ideal()
 AHEAD = sg.Camera.of_fov(2, 2, fov_x_rad=1.0).rotation
@@ -382,6 +385,30 @@ def test_faces_seen_edge_on_and_normals_that_are_none_stay_finite():
     rng = np.random.default_rng(1)  # and whatever is not a surface at all
     noise = np.exp(rng.normal(1, 3, depth.shape))
     assert np.isfinite(sg.ping_from_depth(noise, sonar, camera, IDEAL).intensity).all()
+
+
+def test_samples_are_finite_and_nothing_is_zero():
+    """What is handed to the sums: of planes through the sonar, and of rays past a floor's horizon."""
+    sonar = sonar_of()
+    (sector,) = make_fan(sonar, sg.Sampling(4, 200), 0.004).sectors
+    camera, pair = camera_of(sonar, 64), Pair()
+    planes, none = Planes(camera, pair), np.empty((0, 0), np.uint16)
+    shape = sector.rows, sector.columns
+    _, depth, normals, _ = Cast(plane([0, 0, -1], 0.1)).images(camera)
+    across = np.cross(rays_of(camera) @ camera.rotation, [0.0, 1.0, 0.0])  # edge-on but for rounding
+    depth_up = np.full(depth.shape, 5.0)
+    for image, given in ((depth, normals), (depth_up, across)):
+        plane_echo, body_id = np.zeros((*shape, 4), np.float32), np.zeros(shape, np.uint16)
+        planes.find(image.astype(np.float32), True, given.astype(np.float32), 0.5)
+        planes.lay(sector, none, True, True, plane_echo, body_id)
+        assert np.isfinite(plane_echo).all()
+        unseen, met = plane_echo[..., 0] == UNSEEN, plane_echo[..., 0] > 0
+        assert met.any() and not plane_echo[~met & ~unseen].any()
+    pair.close()
+    middle = sg.Camera(3, 3, np.diag([1.0, 1, 1]))  # its first pixel looks straight ahead: a plane through it
+    planes = Planes(middle, Pair())
+    planes.find(np.ones((3, 3), np.float32), True, np.full((3, 3, 3), [1, 0, 0], np.float32), 0.5)
+    assert np.isfinite(planes.planes).all() and planes.planes[0, 0, 3] == 0
 
 
 def test_what_holds_the_numbers_does_not_matter():
