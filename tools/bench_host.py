@@ -3,9 +3,9 @@
 
     python tools/bench_host.py pyrender_host FOLDER     # where its pictures go
 
-Prints a line for each door: its number, and the medians of its milliseconds, of those of a standalone Simulator
-of the same scene, samples and arguments, and of the ratio of the two. They are timed in turns, while the host
-runs; the standalone one has a thread of its own, for a context of GLX lets no other be current beside it.
+Prints a line for each door: its number, and the medians of its milliseconds, of those of a standalone
+Simulator of the same scene, samples and arguments, and of the ratio of the two, timed in turns while the host
+runs. The standalone one has a thread of its own, for a context of GLX lets no other be current beside it.
 """
 
 from __future__ import annotations
