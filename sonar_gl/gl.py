@@ -165,6 +165,9 @@ def _create(index: int | None) -> moderngl.Context:
         made = glcontext.get_backend_by_name("egl")(**how)
     else:  # beneath the layer where variables would win over an index
         made = glcontext.egl.create_context(device_index=index, **how)
+    if egl.current() is None:
+        made.release()
+        raise Error(egl.REFUSED)
     display, surface, _, handle = egl.current()
     loader = egl.Private(display, surface, handle, made.release)
     context = moderngl.create_context(context=loader, require=REQUIRED_GL)
@@ -189,6 +192,8 @@ def create_context(device: int | None = None) -> moderngl.Context:
     index, said = chosen_device(device)
     try:
         context = _create(index)
+    except Error:
+        raise
     except Exception as why:  # moderngl and glcontext raise plain Exception
         text = " ".join(str(why).split())
         if said and "requested device index" in text:
