@@ -38,7 +38,7 @@ def discard(context: moderngl.Context) -> None:
 
 
 def release(context: moderngl.Context) -> None:
-    """Give a context back with all that is in it and that nobody holds; later, where it is out of reach now."""
+    """Give a context back with all that is in it and that nobody holds; later, if it is out of reach."""
     try:
         with context:
             context.fbo = None  # the last one drawn into, that else would be held
@@ -51,11 +51,10 @@ def release(context: moderngl.Context) -> None:
 
 
 def release_discarded() -> None:
-    """Release what was discarded, as far as it is in reach; not to be called inside a `with context` block."""
+    """Release what was discarded and is in reach; not to be called inside a `with context` block."""
     with _releasing:
         for _ in range(len(_discarded)):
-            context = _discarded.popleft()
-            (release if context.extra.is_reachable() else discard)(context)
+            release(_discarded.popleft())
 
 
 class Device(NamedTuple):

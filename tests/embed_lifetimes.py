@@ -22,6 +22,7 @@ from host_state import objects
 from hosts import HOSTS, EglHost
 
 import sonar_gl as sg
+import sonar_gl.gpu
 
 POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
 SMALL = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 1.0, 0.5, 20.0)
@@ -208,6 +209,50 @@ def exceptions(kind):
     host.destroy()
 
 
+def failing_to_be_made(kind):
+    """What a world had made until then is given back at the next use."""
+    host = HOSTS[kind]()
+    before, current = objects(host.gl), host.platform()
+
+    def fail(*_):
+        raise sg.Error("none of these")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sonar_gl.gpu.SceneOnGpu, "add", fail)
+        with pytest.raises(sg.Error, match="none of these"):
+            soak.make_simulator("current")
+    assert host.platform() == current
+    assert objects(host.gl) != before
+    gc.collect()
+    soak.make_simulator("current").close()
+    assert objects(host.gl) == before
+    host.destroy()
+
+
+def address_taken(kind):
+    """A later context at the address of one that is gone is neither drawn in nor destroyed."""
+    host, later = HOSTS[kind](), HOSTS[kind]()
+    host.make_current()
+    simulator = soak.make_simulator("current")
+    later.make_current()
+    other = soak.make_simulator("current")
+    wanted = other.ping(POSE).intensity
+    loader, its = (one._world.context.extra for one in (simulator, other))
+    if kind == "egl":
+        loader._ours = its._ours
+    else:
+        loader._host.handle = its._host.handle
+    before = objects(later.gl), later.platform()
+    with pytest.raises(sg.Error, match="must still be there"):
+        simulator.ping(POSE)
+    simulator.close()
+    assert (objects(later.gl), later.platform()) == before
+    np.testing.assert_array_equal(other.ping(POSE).intensity, wanted)
+    other.close()
+    later.destroy()
+    host.destroy()
+
+
 def display_closed(kind):
     """As pyrender's delete() does: an Error that says so, and closing is silent, whoever has its place."""
     if kind == "glx":
@@ -285,6 +330,8 @@ CASES = [
     not_current_as_it_is_closed,
     forgotten,
     exceptions,
+    failing_to_be_made,
+    address_taken,
     display_closed,
     alone_beside_a_host,
     many_pings,
