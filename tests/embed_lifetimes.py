@@ -239,7 +239,7 @@ def address_taken(kind):
     wanted = other.ping(POSE).intensity
     loader, its = (one._world.context.extra for one in (simulator, other))
     if kind == "egl":
-        loader._ours = its._ours
+        loader._ours, loader._destroy = its._ours, its._destroy
     else:
         loader._host.handle = its._host.handle
     before = objects(later.gl), later.platform()

@@ -17,8 +17,18 @@ import numpy as np
 import pytest
 import soak
 import trimesh
-from host_state import ERRORS, changes, make_hostile, objects, snapshot
-from hosts import HOSTS, SIZE, Scene, enum, make_buffer, make_program, make_texture
+from host_state import (
+    ERRORS,
+    changes,
+    enum,
+    make_buffer,
+    make_hostile,
+    make_program,
+    make_texture,
+    objects,
+    snapshot,
+)
+from hosts import HOSTS, SIZE, Scene
 
 import sonar_gl as sg
 from sonar_gl import foreign, gl, world
