@@ -118,10 +118,12 @@ def make_guest(host: Host) -> egl.Private:
     handle = library.eglCreateContext(display, config.value, host.handle, ctypes.addressof(attributes))
     error = library.eglGetError()
     library.eglBindAPI(api)
+    refusal = "the host's OpenGL context must let another join it (got EGL error 0x{:04x})"
     if not handle:
-        raise Error(f"the host's OpenGL context must let another join it (got EGL error 0x{error:04x})")
+        raise Error(refusal.format(error))
     with egl.kept():
-        library.eglMakeCurrent(display, None, None, handle)
+        if not library.eglMakeCurrent(display, None, None, handle):
+            raise Error(refusal.format(library.eglGetError()))
         return egl.Private(display, None, handle, lambda: library.eglDestroyContext(display, handle))
 
 
