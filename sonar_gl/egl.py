@@ -17,8 +17,8 @@ BAD_ACCESS, BAD_CONTEXT = 0x3002, 0x3006  # the former most often because a cont
 # Of each context of ours another number: nobody else has such, and we do not draw with it.
 POLYGON_OFFSET_UNITS, MARKS = 0x2A00, count(8_000_001)
 GONE = (
-    "the OpenGL context of this sonar must still be there (got EGL error 0x{error:04x}: its display was closed, "
-    "as pyrender's delete() does); make the host's anew if it has one, and then the sonar"
+    "the OpenGL context of this sonar must still be there (got EGL error 0x{error:04x}: its display was "
+    "closed, as pyrender's delete() does); make the host's anew if it has one, and then the sonar"
 )
 REFUSED = (
     "no OpenGL context of GLX may be current where a sonar has one of EGL (got one in this thread); have the "
@@ -111,10 +111,6 @@ class Private:
 
     def __exit__(self, *_):
         self._egl.eglMakeCurrent(*self._before.pop())
-
-    def is_reachable(self) -> bool:
-        """Yes: from everywhere."""
-        return True
 
     def release(self):
         """Give the context back, if it is there."""

@@ -81,14 +81,10 @@ class Host:
             )
         self.guard, self.renderer = Guard(self.gl), self.gl.text(RENDERER)
 
-    def is_current(self) -> bool:
-        """Whether it is current in this thread."""
-        return self._current() == self.handle
-
     def check(self) -> None:
         """An Error in another thread, or where it is not current."""
         check_thread(self.thread)
-        if not self.is_current():
+        if self._current() != self.handle:
             raise Error(
                 "the host's OpenGL context must be current when its sonar is used (got "
                 f"{'another one' if self._current() else 'none'}); make it current first"
@@ -122,10 +118,12 @@ def make_guest(host: Host) -> egl.Private:
     handle = library.eglCreateContext(display, config.value, host.handle, ctypes.addressof(attributes))
     error = library.eglGetError()
     library.eglBindAPI(api)
+    refusal = "the host's OpenGL context must let another join it (got EGL error 0x{:04x})"
     if not handle:
-        raise Error(f"the host's OpenGL context must let another join it (got EGL error 0x{error:04x})")
+        raise Error(refusal.format(error))
     with egl.kept():
-        library.eglMakeCurrent(display, None, None, handle)
+        if not library.eglMakeCurrent(display, None, None, handle):
+            raise Error(refusal.format(library.eglGetError()))
         return egl.Private(display, None, handle, lambda: library.eglDestroyContext(display, handle))
 
 
@@ -156,10 +154,6 @@ class Tenant:
 
     def __exit__(self, *_):
         self._host.guard.__exit__()
-
-    def is_reachable(self) -> bool:
-        """Whether it is current, in its thread."""
-        return threading.current_thread() is self._host.thread and self._host.is_current()
 
     def release(self):
         """Give back what marks it; the context is the host's."""

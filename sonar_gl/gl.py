@@ -38,7 +38,7 @@ def discard(context: moderngl.Context) -> None:
 
 
 def release(context: moderngl.Context) -> None:
-    """Give a context back with all that is in it and that nobody holds; later, where it is out of reach now."""
+    """Give a context back with all that is in it and that nobody holds; later, if it is out of reach."""
     try:
         with context:
             context.fbo = None  # the last one drawn into, that else would be held
@@ -51,11 +51,10 @@ def release(context: moderngl.Context) -> None:
 
 
 def release_discarded() -> None:
-    """Release what was discarded, as far as it is in reach; not to be called inside a `with context` block."""
+    """Release what was discarded and is in reach; not to be called inside a `with context` block."""
     with _releasing:
         for _ in range(len(_discarded)):
-            context = _discarded.popleft()
-            (release if context.extra.is_reachable() else discard)(context)
+            release(_discarded.popleft())
 
 
 class Device(NamedTuple):
@@ -165,6 +164,9 @@ def _create(index: int | None) -> moderngl.Context:
         made = glcontext.get_backend_by_name("egl")(**how)
     else:  # beneath the layer where variables would win over an index
         made = glcontext.egl.create_context(device_index=index, **how)
+    if egl.current() is None:
+        made.release()
+        raise Error(egl.REFUSED)
     display, surface, _, handle = egl.current()
     loader = egl.Private(display, surface, handle, made.release)
     context = moderngl.create_context(context=loader, require=REQUIRED_GL)
@@ -189,6 +191,8 @@ def create_context(device: int | None = None) -> moderngl.Context:
     index, said = chosen_device(device)
     try:
         context = _create(index)
+    except Error:
+        raise
     except Exception as why:  # moderngl and glcontext raise plain Exception
         text = " ".join(str(why).split())
         if said and "requested device index" in text:

@@ -6,8 +6,8 @@ import ctypes
 
 from sonar_gl.functions import Functions
 
-# What has one value: the version that brought it, how it is asked for, what sets it, the first argument of that,
-# the default that we draw with, None where it does not bear on that.
+# What has one value: the version that brought it, how it is asked for, what sets it, the first argument of
+# that, the default that we draw with, None where it does not bear on that.
 VALUES = [
     (330, 0x88ED, "glBindBuffer", (0x88EB,), 0),  # PIXEL_PACK_BUFFER
     (330, 0x88EF, "glBindBuffer", (0x88EC,), 0),  # PIXEL_UNPACK_BUFFER
@@ -150,7 +150,7 @@ class Guard:
         return out
 
     def _read_old(self):
-        """How front and back are filled, which may differ in old profiles only, and how pixels change there."""
+        """How front and back are filled, which differ in old profiles only, and how pixels change there."""
         self.gl.glGetIntegerv(POLYGON_MODE, self._at)
         modes, transfers = self._ints[0:2], []
         for what in TRANSFERS if self._is_old else ():

@@ -18,8 +18,18 @@ import numpy as np
 import pytest
 import soak
 import trimesh
-from host_state import ERRORS, changes, make_hostile, objects, snapshot
-from hosts import HOSTS, SIZE, Scene, enum, make_buffer, make_program
+from host_state import (
+    ERRORS,
+    changes,
+    enum,
+    make_buffer,
+    make_hostile,
+    make_program,
+    make_texture,
+    objects,
+    snapshot,
+)
+from hosts import HOSTS, SIZE, Scene
 
 import sonar_gl as sg
 from sonar_gl import foreign, gl, world
@@ -120,9 +130,6 @@ class Naive:
     def __init__(self, host):
         self.load_opengl_function = host.address_of
 
-    def is_reachable(self):
-        return False
-
     def __enter__(self):
         return self
 
@@ -173,6 +180,7 @@ def plain_draw(gl) -> np.ndarray:
     program = make_program(gl)
     gl.UseProgram(program)
     gl.Uniform4f(gl.GetUniformLocation(program, b"colour"), 2.5, -1.0, 0.25, 0.1)
+    texture = make_texture(gl, "TEXTURE_2D")  # that is no more bound when it is deleted
     gl.Viewport(0, 0, SIZE, SIZE)
     gl.Enable(enum("DEPTH_TEST"))
     gl.Enable(enum("BLEND"))
@@ -187,6 +195,7 @@ def plain_draw(gl) -> np.ndarray:
         ("Renderbuffers", colour),
         ("Renderbuffers", depth),
         ("Buffers", buffer),
+        ("Textures", texture),
     ):
         getattr(gl, f"Delete{kind}")(1, np.array([one], np.uint32))
     gl.DeleteProgram(program)

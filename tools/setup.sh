@@ -106,9 +106,16 @@ check_opengl() {
     stop "${why:-OpenGL does not start through EGL, and does not say why}"
 }
 
+# the tests of hosts with a window are left out without it
+find_display() {
+    command -v Xvfb >/dev/null || apt_install xvfb ||
+        say "Tests that need a display are left out: 'apt-get install xvfb' as root brings them in."
+}
+
 # [extra]: the shell stands in the repository root; .venv/bin holds the commands
 prepare() {
     make_venv
     install_project "$@"
     check_opengl
+    [ "${1:-}" != test ] || find_display
 }

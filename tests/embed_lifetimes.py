@@ -1,0 +1,395 @@
+"""A sonar beside a host, and either of them going first: each of CASES is tried with a host of EGL or GLX.
+
+    embed_lifetimes.py egl | glx [case ...]
+
+tries all or some, and prints one JSON object: what failed of each, or nothing. For GLX that must be a process
+of its own: a context of EGL cannot be current beside one of GLX.
+"""
+
+import gc
+import itertools
+import json
+import os
+import sys
+import threading
+import traceback
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import soak
+from host_state import objects
+from hosts import HOSTS, EglHost
+
+import sonar_gl as sg
+import sonar_gl.gpu
+
+POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
+SMALL = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 1.0, 0.5, 20.0)
+PINGS = {"egl": 10_000, "glx": 1_000}
+
+
+def in_another_thread(function):
+    """What it raises there."""
+    caught = []
+
+    def work():
+        try:
+            function()
+        except sg.Error as why:
+            caught.append(str(why))
+
+    thread = threading.Thread(target=work, name="other")
+    thread.start()
+    thread.join()
+    return caught
+
+
+def another_thread(kind):
+    """Neither pings nor is closed there; stays as it was here."""
+    host = HOSTS[kind]()
+    with soak.make_simulator("current") as simulator:
+        before = simulator.ping(POSE).intensity
+        for function in (
+            lambda: simulator.ping(POSE),
+            simulator.close,
+            lambda: sg.Simulator(simulator, SMALL),
+        ):
+            (why,) = in_another_thread(function)
+            assert why == (
+                "what joined a host's OpenGL context must be used in the thread where that was current (got "
+                "'other', made in 'MainThread'); hand pings to other threads, not the sonar"
+            )
+        (why,) = in_another_thread(lambda: soak.make_simulator("current"))
+        assert why.startswith(
+            "an OpenGL context must be current in this thread, to be joined (got none in 'other'"
+        )
+        np.testing.assert_array_equal(simulator.ping(POSE).intensity, before)
+    host.destroy()
+
+
+def nothing_current(kind):
+    """None to be joined; what has joined one of GLX needs it."""
+    host = HOSTS[kind]()
+    simulator = soak.make_simulator("current")
+    before = simulator.ping(POSE).intensity
+    host.make_none_current()
+    with pytest.raises(sg.Error, match=r"must be current in this thread, to be joined \(got none in 'Main"):
+        soak.make_simulator("current")
+    if kind == "glx":
+        with pytest.raises(
+            sg.Error, match=r"must be current when its sonar is used \(got none\); make it cur"
+        ):
+            simulator.ping(POSE)
+        other = HOSTS[kind]()
+        with pytest.raises(sg.Error, match=r"must be current when its sonar is used \(got another one\)"):
+            simulator.ping(POSE)
+        other.destroy()
+    else:  # has a context of its own
+        np.testing.assert_array_equal(simulator.ping(POSE).intensity, before)
+        assert host.platform()[0] is None
+    host.make_current()
+    np.testing.assert_array_equal(simulator.ping(POSE).intensity, before)
+    simulator.close()
+    host.destroy()
+
+
+def no_desktop_opengl(kind):
+    """A host of OpenGL ES."""
+    if kind == "glx":
+        return
+    host = EglHost(None)
+    current = host.platform()
+    with pytest.raises(
+        sg.Error, match=r"must be of OpenGL 3.3 or newer \(got OpenGL ES\); ask the host for one"
+    ):
+        soak.make_simulator("current")
+    assert host.platform() == current
+    host.destroy()
+
+
+def closing_in_any_order(kind):
+    """Two that joined, and a second sonar of the first: all orders leave the host as it was."""
+    host = HOSTS[kind]()
+    before = objects(host.gl)
+    for order in itertools.permutations(range(3)):
+        first, alone = soak.make_simulator("current"), soak.make_simulator("current")
+        several = first, sg.Simulator(first, replace(SMALL, n_beams=32)), alone
+        pings = [one.ping(POSE).intensity for one in several]
+        for k, number in enumerate(order):
+            several[number].close()
+            several[number].close()
+            with pytest.raises(sg.Error, match="this Simulator is closed; make a new one"):
+                several[number].ping(POSE)
+            for still in order[k + 1 :]:
+                np.testing.assert_array_equal(several[still].ping(POSE).intensity, pings[still])
+        assert objects(host.gl) == before
+    host.destroy()
+
+
+def host_first(kind):
+    """Closing after the host is gone raises nothing, and harms no later one."""
+    host, left = HOSTS[kind](), HOSTS[kind]()
+    host.make_current()
+    simulators = [soak.make_simulator("current") for _ in range(2)]
+    simulators.append(sg.Simulator(simulators[0], SMALL))
+    host.destroy()
+    for simulator in simulators:
+        simulator.close()
+    left.make_current()
+    before = objects(left.gl)
+    with soak.make_simulator("current") as simulator:
+        simulator.ping(POSE)
+    assert objects(left.gl) == before
+    assert left.platform()[0]
+    left.destroy()
+
+
+def not_current_as_it_is_closed(kind):
+    """What could not be given back then is at the next use."""
+    host, other = HOSTS[kind](), HOSTS[kind]()
+    host.make_current()
+    before = objects(host.gl)
+    simulator = soak.make_simulator("current")
+    other.make_current()
+    simulator.close()
+    with soak.make_simulator("current"):  # beside the other: nothing of the first is touched there
+        pass
+    host.make_current()
+    with soak.make_simulator("current"):
+        pass
+    assert objects(host.gl) == before
+    other.destroy()
+    host.destroy()
+
+
+def forgotten(kind):
+    """Never closed: given back at the next use."""
+    host = HOSTS[kind]()
+    before = objects(host.gl)
+    kept = soak.make_simulator("current")
+    for _ in range(2):  # the second lets go of what the first has replaced
+        kept.ping(POSE)
+    alive = objects(host.gl)
+    for _ in range(3):
+        simulator = soak.make_simulator("current")
+        simulator.ping(POSE)
+        assert objects(host.gl) != alive
+        del simulator
+        gc.collect()
+        kept.ping(POSE)
+        assert objects(host.gl) == alive
+    kept.close()
+    assert objects(host.gl) == before
+    host.destroy()
+
+
+def exceptions(kind):
+    """Leave nothing behind, and what raised them works on."""
+    host = HOSTS[kind]()
+    before, current = objects(host.gl), host.platform()
+    with pytest.raises(sg.Error, match="samples must fit the driver's limit"):
+        sg.Simulator(
+            sg.Scene(soak.make_bodies()), soak.SONAR, sampling=sg.Sampling(1024, 40), context="current"
+        )
+    assert host.platform() == current
+    gc.collect()
+    with soak.make_simulator("current") as simulator:
+        simulator.ping(POSE)  # lets go of what making it has replaced
+        good = simulator.ping(POSE).intensity
+        alive = objects(host.gl)
+        for wrong in ({"bodies": {"nobody": None}}, {"time_s": float("nan")}):
+            with pytest.raises(sg.Error):
+                simulator.ping(POSE, **wrong)
+        assert host.platform() == current
+        np.testing.assert_array_equal(simulator.ping(POSE).intensity, good)
+        assert objects(host.gl) == alive
+    assert objects(host.gl) == before
+    assert host.gl.errors() == []
+    host.destroy()
+
+
+def failing_to_be_made(kind):
+    """What a world had made until then is given back at the next use."""
+    host = HOSTS[kind]()
+    before, current = objects(host.gl), host.platform()
+
+    def fail(*_):
+        raise sg.Error("none of these")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sonar_gl.gpu.SceneOnGpu, "add", fail)
+        with pytest.raises(sg.Error, match="none of these"):
+            soak.make_simulator("current")
+    assert host.platform() == current
+    assert objects(host.gl) != before
+    gc.collect()
+    soak.make_simulator("current").close()
+    assert objects(host.gl) == before
+    host.destroy()
+
+
+def address_taken(kind):
+    """A later context at the address of one that is gone is neither drawn in nor destroyed."""
+    host, later = HOSTS[kind](), HOSTS[kind]()
+    host.make_current()
+    simulator = soak.make_simulator("current")
+    later.make_current()
+    other = soak.make_simulator("current")
+    wanted = other.ping(POSE).intensity
+    loader, its = (one._world.context.extra for one in (simulator, other))
+    if kind == "egl":
+        loader._ours, loader._destroy = its._ours, its._destroy
+    else:
+        loader._host.handle = its._host.handle
+    before = objects(later.gl), later.platform()
+    with pytest.raises(sg.Error, match="must still be there"):
+        simulator.ping(POSE)
+    simulator.close()
+    assert (objects(later.gl), later.platform()) == before
+    np.testing.assert_array_equal(other.ping(POSE).intensity, wanted)
+    other.close()
+    later.destroy()
+    host.destroy()
+
+
+def display_closed(kind):
+    """As pyrender's delete() does: an Error that says so, and closing is silent, whoever has its place."""
+    if kind == "glx":
+        return
+    host = EglHost()
+    simulators = soak.make_simulator("current"), soak.make_simulator("current")
+    taken = {one._world.context.extra._ours[3] for one in simulators}
+    host.terminate()
+    for simulator in simulators:
+        with pytest.raises(
+            sg.Error, match=r"must still be there \(got EGL error 0x30.*pyrender's delete\(\)"
+        ):
+            simulator.ping(POSE)
+    later = [EglHost() for _ in range(20)]  # some may have the address of what is gone
+    met = [one for one in later if one.context.value in taken]
+    for one in met or later[:1]:
+        one.make_current()
+        before = one.platform(), objects(one.gl)
+        with pytest.raises(sg.Error, match="must still be there"):
+            simulators[0].ping(POSE)
+        assert (one.platform(), objects(one.gl)) == before
+    for simulator in simulators:
+        simulator.close()
+    for one in later:
+        one.make_current()  # all are there
+        one.destroy()
+
+
+def alone_beside_a_host(kind):
+    """A Simulator of its own context: the host's stays current by EGL; by GLX it cannot be, and says so."""
+    alone = soak.make_simulator()
+    wanted = alone.ping(POSE).intensity
+    host = HOSTS[kind]()
+    current, before = host.platform(), objects(host.gl)
+    if kind == "egl":
+        np.testing.assert_array_equal(alone.ping(POSE).intensity, wanted)
+        with soak.make_simulator() as simulator:
+            assert host.platform() == current
+            np.testing.assert_array_equal(simulator.ping(POSE).intensity, wanted)
+    else:
+        for function in (soak.make_simulator, lambda: alone.ping(POSE)):
+            with pytest.raises(sg.Error, match=r"no OpenGL context of GLX may be current.*context='current'"):
+                function()
+    assert (host.platform(), objects(host.gl)) == (current, before)
+    alone.close()
+    assert (host.platform(), objects(host.gl)) == (current, before)
+    host.destroy()
+
+
+def many_pings(kind):
+    """Neither memory nor objects grow."""
+    host = HOSTS[kind]()
+    before, current = objects(host.gl), host.platform()
+    scene = sg.Scene(soak.make_bodies()[1:])
+    with sg.Simulator(scene, SMALL, sampling=sg.Sampling(1, 8), context="current") as simulator:
+        rounds = 10
+        for k in range(PINGS[kind]):
+            simulator.ping(POSE, labels=k % 10 == 0)
+            if k == PINGS[kind] // rounds:  # caches are full
+                alive, resident = objects(host.gl), soak.resident_bytes()
+        assert objects(host.gl) == alive
+        # a leak of 1 kB a ping would be 9 MB of 9000 pings; allocators keep a MB or two in hand
+        assert soak.resident_bytes() - resident < 4e6
+        assert host.platform() == current
+    assert objects(host.gl) == before
+    host.destroy()
+
+
+CASES = [
+    another_thread,
+    nothing_current,
+    no_desktop_opengl,
+    closing_in_any_order,
+    host_first,
+    not_current_as_it_is_closed,
+    forgotten,
+    exceptions,
+    failing_to_be_made,
+    address_taken,
+    display_closed,
+    alone_beside_a_host,
+    many_pings,
+]
+
+
+def too_old(kind):
+    """OpenGL 3.2, which Mesa makes where it is told to by MESA_GL_VERSION_OVERRIDE."""
+    host = HOSTS[kind]((3, 2))
+    assert host.gl.version == 320
+    with pytest.raises(sg.Error, match=r"must be of OpenGL 3.3 or newer \(got 3.2\); ask the host for one"):
+        soak.make_simulator("current")
+    assert host.gl.errors() == []
+    host.destroy()
+
+
+def closed_by_pyrender(kind):
+    """Its renderer is joined, and closes the display that a sonar of its own has, too."""
+    os.environ["PYGLET_HEADLESS"] = "1"
+    import pyrender
+
+    alone = soak.make_simulator()
+    scene = pyrender.Scene()
+    scene.add(pyrender.PerspectiveCamera(1.0))
+    renderer = pyrender.OffscreenRenderer(32, 32)
+    renderer.render(scene)  # leaves its context current
+    joined = soak.make_simulator("current")
+    np.testing.assert_array_equal(joined.ping(POSE).intensity, alone.ping(POSE).intensity)
+    renderer.render(scene)
+    renderer.delete()
+    gone = pytest.raises(sg.Error, match=r"must still be there .*pyrender's delete\(\)")
+    for simulator in (joined, alone):
+        with gone:
+            simulator.ping(POSE)
+    renderer = pyrender.OffscreenRenderer(32, 32)
+    renderer.render(scene)
+    for simulator in (joined, alone):  # a later one does not bring them back
+        with gone:
+            simulator.ping(POSE)
+    joined.close()
+    alone.close()
+    with soak.make_simulator("current") as simulator:
+        assert simulator.ping(POSE).intensity.any()
+    renderer.render(scene)
+    renderer.delete()
+
+
+def main(kind: str, *names: str):
+    """Try all or some, and print what failed."""
+    failed = {}
+    for case in [globals()[name] for name in names] or CASES:
+        try:
+            case(kind)
+        except BaseException:
+            failed[case.__name__] = traceback.format_exc()
+    print(json.dumps(failed), flush=True)
+    os._exit(0)  # drivers' own ends are not what is tried
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
