@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.footprint import FAR_FACTOR
-from sonar_gl.foreign import Host
+from sonar_gl.foreign import Tenant
 from sonar_gl.hearing import Hearing
 from sonar_gl.lattice import Sector
 from sonar_gl.types import Error
 
 FRAMEBUFFER, RENDERBUFFER, COMPLETE, DEPTH_TEST = 0x8D40, 0x8D41, 0x8CD5, 0x0B71
 COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
-RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT = 0x1908, 0x8D94, 0x1406, 0x1403
+RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT, PACK_ALIGNMENT = 0x1908, 0x8D94, 0x1406, 0x1403, 0x0D05
 RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
 NEAR_M = 1e-3  # nearer than this the sonar looks through things
 # x of a sector's frame is what lies behind the view's z axis, y is to its left, z is up
@@ -36,8 +36,8 @@ class DrawnSector:
     Matrices multiply columns, as on paper: OpenGL is given them transposed.
     """
 
-    def __init__(self, host: Host, sector: Sector, near_m: float, far_m: float):
-        self._host, self.sector = host, sector
+    def __init__(self, tenant: Tenant, sector: Sector, near_m: float, far_m: float):
+        self._tenant, self.sector = tenant, sector
         self.width, self.height = sector.columns, sector.rows
         turned = np.eye(4)
         turned[:3, :3] = sector.rotation()
@@ -53,10 +53,9 @@ class DrawnSector:
         return self
 
     def __enter__(self):
-        self._host.check()
-        self._host.guard.__enter__()
+        self._tenant.__enter__()
         try:
-            gl = self._host.gl
+            gl = self._tenant.gl
             if self._framebuffer is None:
                 self._make(gl)
             gl.glBindFramebuffer(FRAMEBUFFER, self._framebuffer)
@@ -67,18 +66,19 @@ class DrawnSector:
             gl.glViewport(0, 0, self.width, self.height)
             gl.glEnable(DEPTH_TEST)
         except BaseException:
-            self._host.guard.__exit__()
+            self._tenant.__exit__()
             raise
         return self
 
     def __exit__(self, failed, *_):
         try:
+            if self._tenant.is_in_reach():
+                self._tenant.guard.keep_errors()
             if failed is None:
-                self._host.check()
-                self.views = self._read(self._host.gl)
+                self._tenant.check()
+                self.views = self._read(self._tenant.gl)
         finally:
-            if self._host.is_current():
-                self._host.guard.__exit__()
+            self._tenant.__exit__()
 
     def _make(self, gl):
         framebuffer, names = np.zeros(1, np.uint32), np.zeros(3, np.uint32)
@@ -103,14 +103,14 @@ class DrawnSector:
         """(R, C, 4) float32 and (R, C) uint16 of what the host drew, whatever it has bound by now."""
         plane_echo = np.empty((self.height, self.width, 4), np.float32)
         body_id = np.empty((self.height, self.width), np.uint16)
-        with self._host.guard:  # what the host has changed since, pixel stores among it
-            gl.glBindFramebuffer(FRAMEBUFFER, self._framebuffer)
-            size = 0, 0, self.width, self.height
-            gl.glPixelStorei(0x0D05, 1)
-            gl.glReadBuffer(COLOR_0)
-            gl.glReadPixels(*size, RGBA, FLOAT, plane_echo.ctypes.data)
-            gl.glReadBuffer(COLOR_1)
-            gl.glReadPixels(*size, RED_INTEGER, UNSIGNED_SHORT, body_id.ctypes.data)
+        self._tenant.guard.set_defaults()  # the host may have changed pixel stores and the like
+        gl.glBindFramebuffer(FRAMEBUFFER, self._framebuffer)
+        size = 0, 0, self.width, self.height
+        gl.glPixelStorei(PACK_ALIGNMENT, 1)
+        gl.glReadBuffer(COLOR_0)
+        gl.glReadPixels(*size, RGBA, FLOAT, plane_echo.ctypes.data)
+        gl.glReadBuffer(COLOR_1)
+        gl.glReadPixels(*size, RED_INTEGER, UNSIGNED_SHORT, body_id.ctypes.data)
         # beyond every number, loops over bins would not end where they should
         if not np.isfinite(plane_echo).all():
             raise Error(
@@ -119,11 +119,11 @@ class DrawnSector:
         return self.sector, plane_echo, body_id
 
     def release(self):
-        """Give the framebuffer back, where the host's context is current: else the host has it."""
-        if self._framebuffer is not None and self._host.is_current():
+        """Give the framebuffer back, where the host's context is in reach: else the host has it."""
+        if self._framebuffer is not None and self._tenant.is_in_reach():
             name = np.array([self._framebuffer], np.uint32)
-            self._host.gl.glDeleteFramebuffers(1, name.ctypes.data)
-            self._host.gl.glDeleteRenderbuffers(3, self._names.ctypes.data)
+            self._tenant.gl.glDeleteFramebuffers(1, name.ctypes.data)
+            self._tenant.gl.glDeleteRenderbuffers(3, self._names.ctypes.data)
         self._framebuffer = self._names = None
 
 
@@ -136,12 +136,12 @@ class Drawing:
     near_m : of the projections
     """
 
-    def __init__(self, host: Host, hearing: Hearing, near_m: float):
+    def __init__(self, tenant: Tenant, hearing: Hearing, near_m: float):
         far_m = FAR_FACTOR * hearing.fan.sonar.range_max_m
         if isinstance(near_m, bool) or not isinstance(near_m, (int, float)) or not 0 < near_m < far_m:
             raise Error(f"near_m must be metres between 0 and {far_m:g} (got {near_m!r})")
         self.hearing, self.near_m, self._pose = hearing, near_m, None
-        self._sectors = [DrawnSector(host, sector, near_m, far_m) for sector in hearing.fan.sectors]
+        self._sectors = [DrawnSector(tenant, sector, near_m, far_m) for sector in hearing.fan.sectors]
 
     def aim(self, pose) -> list[DrawnSector]:
         """All sectors, looking from `pose`, to be drawn anew."""

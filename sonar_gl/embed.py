@@ -13,7 +13,7 @@ from sonar_gl.acoustics import Acoustics
 from sonar_gl.depth_images import UNKNOWN, images_of
 from sonar_gl.drawn import NEAR_M, Drawing, DrawnSector
 from sonar_gl.fan import Sampling
-from sonar_gl.foreign import Host
+from sonar_gl.foreign import Host, Tenant
 from sonar_gl.hearing import Hearing
 from sonar_gl.ladder import check_tolerance, guess_of, sampling_of
 from sonar_gl.listener import KEPT, Listener
@@ -180,19 +180,23 @@ class Sensor(Listener):
             *made, pose, planar, how, bodies, noise, seed, labels, ping_number, velocity
         )
 
-    def _joined(self) -> Host:
-        """The host whose context is current; another one than before is an Error of its own."""
+    def _joined(self) -> Tenant:
+        """The host whose context is current; another one than before is an Error."""
         if self._host is None:
-            self._host = Host()
+            self._host = Tenant(Host())
         self._host.check()
         return self._host
 
     def close(self):
         """Give back what this holds, with the host's context current; twice does no harm."""
+        if self._host is not None:
+            self._host.check_thread()
         super().close()
         if self._drawing is not None:
             self._drawing.close()
-            self._drawing = None
+        if self._host is not None and self._host.is_in_reach():
+            self._host.release()
+        self._host = self._drawing = None
 
 
 @lru_cache(KEPT)

@@ -128,20 +128,23 @@ def make_guest(host: Host) -> egl.Private:
 
 
 class Tenant:
-    """A host's own context, guarded inside `with` blocks; outside of EGL.
+    """A host's own context, guarded inside `with` blocks; it may stand for a window system with moderngl.
 
     Attributes
     ----------
+    gl, guard, renderer : of `Host`
     is_gone : whether it has turned out to be there no more
     """
 
     def __init__(self, host: Host):
         self._host, self.load_opengl_function, self.is_gone = host, host.address_of, False
+        self.gl, self.guard, self.renderer = host.gl, host.guard, host.renderer
         self._name, self._mark, self._room = np.zeros(1, np.uint32), next(egl.MARKS), np.zeros(1, np.float32)
         host.gl.glGenSamplers(1, self._name.ctypes.data)
         host.gl.glSamplerParameterf(int(self._name[0]), LOD_BIAS, self._mark)
 
-    def __enter__(self):
+    def check(self) -> None:
+        """An Error in another thread, or where it is not current or is there no more."""
         self._host.check()
         gl, name, self._room[0] = self._host.gl, int(self._name[0]), 0
         if gl.glIsSampler(name):
@@ -149,16 +152,34 @@ class Tenant:
         if self._room[0] != self._mark:  # a later one has its address
             self.is_gone = True
             raise Error(GONE)
-        self._host.guard.__enter__()
+
+    def check_thread(self) -> None:
+        """An Error in another thread."""
+        check_thread(self._host.thread)
+
+    def is_in_reach(self) -> bool:
+        """Whether it can be drawn in here and now."""
+        try:
+            self.check()
+        except Error:
+            return False
+        return True
+
+    def __enter__(self):
+        self.check()
+        self.guard.__enter__()
         return self
 
     def __exit__(self, *_):
-        self._host.guard.__exit__()
+        if self.is_in_reach():
+            self.guard.__exit__()
+        else:  # the block has made another one current, or has ended it
+            self.guard.drop()
 
     def release(self):
         """Give back what marks it; the context is the host's."""
         if not self.is_gone:
-            self._host.gl.glDeleteSamplers(1, self._name.ctypes.data)
+            self.gl.glDeleteSamplers(1, self._name.ctypes.data)
 
 
 def join() -> moderngl.Context:

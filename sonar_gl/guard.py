@@ -101,7 +101,7 @@ class Guard:
 
     def __enter__(self):
         errors, state, old = self.gl.take_errors(), self._read(), self._read_old()
-        self._set_defaults()
+        self.set_defaults()
         self._held.append((errors, state, old, self._read_clears()))  # those would be read clamped before
         self.gl.glClearColor(0.0, 0.0, 0.0, 0.0)
         self.gl.glClearDepth(1.0)
@@ -115,6 +115,14 @@ class Guard:
         self.gl.glClearDepth(*clears[1])
         self._put_back(*state)
         self._put_back_old(*old)
+
+    def keep_errors(self):
+        """Have errors that are pending in this block be so after it: they are the host's own."""
+        self._held[-1][0].extend(self.gl.take_errors())
+
+    def drop(self):
+        """End the block in a context that is gone: there is nothing to put back."""
+        self._held.pop()
 
     def _integer(self, what: int) -> int:
         self.gl.glGetIntegerv(what, self._at)
@@ -186,7 +194,8 @@ class Guard:
             out.append((viewport, test, box, self._room[0:2]))
         return out
 
-    def _set_defaults(self):
+    def set_defaults(self):
+        """Be as in a new context again, whatever the block has changed."""
         gl = self.gl
         for _, setter, first, default in self._values:
             if default is not None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from sonar_gl.camera import Camera
 from sonar_gl.compiled import compiled
-from sonar_gl.foreign import Host
+from sonar_gl.foreign import Tenant
 from sonar_gl.types import Error
 
 TEXTURE_2D, WIDTH, HEIGHT = 0x0DE1, 0x1000, 0x1001
@@ -22,7 +22,7 @@ KINDS = {
 }
 
 
-def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, normals, body_id):
+def read_images(tenant: Tenant, depth, projection, holds, zero_to_one, rotation, normals, body_id):
     """Cameras, and (depth, normals, body_id) as lists of arrays, or None; see `Sensor.ping_from_textures`."""
     if holds not in HOLDS:
         raise Error(f"holds must be one of {', '.join(map(repr, HOLDS))} (got {holds!r})")
@@ -46,7 +46,7 @@ def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, nor
         for z, _, _, normal, number in zip(*columns, strict=True)
         for one in ((z, kind, "depth"), (normal, "normals", "normals"), (number, "numbers", "body_id"))
     ]
-    arrays = iter(read_all(host, wanted))
+    arrays = iter(read_all(tenant, wanted))
     cameras, images = [], ([], [], [])
     for _, matrix, turn, *_ in zip(*columns, strict=True):
         seen, normal, number = next(arrays), next(arrays), next(arrays)
@@ -61,7 +61,7 @@ def read_images(host: Host, depth, projection, holds, zero_to_one, rotation, nor
     return cameras, made
 
 
-def read_all(host: Host, wanted) -> list:
+def read_all(tenant: Tenant, wanted) -> list:
     """Arrays of textures, first row on top.
 
     Parameters
@@ -77,17 +77,11 @@ def read_all(host: Host, wanted) -> list:
     Error
         if one is no 2D texture, or does not hold that kind.
     """
-    host.check()
-    gl, out = host.gl, []
-    with host.guard:
-        pending = gl.take_errors()
-        try:
-            gl.glPixelStorei(PACK_ALIGNMENT, 1)
-            for name, kind, what in wanted:
-                out.append(None if name is None else _read(gl, name, kind, what))
-        finally:
-            gl.take_errors()  # ours
-            gl.leave_errors(pending)
+    gl, out = tenant.gl, []
+    with tenant:
+        gl.glPixelStorei(PACK_ALIGNMENT, 1)
+        for name, kind, what in wanted:
+            out.append(None if name is None else _read(gl, name, kind, what))
     return out
 
 

@@ -1,17 +1,20 @@
 """A host draws the sonar's sectors, or hands over its textures: the pings are those of a Simulator."""
 
+import contextlib
 import math
 import threading
 import warnings
 
 import gl_host
+import host_state
 import numpy as np
 import pytest
+import soak
 import trimesh
 from OpenGL import GL
 
 import sonar_gl as sg
-from sonar_gl import embed
+from sonar_gl import egl, embed
 
 SONAR = sg.Sonar("host", 900e3, 128, 256, 45.0, 20.0, 1.0, 0.5, 20.0)
 SAMPLING = sg.Sampling(4, 60)
@@ -418,8 +421,6 @@ def test_what_a_sensor_is_asked_for():
 
 
 def test_no_context():
-    from sonar_gl import egl
-
     library = egl.library()
     was = egl.current()
     library.eglMakeCurrent(was[0], None, None, None)
@@ -432,3 +433,137 @@ def test_no_context():
             sg.Simulator(scene_of(), SONAR, context="current")
     finally:
         library.eglMakeCurrent(*was)
+
+
+@pytest.mark.parametrize("error", ["INVALID_ENUM", "INVALID_OPERATION"])
+def test_an_error_that_the_host_makes_while_it_draws_is_its_own(error):
+    """It is pending after the block, as the host left it."""
+    scene = scene_of()
+    host, plain = gl_host.Program(scene), host_state.GL()
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        with sector:
+            host.draw("sonar", sector.view, sector.projection, sector.lattice)
+            plain.make_error(error)
+        assert plain.errors() == [error]
+        sensor.finish()
+        with pytest.raises(KeyError), sector:
+            plain.make_error(error)
+            raise KeyError
+        assert plain.errors() == [error]
+
+
+def test_a_host_that_loses_its_context_while_it_draws(context):
+    """Or makes another current: nothing is put into that, and the sonar goes on with the first."""
+    scene = scene_of()
+    host, true = gl_host.Program(scene), simulate(scene)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        other = None
+        was = egl.current()
+        with pytest.raises(sg.Error, match="must be current when its sonar is used"), sector:
+            other = gl_host.make_context()
+            GL.glViewport(5, 6, 7, 8)
+        assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [5, 6, 7, 8]
+        egl.library().eglMakeCurrent(*was)
+        draw(host, sensor)
+        assert apart(sensor.finish(), true) < ROUNDING
+        other.release()
+        egl.library().eglMakeCurrent(*was)
+
+
+def leave_by_exception(host, sensor):
+    with contextlib.suppress(KeyError):
+        for sector in sensor.sectors(POSE):
+            with sector:
+                raise KeyError
+
+
+def leave_undrawn(host, sensor):
+    first, *_ = sensor.sectors(POSE)
+    with first:
+        pass
+
+
+def leave_other_projections(host, sensor):
+    draw(host, sensor)
+    sensor.sectors(POSE, near_m=0.2)
+
+
+@pytest.mark.parametrize("use", [draw, leave_by_exception, leave_undrawn, leave_other_projections])
+def test_a_closed_sensor_leaves_no_objects(use):
+    host, plain = gl_host.Program(scene_of()), host_state.GL()
+    sonar = sg.Sonar("wide", 900e3, 128, 256, 130.0, 20.0, 1.0, 0.5, 20.0)
+    before = host_state.objects(plain)
+    sensor = embed.Sensor(sonar, sampling=SAMPLING)
+    use(host, sensor)
+    assert host_state.objects(plain) != before
+    sensor.close()
+    sensor.close()
+    assert host_state.objects(plain) == before
+    draw(host, sensor)  # a closed one may go on: it makes anew what it needs
+    sensor.close()
+    assert host_state.objects(plain) == before
+
+
+def test_a_sensor_is_closed_in_its_own_thread():
+    host, plain = gl_host.Program(scene_of()), host_state.GL()
+    before = host_state.objects(plain)
+    sensor = embed.Sensor(SONAR, sampling=SAMPLING)
+    draw(host, sensor)
+    said = []
+
+    def close():
+        try:
+            sensor.close()
+        except sg.Error as why:
+            said.append(str(why))
+
+    thread = threading.Thread(target=close, name="elsewhere")
+    thread.start()
+    thread.join()
+    assert "must be used in the thread" in said[0]
+    sensor.close()
+    assert host_state.objects(plain) == before
+
+
+def test_a_host_that_goes_before_the_sensor():
+    """Its objects go with it: a later context, whatever its address, keeps its own."""
+    context = gl_host.make_context()
+    host = gl_host.Program(scene_of())
+    sensor = embed.Sensor(SONAR, sampling=SAMPLING)
+    draw(host, sensor)
+    context.release()
+    later = gl_host.make_context()
+    buffers = GL.glGenFramebuffers(9)
+    for name in buffers:
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, name)
+    with pytest.raises(sg.Error, match=r"host's OpenGL context must be current|must still be there"):
+        sensor.sectors(POSE)
+    sensor.close()
+    assert all(GL.glIsFramebuffer(name) for name in buffers)
+    later.release()
+
+
+def test_pings_without_end():
+    """Of both doors: no GL objects and no memory are left of a thousand each."""
+    host, plain = gl_host.Program(plain_scene()), host_state.GL()
+    camera = sg.Camera.of_fov(200, 90, fov_x_rad=1.0)
+    view, projection, width, height, _ = view_of(camera)
+    drawn = host.textures(view, projection, width, height)
+    more = {"normals": drawn["normals"], "body_id": drawn["numbers"]}
+    with embed.Sensor(soak.SONAR, sampling=sg.Sampling(1, 24)) as sensor:
+
+        def run(n):
+            for k in range(n):
+                draw(host, sensor, soak.pose_of(k % 50))
+                sensor.finish(labels=k % 50 == 0)
+                sensor.ping_from_textures(drawn["z-buffer"], projection, **more)
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of empty pings and of what the camera does not see
+            run(100)
+            objects, before = host_state.objects(plain), soak.resident_bytes()
+            run(1000)
+        assert host_state.objects(plain) == objects
+        assert soak.resident_bytes() - before < 8e6  # one ping here is 100 kB

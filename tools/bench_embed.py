@@ -30,7 +30,7 @@ from PIL import Image
 
 import sonar_gl as sg
 from sonar_gl import embed
-from sonar_gl.foreign import Host
+from sonar_gl.foreign import Host, Tenant
 from sonar_gl.textures import read_all
 from sonar_gl.verify import ping_error
 
@@ -99,7 +99,7 @@ class Ways:
             self.host.framebuffers.pop((camera.width, camera.height), None)
             drawn.append(self.host.textures(view, projection, camera.width, camera.height))
             projections.append(projection)
-            images = read_all(Host(), [(drawn[number][kind], kind, kind) for kind in KINDS])
+            images = read_all(Tenant(Host()), [(drawn[number][kind], kind, kind) for kind in KINDS])
             metres.append(images[0])
             normals.append(images[1][..., :3] * np.float32([1, -1, -1]))
             numbers.append(images[2])
