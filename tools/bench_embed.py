@@ -54,7 +54,7 @@ LOOKS = {
     BARE: ("#ff9896", "x"),
 }
 KINDS = "metres", "normals", "numbers"
-HOSTS = ("pyrender_host", "egl_host", "window_host", "mujoco_host", "panda3d_host")
+HOSTS = ("pyrender_host", "egl_host", "deferred_host", "window_host", "mujoco_host", "panda3d_host")
 REPEATS = 15
 
 
@@ -207,11 +207,11 @@ taken = {{}}
 
 def timed(owner, name, what):
     plain = getattr(owner, name)
-    def ping(self, *arguments, **keywords):
-        out = plain(self, *arguments, **keywords)
+    def ping(*arguments, **keywords):
+        out = plain(*arguments, **keywords)
         for _ in range({repeats}):
             start = time.perf_counter()
-            plain(self, *arguments, **keywords)
+            plain(*arguments, **keywords)
             taken.setdefault(what, []).append(1e3 * (time.perf_counter() - start))
         return out
     setattr(owner, name, ping)
@@ -219,13 +219,16 @@ def timed(owner, name, what):
 timed(embed.Sensor, "ping_from_depth", "4")
 timed(embed.Sensor, "ping_from_textures", "3")
 example = __import__({name!r})
+if hasattr(example, "draw_ping"):  # all from its sectors to the ping
+    timed(example, "draw_ping", "2")
 plain = sg.Simulator.ping
 timed(sg.Simulator, "ping", "1")
 found = example.main({folder!r}, **{keywords!r})
 sg.Simulator.ping = plain
-sampling = sg.Sampling(**found["ping"].meta["sampling"])
+heard = found["ping"] if "ping" in found else found["texture_ping"]
+sampling = sg.Sampling(**heard.meta["sampling"])
 with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
-    keywords = dict(bodies=found.get("bodies"), labels=True)
+    keywords = dict(bodies=found.get("bodies"), labels=heard.body_id is not None)
     simulator.ping(found["pose"], **keywords)
     alone = []
     for _ in range(20 * {repeats}):
