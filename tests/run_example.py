@@ -13,6 +13,7 @@ import numpy as np
 import sonar_gl as sg
 
 ROOT = Path(__file__).resolve().parent.parent
+PINGS = "ping", "drawn_ping", "texture_ping", "depth_ping"  # by doors 1 to 4, as an example's main names them
 
 
 def main(name, folder, *options):
@@ -24,13 +25,13 @@ def main(name, folder, *options):
         example.glfw.get_key = lambda window, key: int(key == held)
     found = example.main(folder, **{key: int(value) for key, value in keywords.items()})
 
+    pings = {key: found[key] for key in PINGS if key in found}
     # the samples are those of the host's last ping, which hung on those before
-    sampling = sg.Sampling(**found["ping"].meta["sampling"])
+    sampling = sg.Sampling(**next(iter(pings.values())).meta["sampling"])
     with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
-        alone = simulator.ping(found["pose"], bodies=found.get("bodies"), labels=True)
-    for key, ping in (("ping", found["ping"]), ("alone", alone), ("depth", found.get("depth_ping"))):
-        if ping is not None:
-            sg.save_npz(Path(folder) / f"{key}.npz", ping)
+        pings["alone"] = simulator.ping(found["pose"], bodies=found.get("bodies"), labels=True)
+    for key, ping in pings.items():
+        sg.save_npz(Path(folder) / f"{key}.npz", ping)
     np.save(Path(folder) / "names.npy", [body.name for body in found["scene"].bodies])
 
 

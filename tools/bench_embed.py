@@ -40,7 +40,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import gl_host  # noqa: E402, the tests' host
 
 DOCS = ROOT / "docs"
-SCENES = ("pylon", "tank", "diver")
+SCENES = ("pylon", "tank", "ocean_floor")
 SAMPLES = ((0.5, 24), (1, 48), (2, 96), (4, 192))  # columns a beam, rows
 PIXELS_DEG = (0.8, 0.4, 0.2, 0.1, 0.05)
 ALONE, JOINED, DRAWN = "standalone", "1: joins the context", "2: host draws the sectors"
@@ -55,7 +55,7 @@ LOOKS = {
     BARE: ("#ff9896", "x"),
 }
 KINDS = "metres", "normals", "numbers"
-HOSTS = ("pyrender_host", "egl_host", "window_host", "mujoco_host", "panda3d_host")
+HOSTS = ("pyrender_host", "egl_host", "deferred_host", "window_host", "mujoco_host", "panda3d_host")
 SHOWN = "pyrender_host", "mujoco_host"  # in the page
 REPEATS = 15
 

@@ -23,7 +23,7 @@ import sonar_gl as sg
 from sonar_gl import embed
 
 PINGS, ROUNDS = 3, 12  # of an example that are timed, and how often
-FRAMES = {"window_host": 60}  # of those that have no end
+FRAMES = {"window_host": {"frames": 60}}  # of those that have no end
 DOORS = {
     "1": (sg.Simulator, "ping"),
     "3": (embed.Sensor, "ping_from_textures"),
@@ -39,34 +39,54 @@ def timed(ping, *arguments, **keywords) -> float:
 
 
 class Clock:
-    """Takes the place of the methods that ping, and times them beside `alone`."""
+    """Takes the place of what pings, and times that, beside `alone` where a Simulator has pinged before."""
 
-    def __init__(self):
+    def __init__(self, example):
         self.pool, self.alone, self.again = ThreadPoolExecutor(1), None, None
-        self.times = {door: [] for door in DOORS}
+        self.times = {door: [] for door in "1234"}
         for door, (owner, name) in DOORS.items():
             setattr(owner, name, self.wrap(door, getattr(owner, name)))
+        if hasattr(example, "draw_ping"):  # all from its sectors to the ping
+            example.draw_ping = self.wrap("2", example.draw_ping)
 
     def wrap(self, door, plain):
-        """The method, timed."""
+        """The function, timed."""
 
-        def ping(it, *arguments, **keywords):
-            out = plain(it, *arguments, **keywords)
-            if door == "1" and self.alone is None:
-                self.again = plain, arguments, keywords
-                made_of = it.scene, it.sonar, it.acoustics, sg.Sampling(**out.meta["sampling"])
-                self.alone = self.pool.submit(sg.Simulator, *made_of).result()
+        def ping(*arguments, **keywords):
+            out = plain(*arguments, **keywords)
             if door == "1":
-                self.again = plain, arguments, keywords
-            if self.alone and len(self.times[door]) < PINGS * ROUNDS:
-                method, given, named = self.again
-                for _ in range(ROUNDS):
-                    own = timed(plain, it, *arguments, **keywords)
-                    alone = self.pool.submit(timed, method, self.alone, *given, **named).result()
-                    self.times[door].append((own, alone, own / alone))
+                it, *given = arguments
+                if self.alone is None:
+                    self.make_alone(it.scene, it.sonar, out)
+                self.again = given, keywords
+            for _ in range(ROUNDS if len(self.times[door]) < PINGS * ROUNDS else 0):
+                own = timed(plain, *arguments, **keywords)
+                self.times[door].append((own, self.time_alone() if self.alone else np.nan))
             return out
 
+        self.pings = getattr(self, "pings", {}) | {door: plain}
         return ping
+
+    def make_alone(self, scene, sonar, ping):
+        """A standalone simulator with the samples of a ping, in the other thread."""
+        sampling = sg.Sampling(**ping.meta["sampling"])
+        self.alone = self.pool.submit(sg.Simulator, scene, sonar, sampling=sampling).result()
+
+    def time_alone(self) -> float:
+        """Milliseconds of its ping, made as the host made its last one."""
+        given, keywords = self.again
+        return self.pool.submit(timed, self.pings["1"], self.alone, *given, **keywords).result()
+
+    def finish(self, found):
+        """Time the standalone one now, where the host had no Simulator to go by."""
+        if self.alone is None:
+            ping = found["texture_ping"]
+            self.make_alone(found["scene"], found["sonar"], ping)
+            self.again = (found["pose"],), {"bodies": found.get("bodies"), "labels": ping.body_id is not None}
+            self.time_alone()
+            for times in self.times.values():
+                times[:] = [(own, self.time_alone()) for own, _ in times]
+        self.pool.submit(self.alone.close).result()
 
 
 def main():
@@ -75,13 +95,14 @@ def main():
     parser.add_argument("folder", help="where its pictures go")
     options = parser.parse_args()
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-    example, clock = import_module(options.name), Clock()
-    keywords = {"frames": FRAMES[options.name]} if options.name in FRAMES else {}
-    example.main(options.folder, **keywords)
-    clock.pool.submit(clock.alone.close).result()
+    example = import_module(options.name)
+    clock = Clock(example)
+    clock.finish(example.main(options.folder, **FRAMES.get(options.name, {})))
     for door, times in clock.times.items():
         if times:
-            print("door", door, *(f"{value:.4g}" for value in np.median(times, axis=0)))
+            own, alone = np.array(times).T
+            numbers = np.median(own), np.median(alone), np.median(own / alone)
+            print("door", door, *(f"{number:.4g}" for number in numbers))
 
 
 if __name__ == "__main__":
