@@ -16,10 +16,10 @@ import sonar_gl as sg
 from sonar_gl.image import fan_geometry
 
 ROOT = Path(__file__).resolve().parent.parent
-# Share of the echo that a door puts elsewhere than a Simulator of the same samples does.
+# Share of the echo that a door puts elsewhere than a Simulator without a host, at the first ping's samples.
 DRAWN_ERROR = 3e-4  # matrices multiplied in float32: 3e-5 was measured
-TEXTURE_ERROR = 0.005  # edges lie half of a pixel of 0.05 degrees off: 0.17 % was measured
-DEPTH_ERROR = 0.02  # pixels twice as wide, and as many other samples: 0.7 and 1.0 % were measured
+TEXTURE_ERROR = 0.005  # edges are seen a pixel of 0.05 degrees off: 0.17 % was measured
+DEPTH_ERROR = 0.02  # edges are seen a sample or a pixel of 0.1 degrees off: 0.7 and 1.0 % were measured
 ROD_ERROR = 0.12  # of a body's echo by door 4: a rod five pixels wide comes out 9 % too strong
 
 
