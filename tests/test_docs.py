@@ -114,6 +114,8 @@ def test_other_commands_name_files_that_exist(words):
         ["bench_paper.py", "--scene", "pylon", "--repeats", "2"],
         ["bench_start.py", "--only", "import sonar_gl", "--runs", "1"],
         ["bench_scaling.py", "--quick", "--out", "scaled"],
+        ["bench_embed.py", "--only", "pylon", "--quick"],
+        ["bench_host.py", "egl_host", "pictures"],
     ],
     ids=lambda words: words[0],
 )
@@ -173,6 +175,18 @@ def test_tools_run(words, folder):
         assert float(row[2]) > 5  # MB; the interpreter alone holds more
     elif words[0] == "bench_scaling.py":
         check_scaling(done.stdout, Path("scaled"))
+    elif words[0] == "bench_embed.py":
+        rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines() if "%" in line]
+        errors = {(row[0][0], row[1]): row[-1] for row in rows}
+        for rung in ("0.5 x 24", "1 x 48"):  # the doors where a host draws as we do
+            assert errors["s", rung] == errors["1", rung] == errors["2", rung]
+        for door in "34":  # finer images err less
+            coarse, fine = (float(errors[door, size].strip(" %")) for size in ("66 x 32", "126 x 60"))
+            assert 0 < fine < 0.7 * coarse
+    elif words[0] == "bench_host.py":
+        told = re.findall(r"^door (\d)((?: [\d.]+){3})$", done.stdout, re.MULTILINE)
+        assert [door for door, _ in told] == ["1", "2"]
+        assert all(float(value) > 0 for _, numbers in told for value in numbers.split())
     else:
         made, kept = Path("pictures"), ROOT / "docs" / "pictures"
         assert {path.name for path in made.iterdir()} == {path.name for path in kept.glob("diver_vertical*")}
@@ -229,13 +243,16 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
     charted = re.search(r"^SCENES = \((.*)\)", scenes, re.MULTILINE)[1]
     tool = (ROOT / "tools" / "ablation.py").read_text(encoding="utf-8")
     ablated = re.search(r"^SCENES = \{(.*?)\}", tool, re.MULTILINE | re.DOTALL)[1]
+    hosts = (ROOT / "tools" / "bench_embed.py").read_text(encoding="utf-8")
+    hosts = re.search(r"^SHOWN = (.*?)  #", hosts, re.MULTILINE)[1]
     assert {path.stem for path in kept} == {
         *(
             f"{name}_{style}"
             for name, terms in pairs
             for style in (("without", "with") if terms else ("demarco2015", "physical"))
         ),
-        *(f"chart_{name}" for name in [*re.findall(r'"(\w+)"', charted), "shimmer"]),
+        *(f"chart_{name}" for name in [*re.findall(r'"(\w+)"', charted), "shimmer", "embedding"]),
+        *(f"embedding_{name}" for name in re.findall(r'"(\w+)"', hosts)),
         *(f"ablation_{name}" for name in re.findall(r'"(\w+)": [\d.]+', ablated)),
         "scaling",
     }

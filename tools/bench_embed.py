@@ -63,11 +63,11 @@ REPEATS = 15
 class Ways:
     """All ways to a ping of one scene, in a host that draws it."""
 
-    def __init__(self, scene, sonar, stack):
+    def __init__(self, scene, sonar, stack, quick):
         self.scene, self.sonar, self.stack, self.pose = scene, sonar, stack, scene.sonar_pose
         self.ideal, self.host, self.ways = sg.Acoustics.ideal(), gl_host.Program(scene), []
         self.mu = {number: float(np.mean(body.reflectivity)) for number, body in enumerate(scene.bodies, 1)}
-        for columns, rows in SAMPLES:
+        for columns, rows in SAMPLES[:2] if quick else SAMPLES:
             made_of = sonar, self.ideal, sg.Sampling(columns, rows)
             alone = stack.enter_context(sg.Simulator(scene, *made_of))
             joined = stack.enter_context(sg.Simulator(scene, *made_of, context="current"))
@@ -78,7 +78,7 @@ class Ways:
                 (JOINED, rung, lambda it=joined: it.ping(self.pose)),
                 (DRAWN, rung, lambda it=sensor: self.draw(it)),
             ]
-        for pixel_deg in PIXELS_DEG:
+        for pixel_deg in PIXELS_DEG[:2] if quick else PIXELS_DEG:
             self.add_images(pixel_deg)
 
     def draw(self, sensor):
@@ -121,13 +121,13 @@ class Ways:
         ]
 
 
-def measure(name: str, repeats: int) -> list[dict]:
+def measure(name: str, repeats: int, quick: bool) -> list[dict]:
     """One row a way and rung."""
     scene, sonar = make_scene(name), make_sonar(name, "wide")
     truth = make_truth(scene, sonar, quick=True)
     context = gl_host.make_context()
     with ExitStack() as stack:
-        ways = Ways(scene, sonar, stack).ways
+        ways = Ways(scene, sonar, stack, quick).ways
         errors = [ping_error(ping(), truth) for *_, ping in ways]
         times = [[] for _ in ways]
         for _ in range(repeats):
@@ -236,18 +236,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", action="append", choices=SCENES, help="may be repeated; all if left out")
     parser.add_argument("--hosts", action="store_true", help="the hosts of examples/ alone")
+    parser.add_argument("--quick", action="store_true", help="few samples and pixels, one round")
     parser.add_argument("--repeats", type=int, default=REPEATS, help="rounds")
     parser.add_argument(
         "--docs", type=Path, help="folder of embedding.md and pictures; docs if nothing is left out"
     )
     options = parser.parse_args()
-    whole = not options.only and not options.hosts
+    whole = not (options.only or options.hosts or options.quick)
     docs = options.docs or (DOCS if whole else None)
     with sg.Simulator(sg.Scene([]), make_sonar("pylon", "wide")) as simulator:
         about = f"{simulator.gl_info['renderer']}, {os.cpu_count()} CPUs"
     charts, texts = {}, {}
     for name in () if options.hosts else options.only or SCENES:
-        charts[name] = measure(name, options.repeats)
+        charts[name] = measure(name, 1 if options.quick else options.repeats, options.quick)
         texts[name] = table(charts[name])
         print(f"{name}; {about}\n\n{texts[name]}\n", flush=True)
     if whole or options.hosts:
