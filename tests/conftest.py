@@ -17,7 +17,7 @@ def display():
     if shutil.which("Xvfb") is None:
         why = "hosts that come by GLX need a display: apt-get install xvfb"
         (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
-    command = "Xvfb", "-displayfd", "1", "-screen", "0", "640x480x24", "-nolisten", "tcp"
+    command = "Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"
     server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     try:
         ready, _, _ = select.select([server.stdout], [], [], 30)

@@ -23,21 +23,6 @@ DEPTH_ERROR = 0.02  # edges are seen a sample or a pixel of 0.1 degrees off: 0.7
 ROD_ERROR = 0.12  # of a body's echo by door 4: a rod five pixels wide comes out 9 % too strong
 
 
-@pytest.fixture
-def display():
-    """The name of an X display of its own."""
-    reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(
-        command, pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    os.close(writing)
-    with os.fdopen(reading) as number:
-        yield f":{number.readline().strip()}"
-    server.terminate()
-    server.wait()
-
-
 class Run:
     """An example, run in a process of its own, and what it left.
 
