@@ -1,6 +1,12 @@
 // For the fragment shader of a host that draws for a sonar itself: declares the two outputs, and `sonar_gl_write`
 // fills them. The vertex shader's gl_Position must be `projection * view * world position`, with the matrices of the
 // sector.
+// Outputs 0 and 1 are taken; all names begin with sonar_gl_.
+#define cos_incidence sonar_gl_cos_incidence
+#define specular_lobe sonar_gl_specular_lobe
+#define plane_of sonar_gl_plane_of
+#define cos_times_range sonar_gl_cos_times_range
+#define lobe_times_range sonar_gl_lobe_times_range
 #include "plane.glsl"
 
 uniform mat3 sonar_gl_lattice;  // of the sector: of a pixel (1, i, j) its ray's u and v, and 1 / far
@@ -9,7 +15,7 @@ layout(location = 0) out vec4 sonar_gl_plane_echo;
 layout(location = 1) out uint sonar_gl_body;
 
 // normal: in the view's axes (x right, y up, z back), of any length; vec3(0) for flat faces' own
-// reflectivity: μ, 0..1; body: its number, from 1 on, 0 for none
+// reflectivity: μ, 0..1; body: its number, 1..65534, 0 for none
 // lobe: of a smooth face, |R|² and rms slope; vec2(0) for none
 void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
 {
@@ -20,9 +26,11 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     vec3 turned = vec3(-normal.z, -normal.x, normal.y);  // x ahead, y to port, z up
     float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
     sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
-    if (lobe.x > 0.0)
+    if (!(reflectivity >= 0.0 && reflectivity <= 1.0))
+        sonar_gl_plane_echo.w = -1.0;  // which no echo is: the host is told
+    else if (lobe.x > 0.0)
         sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
-    sonar_gl_body = body;
+    sonar_gl_body = min(body, 65535u);
     gl_FragDepth = at.z / depth_inverse;
 }
 
@@ -30,3 +38,9 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body)
 {
     sonar_gl_write(normal, reflectivity, body, vec2(0.0));
 }
+
+#undef cos_incidence
+#undef specular_lobe
+#undef plane_of
+#undef cos_times_range
+#undef lobe_times_range

@@ -72,7 +72,7 @@ class Camera:
         R = AHEAD if self.rotation is None else self.rotation
         R = frozen_array(R, np.float64, (3, 3), "rotation of a camera")
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-5 or np.linalg.det(R) < 0:
-            raise Error("rotation of a camera must be a rotation, sonar_from_camera (its matrix is none)")
+            raise Error("rotation of a camera must be sonar_from_camera (got a matrix that is no rotation)")
         object.__setattr__(self, "intrinsics", K)
         object.__setattr__(self, "rotation", R)
 
@@ -104,12 +104,7 @@ class Camera:
         Error
             if it is no perspective.
         """
-        P = frozen_array(matrix, np.float64, (4, 4), "projection")
-        if np.abs(P[3] - [0, 0, -1, 0]).max() > 1e-6 or P[0, 3] or P[1, 3]:
-            raise Error(
-                "projection must be an OpenGL perspective, whose last row is 0 0 -1 0 "
-                f"(got {P[3].tolist()}; an orthographic one, or a transposed matrix, has another)"
-            )
+        P = check_projection(matrix)
         width, height = _count("width", width), _count("height", height)
         K = np.linalg.inv(_ndc_from_pixels(width, height)) @ P[[0, 1, 3], :3] @ OPENGL
         K[2] = 0, 0, 1
@@ -134,7 +129,7 @@ class Camera:
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
         if not (isinstance(pixel_deg, (int, float, np.number)) and 0 < pixel_deg <= 10):
-            raise Error(f"pixel_deg must be degrees in 0..10 (got {pixel_deg!r})")
+            raise Error(f"pixel_deg must be degrees above 0 and no more than 10 (got {pixel_deg!r})")
         pixel = math.radians(pixel_deg)
         acoustics = acoustics if acoustics is not None else Acoustics.physical()
         reach, aperture_deg = acoustics.beam_reach_rad(sonar), acoustics.drawn_sonar(sonar).elevation_fov_deg
@@ -182,8 +177,11 @@ class Camera:
 
     def projection(self, near_m: float, far_m: float) -> np.ndarray:
         """(4, 4) OpenGL clip_from_camera, for the program that draws the image."""
-        if not 0 < near_m < far_m < math.inf:
-            raise Error(f"near_m and far_m must be metres, 0 < near_m < far_m (got {near_m!r} and {far_m!r})")
+        if not all(isinstance(one, (int, float, np.number)) for one in (near_m, far_m)) or not (
+            0 < near_m < far_m < math.inf
+        ):
+            got = f"got {near_m!r} and {far_m!r}"
+            raise Error(f"near_m and far_m must be finite metres, the former above 0 and the smaller ({got})")
         clip = np.zeros((4, 4))
         clip[[0, 1, 3], :3] = _ndc_from_pixels(self.width, self.height) @ self.intrinsics @ OPENGL
         clip[2, 2:] = np.array([far_m + near_m, 2 * far_m * near_m]) / (near_m - far_m)
@@ -194,6 +192,23 @@ class Camera:
         out = check_pose(world_from_sonar).copy()
         out[:3, :3] = out[:3, :3] @ self.rotation @ OPENGL
         return out
+
+    def sonar_pose(self, world_from_camera) -> np.ndarray:
+        """(4, 4) world_from_sonar, where the camera stands so, in OpenGL's axes: undoes `pose_gl`."""
+        out = check_pose(world_from_camera, "world_from_camera").copy()
+        out[:3, :3] = out[:3, :3] @ (self.rotation @ OPENGL).T
+        return out
+
+
+def check_projection(matrix) -> np.ndarray:
+    """(4, 4) float64, an OpenGL perspective, or an Error."""
+    P = frozen_array(matrix, np.float64, (4, 4), "projection")
+    if np.abs(P[3] - [0, 0, -1, 0]).max() > 1e-6 or P[0, 3] or P[1, 3]:
+        raise Error(
+            "projection must be an OpenGL perspective, whose last row is 0 0 -1 0 "
+            f"(got {P[3].tolist()}; an orthographic one, or a transposed matrix, has another)"
+        )
+    return P
 
 
 def _ndc_from_pixels(width: int, height: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from sonar_gl.types import Error, check_kind
 
 UNKNOWN = 0.5  # reflectivity of bodies that none was given for
 LAST_BODY = 65534
+HOLDS = "planar", "range"
 NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
 
 
@@ -64,7 +66,7 @@ def _each(name: str, value, n: int, several: bool) -> list:
         return [value] * n
     if not isinstance(value, (list, tuple)) or len(value) != n:
         got = f"{len(value)} of them" if isinstance(value, (list, tuple)) else type(value).__name__
-        raise Error(f"{name} must be a list of as many images as cameras (got {got} for {n} cameras)")
+        raise Error(f"{name} must be a list of as many images as there are cameras, {n} (got {got})")
     return list(value)
 
 
@@ -74,11 +76,14 @@ def _image(camera: Camera, depth, normals, body_id, reflectivity) -> DepthImage:
     if not np.issubdtype(depth.dtype, np.floating):
         raise Error(f"depth must be metres in floating point (got {depth.dtype}; divide millimetres by 1000)")
     if normals is not None:
-        normals = _array("normals", normals, (*shape, 3)).astype(np.float32, order="C", copy=False)
+        normals = _array("normals", normals, (*shape, 3))
+        if not np.issubdtype(normals.dtype, np.floating):
+            raise Error(f"normals must be in floating point (got {normals.dtype}; decode colours to -1..1)")
+        normals = normals.astype(np.float32, order="C", copy=False)
     if body_id is not None:
         body_id = _array("body_id", body_id, shape)
         if not np.issubdtype(body_id.dtype, np.integer):
-            raise Error(f"body_id must hold whole numbers (got {body_id.dtype}; colours are none)")
+            raise Error(f"body_id must hold whole numbers (got {body_id.dtype}; make it an integer type)")
         low, high = body_id.min(), body_id.max()
         if low < 0 or high > LAST_BODY:
             raise Error(f"body_id must lie in 0..{LAST_BODY}, 0 where none is known (got {low} to {high})")
@@ -92,14 +97,15 @@ def _image(camera: Camera, depth, normals, body_id, reflectivity) -> DepthImage:
 
 
 def _array(name: str, value, shape) -> np.ndarray:
+    """What is masked is 0: nothing."""
     try:
-        out = np.asarray(value)
+        out = np.asarray(value.filled(0) if np.ma.isMaskedArray(value) else value)
     except ValueError:  # ragged
         out = np.empty(0)
+    if out.dtype.kind not in "fiu":
+        raise Error(f"{name} must be an array of numbers (got {type(value).__name__} of {out.dtype})")
     if out.shape != shape:
         raise Error(f"{name} must have the shape of the camera's image, {shape} (got {out.shape})")
-    if out.dtype.kind not in "fiu":
-        raise Error(f"{name} must be an array of numbers (got {out.dtype})")
     return out
 
 
@@ -131,6 +137,27 @@ def _within(value) -> np.ndarray:
 
 def names_of(bodies) -> list[str]:
     """Names of bodies, that of number 1 first."""
-    if isinstance(bodies, str) or not all(isinstance(name, str) for name in bodies):
-        raise Error(f"bodies must be several names, that of number 1 first (got {bodies!r})")
-    return list(bodies)
+    if not isinstance(bodies, Iterable) or isinstance(bodies, str):
+        raise Error(f"bodies must be a list of names, that of number 1 first (got {type(bodies).__name__})")
+    bodies = list(bodies)
+    for name in bodies:
+        check_kind("each of bodies", name, str, "give names, that of number 1 first")
+    return bodies
+
+
+def doubt_of(images) -> str | None:
+    """What is odd about images, or None."""
+    depths = [image.depth for image in images]
+    if all(depth.min() >= 0 and depth.max() == 1 for depth in depths):
+        return "depth lies in 0..1, as a z-buffer does (embed.metres_ahead makes metres of that)"
+    return None
+
+
+def is_planar(holds: str) -> bool:
+    """Whether images hold depth along the camera's axis, or range along each pixel's ray."""
+    if not isinstance(holds, str) or holds not in HOLDS:
+        raise Error(
+            f"holds must be 'planar', metres along the camera's axis, or 'range', metres along each pixel's "
+            f"ray (got {holds!r}; embed.metres_ahead undoes z-buffers)"
+        )
+    return holds == "planar"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from sonar_gl.acoustics import Acoustics
-from sonar_gl.depth_images import UNKNOWN, images_of
+from sonar_gl.depth_images import UNKNOWN, images_of, is_planar
 from sonar_gl.drawn import NEAR_M, Drawing, DrawnSector
 from sonar_gl.fan import Sampling
 from sonar_gl.foreign import Host, Tenant
@@ -21,17 +21,19 @@ from sonar_gl.load import data_folder
 from sonar_gl.programs import load_shader
 from sonar_gl.rigid import check_pose
 from sonar_gl.sonar import Sonar
-from sonar_gl.textures import read_images
+from sonar_gl.textures import metres_ahead, read_images
 from sonar_gl.types import Error, Ping
+
+__all__ = ["Sensor", "glsl", "metres_ahead", "ping_from_depth"]
 
 
 def glsl() -> str:
     """What a host's fragment shader includes to draw for `Sensor.sectors`, after `#version`, 330 or higher.
 
     It has `sonar_gl_write(vec3 normal, float reflectivity, uint body)`, to be called once: normal in the
-    view's axes (x right, y up, z back), or vec3(0) for that of the flat face; body from 1 on, 0 for none. A
-    fourth argument, vec2, is |R|² and the rms slope of a smooth face. The uniform `mat3 sonar_gl_lattice` is
-    the sector's.
+    view's axes (x right, y up, z back), or vec3(0) for that of the flat face; reflectivity 0..1; body
+    1..65534, 0 for none. A fourth argument, vec2, is |R|² and the rms slope of a smooth face. The uniform
+    `mat3 sonar_gl_lattice` is the sector's. Outputs 0 and 1 are taken; all names begin with sonar_gl_.
     """
     return load_shader("embed.glsl", data_folder("shaders"), {})[0]
 
@@ -69,13 +71,15 @@ class Sensor(Listener):
         Parameters
         ----------
         pose : (4, 4) world_from_sonar
-        near_m : of the projections, metres; their far plane is eight times range_max_m
+        near_m : of the projections, metres; what is nearer is cut. Their far plane is eight times
+            range_max_m
 
         Raises
         ------
         Error
             if no context is current, or in another thread than before.
         """
+        self._check_open()
         pose, host = check_pose(pose), self._joined()
         if self._drawing is None or self._drawing.near_m != near_m:
             if self._drawing is not None:
@@ -96,11 +100,10 @@ class Sensor(Listener):
         """
         if self._drawing is None:
             raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
-        views, pose = self._drawing.views()
+        drawing, (views, pose) = self._drawing, self._drawing.views()
         how = self.tolerance if self.sampling is None else None, self._host.renderer
-        return self._ping(
-            self._drawing.hearing, views, pose, how, bodies, noise, seed, labels, ping_number, velocity
-        )
+        more = bodies, noise, seed, labels, ping_number, velocity
+        return self._ping(drawing.hearing, views, pose, drawing.advice(), how, *more)
 
     def ping_from_textures(
         self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
@@ -110,7 +113,7 @@ class Sensor(Listener):
         """A ping of textures that the host drew from the sonar's place, in the context that is current.
 
         Several views are lists of depth, projection, rotation, normals and body_id. Other parameters are as
-        of `ping_from_depth`.
+        of `ping_from_depth`: an image of reflectivity is an array, first row on top.
 
         Parameters
         ----------
@@ -123,24 +126,20 @@ class Sensor(Listener):
         rotation : (3, 3) sonar_from_camera, as of `Camera`; None looks along the boresight
         normals : GL name of a texture of floats: normals of faces, of any length, in the view's axes (x
             right, y up, z back)
-        body_id : GL name of a texture of unsigned integers
+        body_id : GL name of a texture of integers, 1..65534, 0 for none
 
         Raises
         ------
         Error
             if a name is no such texture.
         """
-        cameras, images = read_images(
-            self._joined(), depth, projection, holds, zero_to_one, rotation, normals, body_id
-        )
-        made = images_of(cameras, *images, reflectivity)
-        how = None, self._host.renderer
-        return self._ping_of_images(
-            *made, pose, holds != "range", how, bodies, noise, seed, labels, ping_number, velocity
-        )
+        self._check_open()
+        read = read_images(self._joined(), depth, projection, holds, zero_to_one, rotation, normals, body_id)
+        how, more = (None, self._host.renderer), (bodies, noise, seed, labels, ping_number, velocity)
+        return self._ping_of_images(*images_of(*read, reflectivity), pose, holds != "range", how, *more)
 
     def ping_from_depth(
-        self, depth, camera, pose=None, planar=True, normals=None, body_id=None, reflectivity=UNKNOWN,
+        self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=UNKNOWN,
         bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None,
     ) -> Ping:  # fmt: skip
         """A ping of depth images drawn from the sonar's place.
@@ -153,13 +152,14 @@ class Sensor(Listener):
             image of reflectivity where given, then lists as long. What several see the first one shows
         pose : (4, 4) world_from_sonar, None for the origin; it is kept with the ping, and decides the
             speckle of noise that stays with the place
-        planar : depth runs along the camera's axis, as in z-buffers and most depth cameras; False: along each
-            pixel's ray, as ranges do
-        normals : (H, W, 3) of the faces themselves, not smoothed, of any length and either side, camera axes
-            (x right, y down, z ahead); None, and 0 or NaN in a pixel: found from the depth beside it
+        holds : what depth is: "planar", metres along the camera's axis, as of most depth cameras; "range",
+            metres along each pixel's ray. `metres_ahead` makes metres of a z-buffer
+        normals : (H, W, 3) float, of the faces themselves, not smoothed, of any length and either side,
+            camera axes (x right, y down, z ahead); None, and 0 or NaN in a pixel: found from the depth beside
         body_id : (H, W) whole numbers, 1..65534 of bodies, 0 where none is known, which still echoes
         reflectivity : μ in 0..1: one; or (H, W); or a dict from numbers of bodies, others having 0.5
-        bodies : names of the bodies for the ping's meta, that of number 1 first
+        bodies : names of the bodies for the ping's meta, that of number 1 first; with labels as many as
+            `body_echo` has, "body 7" where none is given
         noise, seed, labels, ping_number, velocity : as of `Simulator.ping`; with labels the first entry of
             `body_echo` is the echo of what has number 0
 
@@ -168,17 +168,17 @@ class Sensor(Listener):
         Warns
         -----
         UserWarning
-            if the cameras do not see all of the fan, once for a set of them; if nothing came back.
+            if the cameras do not see all of the fan, or depth looks like a z-buffer, once for a set of them;
+            if nothing came back.
 
         Raises
         ------
         Error
             if an image does not fit its camera, or the cameras see nothing of the fan.
         """
-        made, how = images_of(camera, depth, normals, body_id, reflectivity), (None, "none: depth image")
-        return self._ping_of_images(
-            *made, pose, planar, how, bodies, noise, seed, labels, ping_number, velocity
-        )
+        planar, made = is_planar(holds), images_of(camera, depth, normals, body_id, reflectivity)
+        how, more = (None, "none: depth image"), (bodies, noise, seed, labels, ping_number, velocity)
+        return self._ping_of_images(*made, pose, planar, how, *more)
 
     def _joined(self) -> Tenant:
         """The host whose context is current; another one than before is an Error."""

@@ -24,7 +24,7 @@ CORE_33 = 0x3098, 3, 0x30FB, 3, 0x30FD, 1, NONE
 SURFACELESS = b"EGL_KHR_surfaceless_context"
 NONE_CURRENT = (
     "an OpenGL context must be current in this thread, to be joined (got none in {thread!r}; make the host's "
-    "current first, or leave out context='current' to have one of our own)"
+    "current first)"
 )
 GONE = (
     "the OpenGL context that was joined must still be there (got another one that is current in its place); "

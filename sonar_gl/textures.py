@@ -2,32 +2,61 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from sonar_gl.camera import Camera
+from sonar_gl.camera import Camera, check_projection
 from sonar_gl.compiled import compiled
+from sonar_gl.depth_images import HOLDS as DEPTHS
 from sonar_gl.foreign import Tenant
-from sonar_gl.types import Error
+from sonar_gl.types import Error, frozen_array
 
 TEXTURE_2D, WIDTH, HEIGHT = 0x0DE1, 0x1000, 0x1001
 PACK_ALIGNMENT = 0x0D05
-HOLDS = "z-buffer", "planar", "range"
+RED_TYPE, BLUE_TYPE, DEPTH_TYPE = 0x8C10, 0x8C12, 0x8C16
+FLOAT, SIGNED, UNSIGNED, INTEGER, UNSIGNED_INTEGER = 0x1406, 0x8F9C, 0x8C17, 0x1404, 0x1405
+TYPES = {
+    0: "nothing of the kind",
+    FLOAT: "floats",
+    SIGNED: "signed fractions",
+    UNSIGNED: "unsigned fractions",
+    INTEGER: "integers",
+    UNSIGNED_INTEGER: "unsigned integers",
+}
+HOLDS = "z-buffer", *DEPTHS
 UPSIDE = np.float32([1, -1, -1])  # optical axes from OpenGL's, and back
-# format, type and array of what is asked for
+
+
+class Kind(NamedTuple):
+    """What a texture must hold, and how it is read."""
+
+    wanted: str
+    channel: int  # whose type is looked at
+    types: tuple
+    layout: int
+    numbers: int
+    dtype: type
+    components: int = 1
+
+
 KINDS = {
-    "z-buffer": (0x1902, 0x1406, np.float32, 1),  # GL_DEPTH_COMPONENT
-    "metres": (0x1903, 0x1406, np.float32, 1),  # GL_RED
-    "normals": (0x1908, 0x1406, np.float32, 4),  # GL_RGBA, which drivers need not convert
-    "numbers": (0x8D94, 0x1405, np.uint32, 1),  # GL_RED_INTEGER
+    "z-buffer": Kind("a z-buffer", DEPTH_TYPE, (FLOAT, UNSIGNED), 0x1902, FLOAT, np.float32),
+    "metres": Kind("metres, as floats in red", RED_TYPE, (FLOAT,), 0x1903, FLOAT, np.float32),
+    # read as RGBA, which drivers need not convert
+    "normals": Kind("x y z of normals, signed", BLUE_TYPE, (FLOAT, SIGNED), 0x1908, FLOAT, np.float32, 4),
+    "numbers": Kind("whole numbers in red", RED_TYPE, (INTEGER, UNSIGNED_INTEGER), 0x8D94, 0x1405, np.uint32),
 }
 
 
 def read_images(tenant: Tenant, depth, projection, holds, zero_to_one, rotation, normals, body_id):
-    """Cameras, and (depth, normals, body_id) as lists of arrays, or None; see `Sensor.ping_from_textures`."""
-    if holds not in HOLDS:
+    """Cameras, depth, normals and body_id for `Sensor.ping_from_textures`: lists, or one of each."""
+    if not isinstance(holds, str) or holds not in HOLDS:
         raise Error(f"holds must be one of {', '.join(map(repr, HOLDS))} (got {holds!r})")
     several = isinstance(depth, (list, tuple))
     n, columns = len(depth) if several else 1, []
+    if n == 0:
+        raise Error("depth must be the name of a texture, or a list of at least one (got an empty list)")
     for what, value in (
         ("depth", depth),
         ("projection", projection),
@@ -38,7 +67,8 @@ def read_images(tenant: Tenant, depth, projection, holds, zero_to_one, rotation,
         if value is None or not several:
             value = [value] * n
         if not isinstance(value, (list, tuple)) or len(value) != n:
-            raise Error(f"{what} must be a list of as many as depth has (got {value!r} for {n})")
+            got = f"{len(value)}" if isinstance(value, (list, tuple)) else type(value).__name__
+            raise Error(f"{what} must be a list of as many as depth has, {n} (got {got})")
         columns.append(value)
     kind = "z-buffer" if holds == "z-buffer" else "metres"
     wanted = [
@@ -47,18 +77,16 @@ def read_images(tenant: Tenant, depth, projection, holds, zero_to_one, rotation,
         for one in ((z, kind, "depth"), (normal, "normals", "normals"), (number, "numbers", "body_id"))
     ]
     arrays = iter(read_all(tenant, wanted))
-    cameras, images = [], ([], [], [])
-    for _, matrix, turn, *_ in zip(*columns, strict=True):
+    images = [], [], [], []
+    for matrix, turn in zip(columns[1], columns[2], strict=True):
         seen, normal, number = next(arrays), next(arrays), next(arrays)
-        camera = Camera.of_projection(matrix, *seen.shape[::-1], turn)
-        if holds == "z-buffer":
-            seen = metres_ahead(seen, np.asarray(matrix, np.float64), zero_to_one)
-        cameras.append(camera)
-        images[0].append(seen)
-        images[1].append(None if normal is None else normal[..., :3] * UPSIDE)
-        images[2].append(number)
-    made = [None if all(one is None for one in column) else column for column in images]
-    return cameras, made
+        images[0].append(Camera.of_projection(matrix, *seen.shape[::-1], turn))
+        images[1].append(metres_ahead(seen, matrix, zero_to_one) if holds == "z-buffer" else seen)
+        images[2].append(None if normal is None else normal[..., :3] * UPSIDE)
+        images[3].append(number)
+    if not several:
+        return tuple(column[0] for column in images)
+    return tuple(None if column[0] is None else column for column in images)
 
 
 def read_all(tenant: Tenant, wanted) -> list:
@@ -66,7 +94,8 @@ def read_all(tenant: Tenant, wanted) -> list:
 
     Parameters
     ----------
-    wanted : (name, kind of KINDS, what to call it in errors) of each; None for a name gives None
+    wanted : (name, kind of KINDS, what to call it in errors) of each; None for a name, but that of depth,
+        gives None
 
     Returns
     -------
@@ -81,29 +110,32 @@ def read_all(tenant: Tenant, wanted) -> list:
     with tenant:
         gl.glPixelStorei(PACK_ALIGNMENT, 1)
         for name, kind, what in wanted:
-            out.append(None if name is None else _read(gl, name, kind, what))
+            skipped = name is None and what != "depth"
+            out.append(None if skipped else _read(gl, name, KINDS[kind], what))
     return out
 
 
-def _read(gl, name, kind: str, what: str) -> np.ndarray:
+def _read(gl, name, kind: Kind, what: str) -> np.ndarray:
     is_number = isinstance(name, (int, np.integer)) and not isinstance(name, bool)
     if not (is_number and 0 < name < 1 << 32 and gl.glIsTexture(int(name))):
-        raise Error(f"{what} must be the GL name of a texture in the host's context (got {name!r})")
+        cure = "; give its .glo" if hasattr(name, "glo") else ""
+        got = repr(name) if is_number or isinstance(name, str | None) else type(name).__name__
+        raise Error(f"{what} must be the GL name of a texture in the host's context (got {got}{cure})")
     gl.glBindTexture(TEXTURE_2D, int(name))
     if gl.take_errors():
         raise Error(
             f"{what} must be a plain 2D texture (got texture {name} of another target; resolve samples first)"
         )
-    size = np.zeros(2, np.int32)
-    for k, side in enumerate((HEIGHT, WIDTH)):
-        gl.glGetTexLevelParameteriv(TEXTURE_2D, 0, side, size[k:].ctypes.data)
-    layout, numbers, dtype, components = KINDS[kind]
-    shape = (*size.tolist(), components) if components > 1 else tuple(size.tolist())
-    out = np.zeros(shape, dtype)
-    if out.size:
-        gl.glGetTexImage(TEXTURE_2D, 0, layout, numbers, out.ctypes.data)
-    if gl.take_errors() or not out.size:
-        raise Error(f"{what} must hold {kind} (got texture {name} of {shape[1]} by {shape[0]} that does not)")
+    found = np.zeros(3, np.int32)
+    for k, parameter in enumerate((HEIGHT, WIDTH, kind.channel)):
+        gl.glGetTexLevelParameteriv(TEXTURE_2D, 0, parameter, found[k:].ctypes.data)
+    *size, held = found.tolist()
+    if held not in kind.types or not all(size):
+        cure = "; decode n * 2 - 1 into floats" if held == UNSIGNED and kind is KINDS["normals"] else ""
+        held = TYPES.get(held, f"type 0x{held:04x}") if all(size) else "no size"
+        raise Error(f"{what} must hold {kind.wanted} (got texture {name} with {held} there{cure})")
+    out = np.zeros((*size, kind.components) if kind.components > 1 else size, kind.dtype)
+    gl.glGetTexImage(TEXTURE_2D, 0, kind.layout, kind.numbers, out.ctypes.data)
     return out[::-1]
 
 
@@ -112,14 +144,21 @@ def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
 
     Parameters
     ----------
-    z_buffer : (H, W) float32, 0..1
+    z_buffer : (H, W) float, 0..1, as read with GL_DEPTH_COMPONENT
     projection : (4, 4) OpenGL clip_from_camera, any perspective: near and far in either order, or no far
     zero_to_one : the host set glClipControl to GL_ZERO_TO_ONE
+
+    Raises
+    ------
+    Error
+        if there is no such image, or no such projection.
     """
+    z_buffer = frozen_array(z_buffer, np.float32, (None, None), "z_buffer")
+    projection = check_projection(projection)
     out = np.zeros(z_buffer.shape, np.float32)
     # clip z = a z + b and w = -z, with z < 0 ahead: z over w, in -1..1 or 0..1, is -a - b/z
     a, b = float(projection[2, 2]), float(projection[2, 3])
-    _undo(np.asarray(z_buffer, np.float32), a, b, bool(zero_to_one), out)
+    _undo(z_buffer, a, b, bool(zero_to_one), out)
     return out
 
 

@@ -139,8 +139,14 @@ def flipped(P):
         (lambda: sg.Camera(2, 2, np.transpose(SQUARE)), "must have the last row 0 0 1"),
         (lambda: sg.Camera(2, 2, np.full((3, 3), np.nan)), "intrinsics of a camera must be finite"),
         (lambda: sg.Camera(2, 2, np.diag([1.0, -1, 1])), "must have fx and fy above 0"),
-        (lambda: sg.Camera(2, 2, SQUARE, np.diag([1.0, 1, -1])), "rotation of a camera must be a rotation"),
-        (lambda: sg.Camera(2, 2, SQUARE, 2 * np.eye(3)), "rotation of a camera must be a rotation"),
+        (
+            lambda: sg.Camera(2, 2, SQUARE, np.diag([1.0, 1, -1])),
+            "rotation of a camera must be sonar_from_camera .got a matrix that is no rotation",
+        ),
+        (
+            lambda: sg.Camera(2, 2, SQUARE, 2 * np.eye(3)),
+            "rotation of a camera must be sonar_from_camera .got a matrix that is no rotation",
+        ),
         (lambda: sg.Camera.of_fov(2, 2), "must be given its field of view"),
         (lambda: sg.Camera.of_fov(2, 2, 90), r"fov_x_rad must be radians between 0 and π \(got 90\)"),
         (lambda: sg.Camera.of_fov(2, 2, fov_y_rad=0), "fov_y_rad must be radians"),
@@ -150,7 +156,7 @@ def flipped(P):
             "must be an OpenGL perspective",
         ),
         (lambda: sg.Camera.of_projection(flipped(frustum(-1, 1, -1, 1, 1, 9)), 2, 2), "fx and fy above 0"),
-        (lambda: sg.Camera(2, 2, SQUARE).projection(1.0, 0.5), "0 < near_m < far_m"),
+        (lambda: sg.Camera(2, 2, SQUARE).projection(1.0, 0.5), "near_m and far_m must be finite metres"),
         (lambda: sg.Camera(2, 2, SQUARE).pose_gl(np.eye(3)), r"pose must have shape \(4, 4\)"),
         (lambda: sg.Camera.covering("p900-45"), "sonar must be a Sonar"),
         (lambda: sg.Camera.covering(sg.load_sonar("p900-45"), pixel_deg=0), "pixel_deg must be degrees"),
@@ -167,3 +173,16 @@ def test_a_camera_keeps_a_copy_of_its_own():
     camera = sg.Camera(640, 480, K)
     K[0, 0] = 1.0
     assert camera.intrinsics[0, 0] == 500 and not camera.intrinsics.flags.writeable
+
+
+def test_the_sonars_pose_of_a_hosts_camera():
+    """It undoes `pose_gl`, of a camera that looks aside, too."""
+    for rotation in (None, sg.pose(yaw=0.7, pitch=0.2)[:3, :3] @ sg.Camera.of_fov(4, 4, 1.0).rotation):
+        camera, pose = sg.Camera.of_fov(64, 48, 1.2, rotation=rotation), sg.pose(1, 2, 3, 0.3, -0.2, 1.1)
+        np.testing.assert_allclose(camera.sonar_pose(camera.pose_gl(pose)), pose, atol=1e-12)
+    # a camera of OpenGL's at the origin looks along -z, with y up: so does the sonar, whose x is ahead and z up
+    sonar = sg.Camera.of_fov(64, 48, 1.2).sonar_pose(np.eye(4))
+    np.testing.assert_allclose(sonar[:3, :3] @ [1, 0, 0], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(sonar[:3, :3] @ [0, 0, 1], [0, 1, 0], atol=1e-12)
+    with pytest.raises(sg.Error, match="world_from_camera"):
+        sg.Camera.of_fov(64, 48, 1.2).sonar_pose(np.eye(3))

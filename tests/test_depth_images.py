@@ -86,7 +86,7 @@ def test_a_wall_to_the_side_and_the_two_kinds_of_depth():
     with embed.Sensor(sonar, IDEAL) as sensor:
         for given in (normals, None):
             planar = sensor.ping_from_depth(depth, camera, normals=given)
-            radial = sensor.ping_from_depth(range_m, camera, normals=given, planar=False)
+            radial = sensor.ping_from_depth(range_m, camera, normals=given, holds="range")
             for ping in (planar, radial):
                 # a sample stands for a tenth of a degree, a bin at 12 m and 49 degrees for a fifth of one
                 assert wrong(ping, exact) < 0.004
@@ -94,7 +94,7 @@ def test_a_wall_to_the_side_and_the_two_kinds_of_depth():
                 assert (
                     np.abs(shown - 8 / np.cos(ping.azimuth_rad)).max() < 0.05 + 0.01
                 )  # a bin, and a beam's width
-        short = sensor.ping_from_depth(depth, camera, planar=False)
+        short = sensor.ping_from_depth(depth, camera, holds="range")
         long = sensor.ping_from_depth(range_m, camera)
     # nothing of this passes unnoticed: all but the beams about the boresight are wrong
     assert wrong(short, exact) > 1.5 and wrong(long, exact) > 1.5
@@ -124,7 +124,7 @@ def test_a_sector_of_the_fan_as_camera_gives_the_simulators_own_ping(acoustics):
     with sg.Simulator(scene, sonar, acoustics, sampling) as simulator:
         own, (seen,) = simulator.ping(pose, labels=True), simulator.gbuffers(pose)
         camera = sector_camera(simulator.fan.sectors[0])
-    given = {"normals": seen.normal[::-1] @ camera.rotation, "body_id": seen.body_id[::-1], "planar": False}
+    given = {"normals": seen.normal[::-1] @ camera.rotation, "body_id": seen.body_id[::-1], "holds": "range"}
     with embed.Sensor(sonar, acoustics, sampling) as sensor:
         ping = sensor.ping_from_depth(
             seen.range_m[::-1], camera, pose, reflectivity=mus, labels=True, bodies=list(ROOM), **given
@@ -219,7 +219,7 @@ def test_several_cameras_see_a_wide_fan_without_seams(fov_deg, n_cameras):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pings = [
-            sg.ping_from_depth(depth, sonar, cameras, IDEAL, planar=False, normals=normals)
+            sg.ping_from_depth(depth, sonar, cameras, IDEAL, holds="range", normals=normals)
             for normals in ([inward(camera) for camera in cameras], None)
         ]
     top = math.radians(5.0)
@@ -560,11 +560,20 @@ GOOD = np.full((30, 40), 5.0)
         ({"camera": "wide"}, "camera must be a Camera"),
         ({"camera": []}, "list of at least one"),
         ({"camera": [None]}, "camera must be a Camera"),
-        ({"several": 2, "depth": GOOD}, "depth must be a list of as many images as cameras"),
-        ({"several": 2, "depth": [GOOD]}, "depth must be a list .*got 1 of them for 2"),
+        (
+            {"several": 2, "depth": GOOD},
+            "depth must be a list of as many images as there are cameras, 2 .got ndarray",
+        ),
+        ({"several": 2, "depth": [GOOD]}, "depth must be a list .*cameras, 2 .got 1 of them"),
         ({"several": 1, "depth": [GOOD], "normals": np.zeros((30, 40, 3))}, "normals must be a list"),
-        ({"bodies": "rock"}, "bodies must be several names"),
-        ({"bodies": [3]}, "bodies must be several names"),
+        ({"bodies": "rock"}, "bodies must be a list of names, that of number 1 first .got str"),
+        ({"bodies": None}, "bodies must be a list of names, that of number 1 first .got NoneType"),
+        ({"bodies": [3]}, "each of bodies must be a str .got int"),
+        ({"holds": "z-buffer"}, "holds must be 'planar', .* .got 'z-buffer'; embed.metres_ahead undoes"),
+        ({"holds": True}, "holds must be 'planar', .* .got True"),
+        ({"depth": "near.png"}, "depth must be an array of numbers .got str"),
+        ({"depth": None}, "depth must be an array of numbers .got NoneType"),
+        ({"normals": np.full((30, 40, 3), 128, np.uint8)}, "normals must be in floating point .got uint8"),
         ({"pose": np.eye(3)}, "pose must have shape"),
         ({"seed": -1}, "seed must be a whole number"),
         ({"noise": "physical"}, "noise must be a Noise"),
@@ -584,3 +593,47 @@ def test_what_cannot_be_a_ping_is_refused(more, message):
     with pytest.raises(sg.Error, match=message) as told:
         sg.ping_from_depth(**given)
     assert "\n" not in str(told.value)
+
+
+def test_what_is_masked_is_nothing():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth, mask = np.full((camera.height, camera.width), 5.0), np.zeros((camera.height, camera.width), bool)
+    mask[:, camera.width // 2 :] = True  # the starboard half
+    masked = sg.ping_from_depth(np.ma.array(depth, mask=mask), sonar, camera, IDEAL)
+    holes = sg.ping_from_depth(np.where(mask, np.nan, depth), sonar, camera, IDEAL)
+    assert np.array_equal(masked.intensity, holes.intensity) and masked.intensity.any()
+    assert masked.intensity[: sonar.n_beams // 4].sum() == 0
+
+
+def test_a_z_buffer_is_doubted_once():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    projection, metres = camera.projection(0.1, 50.0), np.full((camera.height, camera.width), 6.0)
+    metres[: camera.height // 4] = 50.0
+    ndc = (-projection[2, 2] * metres + projection[2, 3]) / metres
+    z_buffer = (ndc + 1) / 2
+    z_buffer[: camera.height // 4] = 1.0
+    with embed.Sensor(sonar, IDEAL) as sensor, pytest.warns(UserWarning, match="as a z-buffer does") as told:
+        for _ in range(2):
+            sensor.ping_from_depth(z_buffer, camera)
+    assert len([one for one in told if "z-buffer" in str(one.message)]) == 1
+    undone = embed.metres_ahead(z_buffer, projection)
+    assert (undone[: camera.height // 4] == 0).all()
+    np.testing.assert_allclose(undone[camera.height // 4 :], 6.0, rtol=1e-4)  # float32 near 1
+    for wrong, message in (
+        ((np.zeros(3), projection), "z_buffer must have shape"),
+        ((z_buffer, projection.T), "projection must be an OpenGL perspective"),
+    ):
+        with pytest.raises(sg.Error, match=message):
+            embed.metres_ahead(*wrong)
+
+
+def test_bodies_have_names_for_all_numbers_that_labels_have():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth = np.full((camera.height, camera.width), 5.0)
+    given = {"body_id": np.full(depth.shape, 3), "labels": True}
+    ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, bodies=["wall"], **given)
+    assert ping.meta["bodies"] == ["wall", "body 2", "body 3"]
+    assert len(ping.body_echo) == 4 and ping.body_echo[3] > 0

@@ -4,6 +4,7 @@ import contextlib
 import math
 import threading
 import warnings
+from types import SimpleNamespace
 
 import gl_host
 import host_state
@@ -296,21 +297,33 @@ def test_what_is_no_such_texture():
     GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, cube)
     GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, layers)
     GL.glBindTexture(GL.GL_TEXTURE_2D, empty)
-    z_buffer = drawn["z-buffer"]
+    z_buffer, bytes_ = drawn["z-buffer"], gl_host.new_texture()
+    GL.glBindTexture(GL.GL_TEXTURE_2D, bytes_)
+    pixels = np.zeros((32, 64, 4), np.uint8)
+    GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA8, 64, 32, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, pixels)
+    GL.glBindTexture(GL.GL_TEXTURE_2D, empty)
     with embed.Sensor(SONAR) as sensor:
         for wrong, message in (
             ({"depth": 9999}, "depth must be the GL name of a texture in the host's context .got 9999"),
             ({"depth": "z"}, "depth must be the GL name of a texture .* .got 'z'"),
-            ({"depth": int(cube)}, "depth must be a plain 2D texture"),
-            ({"depth": int(layers)}, "depth must be a plain 2D texture"),
-            ({"depth": int(empty)}, "depth must hold z-buffer .got texture"),
-            ({"depth": drawn["metres"]}, "depth must hold z-buffer"),
-            ({"holds": "planar"}, "depth must hold metres"),
+            ({"depth": None}, "depth must be the GL name of a texture .* .got None"),
+            ({"depth": np.eye(2)}, "depth must be the GL name of a texture .* .got ndarray"),
+            ({"depth": SimpleNamespace(glo=3)}, "got SimpleNamespace; give its .glo"),
+            ({"depth": cube}, "depth must be a plain 2D texture"),
+            ({"depth": layers}, "depth must be a plain 2D texture"),
+            ({"depth": empty}, "depth must hold a z-buffer .got texture [0-9]+ with no size there"),
+            ({"depth": drawn["metres"]}, "hold a z-buffer .got texture [0-9]+ with nothing of the kind"),
+            ({"holds": "planar"}, "depth must hold metres, as floats in red .got .* nothing of the kind"),
+            ({"holds": "planar", "depth": bytes_}, "metres, as floats in red .got .* unsigned fractions"),
             ({"holds": "depth"}, "holds must be one of 'z-buffer', 'planar', 'range' .got 'depth'"),
-            ({"normals": z_buffer}, "normals must hold normals"),
-            ({"body_id": drawn["metres"]}, "body_id must hold numbers"),
+            ({"normals": z_buffer}, "normals must hold x y z of normals, signed"),
+            ({"normals": bytes_}, r"signed .got .* unsigned fractions there; decode n \* 2 - 1 into floats"),
+            ({"normals": drawn["metres"]}, "normals must hold x y z .* nothing of the kind"),
+            ({"body_id": drawn["metres"]}, "body_id must hold whole numbers in red .got .* floats"),
             ({"projection": np.eye(4)}, "projection must be an OpenGL perspective"),
-            ({"depth": [z_buffer], "projection": [projection] * 2}, "projection must be a list of as many"),
+            ({"depth": [z_buffer], "projection": [projection] * 2}, "projection must be .*, 1 .got 2"),
+            ({"depth": [z_buffer]}, "projection must be a list of as many as depth has, 1 .got ndarray"),
+            ({"depth": [], "projection": []}, "a list of at least one .got an empty list"),
         ):
             arguments = {"depth": z_buffer, "projection": projection, "pose": POSE} | wrong
             with pytest.raises(sg.Error, match=message):
@@ -354,19 +367,25 @@ def test_a_host_that_fails_while_it_draws():
         assert apart(sensor.finish(), true) < ROUNDING
 
 
-def test_what_is_no_number_is_refused():
+def test_what_is_no_echo_is_refused():
     """NaN would make loops over bins run without an end."""
     scene = scene_of()
     host = gl_host.Program(scene)
-    nan = gl_host.SONAR.replace("mu, body", "mu * sqrt(-1.0 - mu), body")
-    nan = "#version 330 core\n" + embed.glsl() + nan
-    host.programs["nan"] = gl_host.make_program(gl_host.VERTEX, nan)
+    for kind, mu in (("nan", "mu * sqrt(-1.0 - mu)"), ("loud", "255.0 * mu")):
+        text = gl_host.SONAR.replace("mu, body", f"{mu}, body")
+        text = "#version 330 core\n" + embed.glsl() + text
+        host.programs[kind] = gl_host.make_program(gl_host.VERTEX, text)
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
-        with pytest.raises(sg.Error, match="what a host writes for a sonar must be finite"), sector:
-            host.draw("nan", sector.view, sector.projection, sector.lattice)
-        with pytest.raises(sg.Error, match="got 0 of 1"):
-            sensor.finish()
+        for kind, lattice, message in (
+            ("nan", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
+            ("loud", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
+            ("sonar", np.zeros((3, 3)), "must be finite .* set the uniform sonar_gl_lattice"),
+        ):
+            with pytest.raises(sg.Error, match=message), sector:
+                host.draw(kind, sector.view, sector.projection, lattice)
+            with pytest.raises(sg.Error, match="got 0 of 1"):
+                sensor.finish()
 
 
 def test_nothing_in_view_says_why():
@@ -413,8 +432,9 @@ def test_what_a_sensor_is_asked_for():
         with pytest.raises(sg.Error, match=message):
             embed.Sensor(SONAR, **wrong)
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        for near_m in (0, -1, 1e6, "near", True):
-            with pytest.raises(sg.Error, match="near_m must be metres between 0 and 160"):
+        # half a metre away in the corner of 30 by 10 degrees
+        for near_m in (0, -1, 1e6, 0.5, "near", True):
+            with pytest.raises(sg.Error, match=r"near_m must be metres above 0 and no more than 0\.4"):
                 sensor.sectors(POSE, near_m)
         with pytest.raises(sg.Error, match="pose must"):
             sensor.sectors(np.eye(3))
@@ -501,9 +521,9 @@ def test_a_closed_sensor_leaves_no_objects(use):
     sensor.close()
     sensor.close()
     assert host_state.objects(plain) == before
-    draw(host, sensor)  # a closed one may go on: it makes anew what it needs
-    sensor.close()
-    assert host_state.objects(plain) == before
+    for call in (lambda: sensor.sectors(POSE), lambda: sensor.ping_from_textures(1, np.eye(4))):
+        with pytest.raises(sg.Error, match="this Sensor is closed; make a new one"):
+            call()
 
 
 def test_a_sensor_is_closed_in_its_own_thread():
@@ -567,3 +587,74 @@ def test_pings_without_end():
             run(1000)
         assert host_state.objects(plain) == objects
         assert soak.resident_bytes() - before < 8e6  # one ping here is 100 kB
+
+
+def test_numbers_that_labels_cannot_hold():
+    host = gl_host.Program(scene_of())
+    text = "#version 330 core\n" + embed.glsl() + gl_host.SONAR.replace("body, lobe", "body + 70000u, lobe")
+    host.programs["sonar"] = gl_host.make_program(gl_host.VERTEX, text)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        draw(host, sensor)
+        assert sensor.finish().intensity.any()
+        with pytest.raises(sg.Error, match=r"numbers of bodies must lie in 1\.\.65534"):
+            sensor.finish(labels=True)
+
+
+def test_a_host_that_draws_elsewhere_is_told():
+    """As one does that begins each frame by binding its own framebuffer; and one with matrices astray."""
+    host = gl_host.Program(scene_of())
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        with sector:
+            host.textures(sector.view, sector.projection, 64, 64)
+        with pytest.warns(UserWarning, match="no echo .*; another framebuffer was bound as a block ended"):
+            sensor.finish()
+        (sector,) = sensor.sectors(POSE)
+        with sector:
+            host.draw("sonar", sector.view, sector.projection.T, sector.lattice)
+        with pytest.warns(UserWarning, match="no echo .*; gl_Position must be projection"):
+            sensor.finish()
+
+
+def test_names_of_a_host_do_not_clash_with_those_of_the_shader():
+    own = """
+    float cos_incidence(float a) { return a; }
+    vec3 plane_of(vec3 a) { return a; }
+    vec2 specular_lobe; float cos_times_range; float lobe_times_range;
+    """
+    text = "#version 330 core\n" + embed.glsl() + own + gl_host.SONAR
+    assert gl_host.make_program(gl_host.VERTEX, text)
+
+
+def test_sectors_of_several_poses_are_not_mixed_up():
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (first,), (second,) = sensor.sectors(POSE), sensor.sectors(np.eye(4))
+        for sector in (first, second):
+            with sector:
+                host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+        ping = sensor.finish()
+        assert apart(ping, simulate(scene, pose=np.eye(4))) < ROUNDING
+        (third,) = sensor.sectors(POSE)
+        with first:  # whose turn is over
+            host.draw("sonar", first.view, first.projection, first.lattice)
+        with pytest.raises(sg.Error, match="got 0 of 1"):
+            sensor.finish()
+        assert np.array_equal(third.view, first.view)
+
+
+def test_one_texture_takes_an_image_of_reflectivity():
+    scene = plain_scene()
+    host, camera = gl_host.Program(scene), sg.Camera.of_fov(300, 130, fov_x_rad=1.2)
+    view, projection, width, height, _ = view_of(camera)
+    drawn = host.textures(view, projection, width, height)
+    names = drawn["z-buffer"], projection, POSE
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        one = sensor.ping_from_textures(*names, reflectivity=0.25)
+        image = sensor.ping_from_textures(*names, reflectivity=np.full((height, width), 0.25))
+        upper = np.where(np.arange(height)[:, None] < height // 2, 0.25, 0.0) * np.ones(width)
+        half = sensor.ping_from_textures(*names, reflectivity=upper, labels=True)
+    assert np.array_equal(one.intensity, image.intensity)
+    heard = np.isfinite(half.elevation_rad)
+    assert heard.any() and half.elevation_rad[heard].min() > -math.radians(1.0)  # the first row is on top
