@@ -148,7 +148,9 @@ def main(out="out", frames=None):
             if now_s >= next_ping_s:  # the sonar keeps its own time, whatever the window's is
                 ping = simulator.ping(sonar_pose(place))
                 view.fan.write(fan_picture(ping).tobytes(), alignment=1)
-                pings, next_ping_s = pings + 1, max(next_ping_s + PING_PERIOD_S, now_s)
+                pings, next_ping_s = pings + 1, next_ping_s + PING_PERIOD_S
+                if next_ping_s <= now_s:  # the window was held up: pings that were missed stay so
+                    next_ping_s = now_s + PING_PERIOD_S
             view.draw(sonar_pose(place))
             glfw.swap_buffers(window)
             glfw.poll_events()

@@ -88,8 +88,10 @@ def _image(camera: Camera, depth, normals, body_id, reflectivity) -> DepthImage:
         if low < 0 or high > LAST_BODY:
             raise Error(f"body_id must lie in 0..{LAST_BODY}, 0 where none is known (got {low} to {high})")
         body_id = body_id.astype(np.uint16, order="C", copy=False)
+    with np.errstate(over="ignore"):  # infinitely far is nothing
+        depth = depth.astype(np.float32, order="C", copy=False)
     return DepthImage(
-        depth.astype(np.float32, order="C", copy=False),
+        depth,
         NO_NORMALS if normals is None else normals,
         NO_BODIES if body_id is None else body_id,
         _reflectivity(reflectivity, body_id, shape),

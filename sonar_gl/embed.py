@@ -7,6 +7,7 @@ Of the four ways in this module has three: the host draws the sonar's sectors wi
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 
 from sonar_gl.acoustics import Acoustics
@@ -16,11 +17,12 @@ from sonar_gl.fan import Sampling
 from sonar_gl.foreign import Host, Tenant
 from sonar_gl.hearing import Hearing
 from sonar_gl.ladder import check_tolerance, guess_of, sampling_of
-from sonar_gl.listener import KEPT, Listener
+from sonar_gl.listener import KEPT, Asked, Listener
 from sonar_gl.load import data_folder
 from sonar_gl.programs import load_shader
 from sonar_gl.rigid import check_pose
 from sonar_gl.sonar import Sonar
+from sonar_gl.targets import give_back, leave, release_left
 from sonar_gl.textures import metres_ahead, read_images
 from sonar_gl.types import Error, Ping
 
@@ -82,8 +84,7 @@ class Sensor(Listener):
         self._check_open()
         pose, host = check_pose(pose), self._joined()
         if self._drawing is None or self._drawing.near_m != near_m:
-            if self._drawing is not None:
-                self._drawing.close()
+            self._give_back()
             sampling = self.sampling or sampling_of(self.sonar, guess_of(self.tolerance))
             self._drawing = Drawing(host, Hearing(self.sonar, self.acoustics, sampling), near_m)
         return self._drawing.aim(pose)
@@ -100,10 +101,11 @@ class Sensor(Listener):
         """
         if self._drawing is None:
             raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
+        asked = Asked(bodies, noise, seed, labels, ping_number, velocity).checked()
         drawing, (views, pose) = self._drawing, self._drawing.views()
         how = self.tolerance if self.sampling is None else None, self._host.renderer
-        more = bodies, noise, seed, labels, ping_number, velocity
-        return self._ping(drawing.hearing, views, pose, drawing.advice(), how, *more)
+        with self._lock:
+            return self._ping(drawing.hearing, views, pose, drawing.advice(), how, asked)
 
     def ping_from_textures(
         self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
@@ -135,8 +137,9 @@ class Sensor(Listener):
         """
         self._check_open()
         read = read_images(self._joined(), depth, projection, holds, zero_to_one, rotation, normals, body_id)
-        how, more = (None, self._host.renderer), (bodies, noise, seed, labels, ping_number, velocity)
-        return self._ping_of_images(*images_of(*read, reflectivity), pose, holds != "range", how, *more)
+        asked = Asked(bodies, noise, seed, labels, ping_number, velocity)
+        how, made = (None, self._host.renderer), images_of(*read, reflectivity)
+        return self._ping_of_images(*made, pose, holds != "range", how, asked)
 
     def ping_from_depth(
         self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=UNKNOWN,
@@ -177,30 +180,47 @@ class Sensor(Listener):
             if an image does not fit its camera, or the cameras see nothing of the fan.
         """
         planar, made = is_planar(holds), images_of(camera, depth, normals, body_id, reflectivity)
-        how, more = (None, "none: depth image"), (bodies, noise, seed, labels, ping_number, velocity)
-        return self._ping_of_images(*made, pose, planar, how, *more)
+        asked = Asked(bodies, noise, seed, labels, ping_number, velocity)
+        return self._ping_of_images(*made, pose, planar, (None, "none: depth image"), asked)
 
     def _joined(self) -> Tenant:
         """The host whose context is current; another one than before is an Error."""
+        release_left()
         if self._host is None:
             self._host = Tenant(Host())
         self._host.check()
         return self._host
 
+    def _give_back(self):
+        """The framebuffers: now, or where the host's context is not current, as soon as it is."""
+        drawing, self._drawing = self._drawing, None
+        if drawing is not None:
+            drawing.hearing.reducer.close()
+            give_back(drawing.things)
+        release_left()
+
     def close(self):
-        """Give back what this holds, with the host's context current; twice does no harm."""
+        """Give back what this holds, in the thread of the host's context; twice does no harm."""
         if self._host is not None:
             self._host.check_thread()
+        if self._drawing is not None and self._drawing.is_being_drawn():
+            raise Error("a Sensor must be closed outside of the blocks of its sectors (got one being drawn)")
         super().close()
-        if self._drawing is not None:
-            self._drawing.close()
-        if self._host is not None and self._host.is_in_reach():
-            self._host.release()
-        self._host = self._drawing = None
+        self._give_back()
+        host, self._host = self._host, None
+        if host is not None:
+            give_back([host])
+
+    def __del__(self):
+        # nothing may be drawn or released now: the garbage collector may call in the midst of other drawing
+        if getattr(self, "_drawing", None) is not None:
+            leave(self._drawing.things)
+        if getattr(self, "_host", None) is not None:
+            leave([self._host])
 
 
 @lru_cache(KEPT)
-def _sensor(sonar, acoustics, sampling) -> Sensor:
+def _sensor(sonar, acoustics, sampling, process: int) -> Sensor:
     return Sensor(sonar, acoustics, sampling)
 
 
@@ -219,4 +239,4 @@ def ping_from_depth(
     for thing in (sonar, acoustics, sampling):
         if type(thing).__hash__ is None:  # named in the error of `Sensor`, not in one of the cache
             Sensor(sonar, acoustics, sampling)
-    return _sensor(sonar, acoustics, sampling).ping_from_depth(depth, camera, **more)
+    return _sensor(sonar, acoustics, sampling, os.getpid()).ping_from_depth(depth, camera, **more)

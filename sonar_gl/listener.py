@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from threading import Lock
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,23 @@ KEPT = 4  # sets of cameras
 IMAGES_ADVICE = "depth must be metres ahead of the camera, above 0: OpenGL's z is minus that"
 
 
+class Asked(NamedTuple):
+    """What is asked of a ping, whoever draws for it; see `embed.Sensor.ping_from_depth`."""
+
+    bodies: object
+    noise: Noise | None
+    seed: int
+    labels: bool
+    ping_number: int
+    velocity: object
+
+    def checked(self) -> Asked:
+        """The same, or an Error."""
+        check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")
+        seed, velocity = check_seed(self.seed), check_velocity(self.velocity)
+        return self._replace(bodies=names_of(self.bodies), seed=seed, velocity=velocity)
+
+
 class Listener:
     """A sonar, its acoustics, and what pings have in common, whoever draws for them.
 
@@ -44,18 +62,21 @@ class Listener:
                 f'(got "{self.acoustics.multipath}"; mirrors need the scene: use a Simulator)'
             )
         self._record, self._cameras, self._lock = Record(sonar, self.acoustics), {}, Lock()
-        self._is_closed = False
+        self._process, self._is_closed = os.getpid(), False
 
     def _check_open(self):
+        if os.getpid() != self._process:  # a fork has not the threads
+            raise Error("a Sensor must be used in the process that made it; make one in each process")
         if self._is_closed:
             raise Error("this Sensor is closed; make a new one")
 
-    def _ping_of_images(self, cameras, images, pose, planar: bool, *rest) -> Ping:
-        pose = check_pose(np.eye(4) if pose is None else pose)
+    def _ping_of_images(self, cameras, images, pose, planar: bool, how, asked: Asked) -> Ping:
+        """A ping of depth images; how : of `_ping`."""
+        pose, asked = check_pose(np.eye(4) if pose is None else pose), asked.checked()
+        self._check_open()
         with self._lock:
-            self._check_open()
             heard = self._cameras_of(cameras, images)
-            return self._ping(heard.hearing, heard.views(images, planar), pose, IMAGES_ADVICE, *rest)
+            return self._ping(heard.hearing, heard.views(images, planar), pose, IMAGES_ADVICE, how, asked)
 
     def _cameras_of(self, cameras, images) -> Cameras:
         key = tuple((c.width, c.height, c.intrinsics.tobytes(), c.rotation.tobytes()) for c in cameras)
@@ -69,31 +90,35 @@ class Listener:
             self._cameras.pop(next(iter(self._cameras))).close()
         return found
 
-    def _ping(
-        self, hearing, views, pose, advice, how, bodies, noise, seed, labels, ping_number, velocity
-    ) -> Ping:
-        """A ping of what was drawn; advice : if that is nothing; how : the tolerance, and which renderer."""
-        seed, velocity, bodies = check_seed(seed), check_velocity(velocity), names_of(bodies)
-        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
+    def _ping(self, hearing, views, pose, advice: str, how, asked: Asked) -> Ping:
+        """A ping of what was drawn, one at a time.
+
+        Parameters
+        ----------
+        advice : what to look at if that is nothing
+        how : the tolerance, or None, and the renderer
+        asked : checked
+        """
         intensity = hearing.intensity(views)
-        total, found = hearing.reducer.total, (None,) * 3
+        total, found, bodies = hearing.reducer.total, (None,) * 3, asked.bodies
         if total <= 0:
             nothing = f"no echo came back: what was drawn shows no surface in the fan; {advice}"
             _warn(why_unheard(self.sonar, hearing.fan.sonar, views) or nothing)
-        if labels:
+        if asked.labels:
             found = _labels(hearing, views, len(bodies))
-            bodies += [f"body {number}" for number in range(len(bodies) + 1, len(found[2]))]
-        scene = self._record.scene
-        if scene is None or ([body.name for body in scene.bodies], scene.how) != (bodies, how):
-            named = [SimpleNamespace(name=name) for name in bodies]
-            self._record.describe(SimpleNamespace(name="host", bodies=named, plumes=(), how=how), *how)
-        ping = self._record.ping(pose, intensity, found, hearing.sampling, seed, total > 0, None, velocity)
-        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+            bodies = bodies + [f"body {number}" for number in range(len(bodies) + 1, len(found[2]))]
+        if self._record.described != (bodies, how):
+            self._record.describe((bodies, how), "host", bodies, [], *how)
+        sums = intensity, found, hearing.sampling, asked.seed, total > 0, None
+        ping = self._record.ping(pose, *sums, asked.velocity)
+        return ping if asked.noise is None else add_noise(ping, asked.noise, asked.seed, asked.ping_number)
 
     def close(self):
         """End what runs beside; twice does no harm."""
+        self._is_closed = True
+        if os.getpid() != self._process:
+            return
         with self._lock:
-            self._is_closed = True
             while self._cameras:
                 self._cameras.popitem()[1].close()
 

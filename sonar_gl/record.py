@@ -19,18 +19,18 @@ class Record:
     Attributes
     ----------
     axes : azimuths of beams and ranges of bins, of every ping
-    scene : what was described last
+    described : key of what was described last
     """
 
     def __init__(self, sonar: Sonar, acoustics: Acoustics):
-        self.sonar, self.acoustics, self.scene, self._meta = sonar, acoustics, None, b""
+        self.sonar, self.acoustics, self.described, self._meta = sonar, acoustics, None, b""
         self.axes = sonar.azimuth_rad, sonar.range_m
         for axis in self.axes:
             axis.setflags(write=False)  # all pings share them
         self._pulse = acoustics.pulse_weights(sonar)
 
-    def describe(self, scene, tolerance: float | None, gl_renderer: str, **more) -> None:
-        """Have pings say that they are of this scene, which has a `name`, and named `bodies` and `plumes`."""
+    def describe(self, key, scene: str, bodies, plumes, tolerance: float | None, gl_renderer: str) -> None:
+        """Have pings say that they are of this scene, bodies and plumes, by name; key is kept."""
         sonar, acoustics = self.sonar, self.acoustics
         meta = {
             "sonar": asdict(sonar),
@@ -40,15 +40,14 @@ class Record:
             "profile": acoustics.profile,
             "tolerance": tolerance,
             "bin_size_m": sonar.bin_size_m,
-            "scene": scene.name,
-            "bodies": [body.name for body in scene.bodies],
-            **({"plumes": [plume.name for plume in scene.plumes]} if scene.plumes else {}),
+            "scene": scene,
+            "bodies": bodies,
+            **({"plumes": plumes} if plumes else {}),
             "version": __version__,
             "gl_renderer": gl_renderer,
-            **more,
         }
         # each ping gets its own copy, ten times quicker than by deepcopy
-        self.scene, self._meta = scene, pickle.dumps(meta)
+        self.described, self._meta = key, pickle.dumps(meta)
 
     def ping(self, pose, intensity, found, sampling, seed, has_echo, estimate, velocity=None, **more) -> Ping:
         """A ping from what was summed.

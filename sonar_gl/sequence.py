@@ -51,8 +51,9 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     if whole <= 0:
         sonars = simulator.sonar, simulator._passes.drawn
         warnings.warn(why_nothing(scene, where, *sonars, pose, views), stacklevel=3)
-    if record.scene is not scene:  # at first, and when bodies were added
-        record.describe(scene, samples.tolerance, simulator.gl_info["renderer"])
+    if record.described is not scene:  # at first, and when bodies were added
+        names = [body.name for body in scene.bodies], [plume.name for plume in scene.plumes]
+        record.describe(scene, scene.name, *names, samples.tolerance, simulator.gl_info["renderer"])
     more = {} if where.time_s is None else {"time_s": where.time_s}
     estimate = samples.estimate(pose)
     return record.ping(pose, intensity, found, sampling, seed, whole > 0, estimate, velocity, **more)

@@ -13,7 +13,6 @@ from sonar_gl.foreign import Tenant
 from sonar_gl.types import Error, frozen_array
 
 TEXTURE_2D, WIDTH, HEIGHT = 0x0DE1, 0x1000, 0x1001
-PACK_ALIGNMENT = 0x0D05
 RED_TYPE, BLUE_TYPE, DEPTH_TYPE = 0x8C10, 0x8C12, 0x8C16
 FLOAT, SIGNED, UNSIGNED, INTEGER, UNSIGNED_INTEGER = 0x1406, 0x8F9C, 0x8C17, 0x1404, 0x1405
 TYPES = {
@@ -108,7 +107,6 @@ def read_all(tenant: Tenant, wanted) -> list:
     """
     gl, out = tenant.gl, []
     with tenant:
-        gl.glPixelStorei(PACK_ALIGNMENT, 1)
         for name, kind, what in wanted:
             skipped = name is None and what != "depth"
             out.append(None if skipped else _read(gl, name, KINDS[kind], what))
@@ -155,6 +153,11 @@ def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
     """
     z_buffer = frozen_array(z_buffer, np.float32, (None, None), "z_buffer")
     projection = check_projection(projection)
+    if projection[2, 0] or projection[2, 1]:
+        raise Error(
+            "the projection of a z-buffer must have its near plane across the view (got "
+            f"{projection[2].tolist()} for its third row; hand over metres instead)"
+        )
     out = np.zeros(z_buffer.shape, np.float32)
     # clip z = a z + b and w = -z, with z < 0 ahead: z over w, in -1..1 or 0..1, is -a - b/z
     a, b = float(projection[2, 2]), float(projection[2, 3])

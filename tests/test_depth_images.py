@@ -1,11 +1,16 @@
 """Pings of depth images, against closed forms and against the Simulator's own of the same scene."""
 
 import math
+import os
+import signal
+import threading
+import time
 import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import soak
 import trimesh
 from casting import Cast, box, cylinder, plane, sphere
 from closed_forms import box_beams, cylinder_echo, plane_echo
@@ -637,3 +642,75 @@ def test_bodies_have_names_for_all_numbers_that_labels_have():
     ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, bodies=["wall"], **given)
     assert ping.meta["bodies"] == ["wall", "body 2", "body 3"]
     assert len(ping.body_echo) == 4 and ping.body_echo[3] > 0
+
+
+def test_a_fork_may_ping():
+    """Workers that load data are often forks: kept sensors have threads that these have not."""
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth = np.full((camera.height, camera.width), 5.0)
+    mine = sg.ping_from_depth(depth, sonar, camera, IDEAL).intensity
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        said = forked(mine, depth, camera, sensor)
+    assert said == "same, a Sensor must be used in the process that made it; make one in each process"
+
+
+def forked(mine, depth, camera, sensor):
+    """What a fork says of a ping of its own, and of one by a sensor that it has inherited."""
+    sensor.ping_from_depth(depth, camera)
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of 3.12 on: forks and threads do not agree
+        child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        said = "same, "
+        try:
+            ping = sg.ping_from_depth(depth, sensor.sonar, camera, IDEAL)
+            said = said if np.array_equal(ping.intensity, mine) else "other, "
+            sensor.ping_from_depth(depth, camera)
+        except sg.Error as why:
+            said += str(why)
+        os.write(writing, said.encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        said = pipe.read()
+    os.waitpid(child, 0)
+    return said
+
+
+def test_sets_of_cameras_without_end():
+    """The last few are kept: no more threads than those have, and none after closing."""
+    sonar = sonar_of()
+    before = threading.active_count()
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        for k in range(12):
+            camera = sg.Camera.of_fov(60 + 2 * k, 40, fov_x_rad=1.6, fov_y_rad=0.9)
+            sensor.ping_from_depth(np.full((40, 60 + 2 * k), 5.0), camera)
+            if k == 3:
+                most = threading.active_count()
+        ended_by = time.monotonic() + 10  # threads end when they get to it
+        while threading.active_count() > most and time.monotonic() < ended_by:
+            time.sleep(0.01)
+        assert before < threading.active_count() <= most
+    while threading.active_count() > before and time.monotonic() < ended_by:
+        time.sleep(0.01)
+    assert threading.active_count() == before
+
+
+def test_depth_images_without_end():
+    sonar = sonar_of(45.0, 64, 20.0)
+    camera = sg.Camera.of_fov(160, 80, fov_x_rad=1.0)
+    depth = np.full((80, 160), 5.0, np.float32)
+    numbers = np.ones((80, 160), int)
+    with embed.Sensor(sonar, IDEAL) as sensor:
+
+        def run(n):
+            for k in range(n):
+                sensor.ping_from_depth(depth, camera, body_id=numbers, labels=k % 50 == 0)
+
+        run(200)
+        before = soak.resident_bytes()
+        run(3000)
+        assert soak.resident_bytes() - before < 8e6  # one ping here is some 100 kB
