@@ -123,20 +123,24 @@ class Program:
             "sonar": make_program(VERTEX, "#version 330 core\n" + embed.glsl() + SONAR),
         }
 
-    def draw(self, kind, view, projection, lattice=None, lobes=False):
-        """Draw all bodies into what is bound, by a program; matrices as on paper."""
+    def draw(self, kind, view, projection, lattice=None, lobes=False, in_double=False):
+        """Draw all bodies into what is bound, by a program; matrices as on paper.
+
+        in_double : bodies are seen by one matrix each, multiplied in float64
+        """
         program = self.programs[kind]
         GL.glUseProgram(program)
 
         def place(name):
             return GL.glGetUniformLocation(program, name)
 
-        for name, matrix in (("view", view), ("projection", projection)):
-            GL.glUniformMatrix4fv(place(name), 1, True, np.ascontiguousarray(matrix, np.float32))
+        GL.glUniformMatrix4fv(place("projection"), 1, True, np.ascontiguousarray(projection, np.float32))
         if lattice is not None:
             GL.glUniformMatrix3fv(place("sonar_gl_lattice"), 1, True, np.asarray(lattice, np.float32))
         for number, (body, array, count) in enumerate(self.meshes, 1):
-            GL.glUniformMatrix4fv(place("world"), 1, True, np.asarray(body.pose, np.float32))
+            matrices = (view @ body.pose, np.eye(4)) if in_double else (view, body.pose)
+            for name, matrix in zip(("view", "world"), matrices, strict=True):
+                GL.glUniformMatrix4fv(place(name), 1, True, np.ascontiguousarray(matrix, np.float32))
             GL.glUniform1ui(place("body"), number)
             GL.glUniform2f(place("lobe"), body.specular if lobes else 0.0, body.roughness_rad)
             GL.glBindVertexArray(array)

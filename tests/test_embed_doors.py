@@ -5,6 +5,7 @@ import gc
 import math
 import threading
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gl_host
@@ -745,3 +746,20 @@ def test_every_z_buffer_becomes_metres(zero_to_one, is_reversed, is_infinite):
     oblique[2, 0] = 0.1
     with pytest.raises(sg.Error, match="must have its near plane across the view"):
         embed.metres_ahead(z_buffer, oblique, zero_to_one)
+
+
+def test_far_from_the_origin():
+    """At coordinates of UTM float32 is centimetres off: matrices that are multiplied before are not."""
+    far = sg.pose(450_000.3, 5_400_000.7, 0)
+    scene = scene_of()
+    moved = sg.Scene([replace(body, pose=far @ body.pose) for body in scene.bodies])
+    host, true = gl_host.Program(moved), simulate(scene)
+    errors = []
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        for in_double in (False, True):
+            for sector in sensor.sectors(far @ POSE):
+                with sector:
+                    host.draw("sonar", sector.view, sector.projection, sector.lattice, True, in_double)
+            errors.append(apart(sensor.finish(), true))
+    assert errors[0] > 0.05
+    assert errors[1] < ROUNDING
