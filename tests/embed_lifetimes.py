@@ -26,7 +26,7 @@ import sonar_gl.gpu
 
 POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
 SMALL = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 1.0, 0.5, 20.0)
-PINGS = {"egl": 10_000, "glx": 1_000}
+PINGS = {"egl": 10_000, "glx": 10_000}
 
 
 def in_another_thread(function):
