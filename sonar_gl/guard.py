@@ -6,44 +6,27 @@ import ctypes
 
 from sonar_gl.functions import Functions
 from sonar_gl.state import (
-    BACK,
-    BLEND,
-    BLEND_EQUATIONS,
-    BLEND_FUNCTIONS,
-    CLIP_DEPTH_MODE,
-    CLIP_ORIGIN,
-    COLOR_CLEAR_VALUE,
-    COLOR_WRITEMASK,
-    CORE,
-    DEBUG_OUTPUT,
-    DEPTH_CLEAR_VALUE,
-    DEPTH_RANGE,
     DITHER,
-    FILL,
-    FRONT,
-    FRONT_AND_BACK,
-    FUNC_ADD,
     IS_THERE,
-    LOWER_LEFT,
-    MAX_DRAW_BUFFERS,
-    MAX_VIEWPORTS,
     MULTISAMPLE,
-    NEGATIVE_ONE_TO_ONE,
     OLD_SWITCHES,
     OLD_VALUES,
-    ONE,
-    POLYGON_MODE,
-    PROFILE_MASK,
     SCALES,
-    SCISSOR_BOX,
-    SCISSOR_TEST,
     SINCE,
     SWITCHES,
     TRANSFERS,
     VALUES,
-    VIEWPORT,
-    ZERO,
 )
+
+PROFILE_MASK, CORE, DEBUG_OUTPUT = 0x9126, 1, 0x92E0
+POLYGON_MODE, FRONT, BACK, FRONT_AND_BACK, FILL = 0x0B40, 0x0404, 0x0405, 0x0408, 0x1B02
+BLEND, SCISSOR_TEST = 0x0BE2, 0x0C11
+BLEND_FUNCTIONS, BLEND_EQUATIONS = (0x80C9, 0x80C8, 0x80CB, 0x80CA), (0x8009, 0x883D)
+ZERO, ONE, FUNC_ADD = 0, 1, 0x8006
+COLOR_WRITEMASK, COLOR_CLEAR_VALUE, DEPTH_CLEAR_VALUE = 0x0C23, 0x0C22, 0x0B73
+VIEWPORT, SCISSOR_BOX, DEPTH_RANGE = 0x0BA2, 0x0C10, 0x0B70
+MAX_DRAW_BUFFERS, MAX_VIEWPORTS = 0x8824, 0x825B
+CLIP_ORIGIN, CLIP_DEPTH_MODE, LOWER_LEFT, NEGATIVE_ONE_TO_ONE = 0x935C, 0x935D, 0x8CA1, 0x935E
 
 
 class Guard:
@@ -91,9 +74,8 @@ class Guard:
         self._tell(False)
         state, old = self._read(), self._read_old()
         self.set_defaults()
-        self._held.append(
-            (errors, tells, state, old, self._read_clears())
-        )  # those would be read clamped before
+        clears = self._read_clears()  # which would be read clamped before
+        self._held.append((errors, tells, state, old, clears))
         self.gl.glClearColor(0.0, 0.0, 0.0, 0.0)
         self.gl.glClearDepth(1.0)
         return self
