@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import secrets
 from contextlib import contextmanager
 from functools import cache
-from itertools import count
 
 from sonar_gl.functions import Functions
 from sonar_gl.types import Error
@@ -14,8 +14,7 @@ from sonar_gl.types import Error
 LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
 DRAW, READ, EXTENSIONS = 0x3059, 0x305A, 0x3055
 BAD_ACCESS, BAD_CONTEXT = 0x3002, 0x3006  # the former most often because a context of GLX is current
-# Of each context of ours another number: nobody else has such, and we do not draw with it.
-POLYGON_OFFSET_UNITS, MARKS = 0x2A00, count(8_000_001)
+SAMPLE_MASK_VALUE = 0x8E52  # kept bit for bit, and none of ours has several samples
 GONE = (
     "the OpenGL context of this sonar must still be there (got EGL error 0x{error:04x}: its display was "
     "closed, as pyrender's delete() does); make the host's anew if it has one, and then the sonar"
@@ -86,14 +85,10 @@ class Private:
         egl = self._egl = library()
         self.load_opengl_function = lambda name: egl.eglGetProcAddress(name.encode()) or 0
         self.display, self._ours, self._destroy = display, (display, surface, surface, handle), destroy
-        self._gl, self._mark, self._before, self.is_gone = (
-            Functions(self.load_opengl_function),
-            next(MARKS),
-            [],
-            False,
-        )
-        self._room = ctypes.c_float()
-        self._gl.glPolygonOffset(0.0, self._mark)
+        self._before, self.is_gone = [], False
+        self._gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
+        self._mark = secrets.randbelow(0xFFFFFFFF)  # not all ones, as in contexts of others
+        self._gl.glSampleMaski(0, self._mark)
 
     def __enter__(self):
         before = current() or (self.display, None, None, None)
@@ -101,8 +96,8 @@ class Private:
             error = self._egl.eglGetError()
             self.is_gone = error != BAD_ACCESS
             raise Error(GONE.format(error=error) if self.is_gone else REFUSED)
-        self._gl.glGetFloatv(POLYGON_OFFSET_UNITS, ctypes.addressof(self._room))
-        if self._room.value != self._mark:  # a later one of somebody else has its address
+        self._gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
+        if self._found.value != self._mark:  # a later one of somebody else has its address
             self._egl.eglMakeCurrent(*before)
             self.is_gone = True
             raise Error(GONE.format(error=BAD_CONTEXT))

@@ -7,10 +7,10 @@ Elsewhere (GLX) we draw in the other's own context, under a `Guard`.
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 
 import moderngl
-import numpy as np
 
 from sonar_gl import egl
 from sonar_gl.functions import RENDERER, Functions
@@ -30,7 +30,7 @@ GONE = (
     "the OpenGL context that was joined must still be there (got another one that is current in its place); "
     "make a new sonar in that"
 )
-LOD_BIAS = 0x8501  # of a texture's sampler, which we have none of
+BORDER_COLOR = 0x1004  # of a sampler: as integers it is kept bit for bit, and none of ours has a border
 
 
 def _glx():
@@ -139,17 +139,17 @@ class Tenant:
     def __init__(self, host: Host):
         self._host, self.load_opengl_function, self.is_gone = host, host.address_of, False
         self.gl, self.guard, self.renderer = host.gl, host.guard, host.renderer
-        self._name, self._mark, self._room = np.zeros(1, np.uint32), next(egl.MARKS), np.zeros(1, np.float32)
-        host.gl.glGenSamplers(1, self._name.ctypes.data)
-        host.gl.glSamplerParameterf(int(self._name[0]), LOD_BIAS, self._mark)
+        self._name, self._mark = ctypes.c_uint(0), os.urandom(16)
+        host.gl.glGenSamplers(1, ctypes.addressof(self._name))
+        host.gl.glSamplerParameterIuiv(self._name.value, BORDER_COLOR, self._mark)
 
     def check(self) -> None:
         """An Error in another thread, or where it is not current or is there no more."""
         self._host.check()
-        gl, name, self._room[0] = self._host.gl, int(self._name[0]), 0
+        gl, name, found = self.gl, self._name.value, (ctypes.c_ubyte * 16)()
         if gl.glIsSampler(name):
-            gl.glGetSamplerParameterfv(name, LOD_BIAS, self._room.ctypes.data)
-        if self._room[0] != self._mark:  # a later one has its address
+            gl.glGetSamplerParameterIuiv(name, BORDER_COLOR, ctypes.addressof(found))
+        if bytes(found) != self._mark:  # a later one has its address
             self.is_gone = True
             raise Error(GONE)
 
@@ -179,7 +179,7 @@ class Tenant:
     def release(self):
         """Give back what marks it; the context is the host's."""
         if not self.is_gone:
-            self.gl.glDeleteSamplers(1, self._name.ctypes.data)
+            self.gl.glDeleteSamplers(1, ctypes.addressof(self._name))
 
 
 def join() -> moderngl.Context:

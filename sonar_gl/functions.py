@@ -25,8 +25,10 @@ SIGNATURES = {
     "glBindVertexArray": "-e",
     "glBlendEquationSeparate": "-ee",
     "glBlendEquationSeparatei": "-eee",
+    "glBlendEquationSeparateiARB": "-eee",
     "glBlendFuncSeparate": "-eeee",
     "glBlendFuncSeparatei": "-eeeee",
+    "glBlendFuncSeparateiARB": "-eeeee",
     "glCheckFramebufferStatus": "ee",
     "glClampColor": "-ee",
     "glClear": "-e",
@@ -62,25 +64,31 @@ SIGNATURES = {
     "glGetFloatv": "-ep",
     "glGetIntegeri_v": "-eep",
     "glGetIntegerv": "-ep",
-    "glGetSamplerParameterfv": "-eep",
+    "glGetSamplerParameterIuiv": "-eep",
     "glGetString": "pe",
+    "glGetStringi": "pee",
     "glGetTexImage": "-eieep",
     "glGetTexLevelParameteriv": "-eiep",
+    "glIsBuffer": "be",
     "glIsEnabled": "be",
     "glIsEnabledi": "bee",
+    "glIsFramebuffer": "be",
+    "glIsProgram": "be",
+    "glIsRenderbuffer": "be",
     "glIsSampler": "be",
     "glIsTexture": "be",
+    "glIsVertexArray": "be",
     "glLineWidth": "-f",
     "glPixelStorei": "-ei",
     "glPixelTransferf": "-ef",
     "glPolygonMode": "-ee",
-    "glPolygonOffset": "-ff",
     "glPrimitiveRestartIndex": "-e",
     "glProvokingVertex": "-e",
     "glReadBuffer": "-e",
     "glReadPixels": "-iiiieep",
     "glRenderbufferStorage": "-eeii",
-    "glSamplerParameterf": "-eef",
+    "glSampleMaski": "-ee",
+    "glSamplerParameterIuiv": "-eep",
     "glScissor": "-iiii",
     "glScissorIndexed": "-eiiii",
     "glUseProgram": "-e",
@@ -88,9 +96,10 @@ SIGNATURES = {
     "glViewportIndexedf": "-effff",
 }
 VERSION_STRING, RENDERER, MAJOR, MINOR = 0x1F02, 0x1F01, 0x821B, 0x821C
+EXTENSIONS, NUM_EXTENSIONS = 0x1F03, 0x821D
 # an error can be made again, but not that memory ran out
 ENUM, VALUE, OPERATION, FRAMEBUFFER_OPERATION = 0x0500, 0x0501, 0x0502, 0x0506
-FRAMEBUFFER, COLOR_BIT = 0x8D40, 0x4000
+COLOR_BIT = 0x4000
 
 
 class Functions:
@@ -119,6 +128,11 @@ class Functions:
         if self.text(VERSION_STRING).startswith("OpenGL ES"):
             return 0
         return 100 * self.integer(MAJOR) + 10 * self.integer(MINOR)
+
+    def extensions(self) -> set[str]:
+        """What the driver lists, such as "GL_KHR_debug"."""
+        listed = range(self.integer(NUM_EXTENSIONS))
+        return {ctypes.string_at(self.glGetStringi(EXTENSIONS, k)).decode() for k in listed}
 
     def integer(self, what: int) -> int:
         """One number of `glGetIntegerv`, as it is unsigned."""

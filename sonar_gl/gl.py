@@ -26,6 +26,9 @@ NO_EGL = (
 )
 
 _discarded: deque[moderngl.Context] = deque()
+# What could not be released. One whose host is gone is not to be told from one whose host is not current,
+# and each is tried again with each ping: the oldest are given up.
+_out_of_reach: deque[moderngl.Context] = deque(maxlen=16)
 _releasing = Lock()
 
 
@@ -45,7 +48,7 @@ def release(context: moderngl.Context) -> None:
             context.gc()  # in a host's share group objects would outlive it
     except Error:
         if not context.extra.is_gone:
-            discard(context)
+            _out_of_reach.append(context)
             return
     context.release()
 
@@ -53,8 +56,9 @@ def release(context: moderngl.Context) -> None:
 def release_discarded() -> None:
     """Release what was discarded and is in reach; not to be called inside a `with context` block."""
     with _releasing:
-        for _ in range(len(_discarded)):
-            release(_discarded.popleft())
+        for waiting in (_out_of_reach, _discarded):
+            for _ in range(len(waiting)):
+                release(waiting.popleft())
 
 
 class Device(NamedTuple):

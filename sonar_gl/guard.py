@@ -5,58 +5,20 @@ from __future__ import annotations
 import ctypes
 
 from sonar_gl.functions import Functions
+from sonar_gl.state import (
+    DITHER,
+    IS_THERE,
+    MULTISAMPLE,
+    OLD_SWITCHES,
+    OLD_VALUES,
+    SCALES,
+    SINCE,
+    SWITCHES,
+    TRANSFERS,
+    VALUES,
+)
 
-# What has one value: the version that brought it, how it is asked for, what sets it, the first argument of
-# that, the default that we draw with, None where it does not bear on that.
-VALUES = [
-    (330, 0x88ED, "glBindBuffer", (0x88EB,), 0),  # PIXEL_PACK_BUFFER
-    (330, 0x88EF, "glBindBuffer", (0x88EC,), 0),  # PIXEL_UNPACK_BUFFER
-    (330, 0x8894, "glBindBuffer", (0x8892,), None),  # ARRAY_BUFFER
-    (330, 0x8F36, "glBindBuffer", (0x8F36,), None),  # COPY_READ_BUFFER
-    (330, 0x8F37, "glBindBuffer", (0x8F37,), None),  # COPY_WRITE_BUFFER
-    (400, 0x8F43, "glBindBuffer", (0x8F3F,), None),  # DRAW_INDIRECT_BUFFER
-    (330, 0x8CA6, "glBindFramebuffer", (0x8CA9,), None),  # DRAW_FRAMEBUFFER
-    (330, 0x8CAA, "glBindFramebuffer", (0x8CA8,), None),  # READ_FRAMEBUFFER
-    (330, 0x8CA7, "glBindRenderbuffer", (0x8D41,), None),
-    (330, 0x85B5, "glBindVertexArray", (), None),
-    (330, 0x8B8D, "glUseProgram", (), None),
-    (330, 0x84E0, "glActiveTexture", (), None),
-    (330, 0x8069, "glBindTexture", (0x0DE1,), None),  # TEXTURE_2D, of the unit that is active
-    *(
-        (330, 0x0CF0 + k, "glPixelStorei", (0x0CF0 + k,), 4 * (k == 5)) for k in range(6)
-    ),  # UNPACK_..., ALIGNMENT
-    (330, 0x806D, "glPixelStorei", (0x806D,), 0),  # UNPACK_SKIP_IMAGES
-    (330, 0x806E, "glPixelStorei", (0x806E,), 0),  # UNPACK_IMAGE_HEIGHT
-    *((330, 0x0D00 + k, "glPixelStorei", (0x0D00 + k,), 4 * (k == 5)) for k in range(6)),  # PACK_...
-    (330, 0x806B, "glPixelStorei", (0x806B,), 0),  # PACK_SKIP_IMAGES
-    (330, 0x806C, "glPixelStorei", (0x806C,), 0),  # PACK_IMAGE_HEIGHT
-    (330, 0x891C, "glClampColor", (0x891C,), 0x891D),  # CLAMP_READ_COLOR: FIXED_ONLY
-    (330, 0x0B74, "glDepthFunc", (), 0x0201),  # LESS
-    (330, 0x0B72, "glDepthMask", (), 1),
-    (330, 0x0B45, "glCullFace", (), 0x0405),  # BACK
-    (330, 0x0B46, "glFrontFace", (), 0x0901),  # CCW
-    (330, 0x8F9E, "glPrimitiveRestartIndex", (), None),
-    (330, 0x8E4F, "glProvokingVertex", (), 0x8E4E),  # LAST_VERTEX_CONVENTION
-]
-# Switches that bear on what is drawn; all are off by default but MULTISAMPLE and DITHER.
-MULTISAMPLE, DITHER = 0x809D, 0x0BD0
-SWITCHES = [
-    (
-        330,
-        (0x0B44, 0x0B71, 0x0B90, 0x0BF2, 0x0B20, 0x0B41),
-    ),  # culling, depth, stencil, logic, smooth lines, areas
-    (330, (0x2A01, 0x2A02, 0x8037, 0x8C89, 0x8642, 0x864F)),  # offsets, discard, point size, depth clamp
-    (330, (MULTISAMPLE, 0x809E, 0x809F, 0x80A0, 0x8E51, DITHER)),  # samples: alpha to coverage, to one; masks
-    (330, (0x8DB9, 0x8F9D, 0x884F, *range(0x3000, 0x3008))),  # sRGB, restart, seamless cubes, clip distances
-    (400, (0x8C36,)),  # SAMPLE_SHADING
-    (430, (0x8D69, 0x92E0)),  # PRIMITIVE_RESTART_FIXED_INDEX; DEBUG_OUTPUT, lest the host hear of us
-]
-# What only contexts of the compatibility profile have, and what of it bears on drawing and reading.
-PROFILE_MASK, CORE = 0x9126, 1
-OLD_VALUES = [(330, 0x891B, "glClampColor", (0x891B,), 0)]  # CLAMP_FRAGMENT_COLOR, clear values too
-OLD_SWITCHES = 0x0BC0, 0x0B42  # ALPHA_TEST, POLYGON_STIPPLE
-SCALES = 0x0D14, 0x0D18, 0x0D1A, 0x0D1C, 0x0D1E  # of RED to DEPTH as pixels are transferred
-TRANSFERS = [0x0D10, 0x0D11, 0x0D12, 0x0D13, *SCALES, *(scale + 1 for scale in SCALES)]  # and biases, maps
+PROFILE_MASK, CORE, DEBUG_OUTPUT = 0x9126, 1, 0x92E0
 POLYGON_MODE, FRONT, BACK, FRONT_AND_BACK, FILL = 0x0B40, 0x0404, 0x0405, 0x0408, 0x1B02
 BLEND, SCISSOR_TEST = 0x0BE2, 0x0C11
 BLEND_FUNCTIONS, BLEND_EQUATIONS = (0x80C9, 0x80C8, 0x80CB, 0x80CA), (0x8009, 0x883D)
@@ -72,26 +34,34 @@ class Guard:
 
     Inside the block all that bears on drawing and on the reading of pixels is as in a new context; bindings
     that do not bear on it stay. Errors that were pending are so again after it, and those of the block are
-    not. Blocks may lie within one another.
+    not; a debug callback hears of none of either. Blocks may lie within one another.
 
     Put back is what is set here and what drawing with moderngl changes. The rest the block leaves alone:
     stencil functions, textures of other units and kinds, samplers, images, buffers bound by index, hints.
 
-    What OpenGL lets nobody ask for is not held: queries and transform feedback that are under way.
+    What OpenGL lets nobody ask for is not held: queries and transform feedback that are under way. Nothing
+    is bound where what was is there no more: it was deleted in the block, or before that, such as a program
+    that was still in use, which OpenGL gives up as soon as another one is.
     """
 
     def __init__(self, gl: Functions):
-        self.gl, self.version = gl, gl.version()
+        self.gl, version, listed = gl, gl.version(), gl.extensions()
+        has = {"", *(name for name, since in SINCE.items() if version >= since or f"GL_{name}" in listed)}
         self._is_old = not gl.integer(PROFILE_MASK) & CORE
         self._values = [
-            (what, getattr(gl, name), first, default)
-            for since, what, name, first, default in VALUES + (OLD_VALUES if self._is_old else [])
-            if self.version >= since
+            (what, getattr(gl, name), IS_THERE.get(name) and getattr(gl, IS_THERE[name]), first, default)
+            for brought_by, what, name, first, default in VALUES + (OLD_VALUES if self._is_old else [])
+            if brought_by in has
         ]
-        self._switches = [cap for since, caps in SWITCHES if self.version >= since for cap in caps]
+        self._switches = [cap for brought_by, caps in SWITCHES if brought_by in has for cap in caps]
         self._switches += OLD_SWITCHES if self._is_old else ()
         self._colours = range(gl.integer(MAX_DRAW_BUFFERS))
-        self._viewports = range(gl.integer(MAX_VIEWPORTS)) if self.version >= 410 else None
+        self._viewports = range(gl.integer(MAX_VIEWPORTS)) if "ARB_viewport_array" in has else None
+        self._blend = None  # what sets functions and equations of one colour
+        if "ARB_draw_buffers_blend" in has:
+            names = "glBlendFuncSeparatei", "glBlendEquationSeparatei"
+            self._blend = [getattr(gl, name if version >= 400 else f"{name}ARB") for name in names]
+        self._clips, self._tells = "ARB_clip_control" in has, "KHR_debug" in has
         self._room = (ctypes.c_double * 16)()  # for what is asked, of any kind
         self._at = ctypes.addressof(self._room)
         self._ints = ctypes.cast(self._at, ctypes.POINTER(ctypes.c_int))
@@ -100,24 +70,39 @@ class Guard:
         self._held = []
 
     def __enter__(self):
-        errors, state, old = self.gl.take_errors(), self._read(), self._read_old()
+        errors, tells = self.gl.take_errors(), self._tells and self.gl.glIsEnabled(DEBUG_OUTPUT)
+        self._tell(False)
+        state, old = self._read(), self._read_old()
         self.set_defaults()
-        self._held.append((errors, state, old, self._read_clears()))  # those would be read clamped before
+        clears = self._read_clears()  # which would be read clamped before
+        self._held.append((errors, tells, state, old, clears))
         self.gl.glClearColor(0.0, 0.0, 0.0, 0.0)
         self.gl.glClearDepth(1.0)
         return self
 
     def __exit__(self, *_):
-        errors, state, old, clears = self._held.pop()
-        self.gl.take_errors()
-        self.gl.leave_errors(errors)  # while nobody is told how they are made
+        errors, tells, state, old, clears = self._held.pop()
+        self._tell(False)
         self.gl.glClearColor(*clears[0])
         self.gl.glClearDepth(*clears[1])
         self._put_back(*state)
         self._put_back_old(*old)
+        self.gl.take_errors()
+        self.gl.leave_errors(errors)  # while nobody is told how they are made
+        self._tell(tells)
+
+    def _tell(self, whether):
+        """Have the host's debug callback hear of what is done, or not."""
+        if self._tells:
+            (self.gl.glEnable if whether else self.gl.glDisable)(DEBUG_OUTPUT)
+
+    def tell_errors(self):
+        """Have a debug callback hear of errors, as it would without this block: the host itself draws now."""
+        self._tell(self._held[-1][1])
 
     def keep_errors(self):
-        """Have errors that are pending in this block be so after it: they are the host's own."""
+        """Have errors that are pending in this block be so after it: they are the host's own, until now."""
+        self._tell(False)
         self._held[-1][0].extend(self.gl.take_errors())
 
     def drop(self):
@@ -137,17 +122,15 @@ class Guard:
             blends.append(gl.glIsEnabledi(BLEND, k))
             gl.glGetBooleani_v(COLOR_WRITEMASK, k, at)
             masks.append(self._bools[0:4])
-            if self.version >= 400:
+            if self._blend:
                 row = []
                 for what in (*BLEND_FUNCTIONS, *BLEND_EQUATIONS):
                     gl.glGetIntegeri_v(what, k, at)
                     row.append(self._ints[0])
                 functions.append(row)
-        if self.version < 400:
+        if not self._blend:
             functions = [self._integer(what) for what in (*BLEND_FUNCTIONS, *BLEND_EQUATIONS)]
-        clip = (
-            [self._integer(what) for what in (CLIP_ORIGIN, CLIP_DEPTH_MODE)] if self.version >= 450 else None
-        )
+        clip = [self._integer(what) for what in (CLIP_ORIGIN, CLIP_DEPTH_MODE)] if self._clips else None
         return values, switches, blends, masks, functions, self._read_windows(), clip
 
     def _read_clears(self):
@@ -197,7 +180,7 @@ class Guard:
     def set_defaults(self):
         """Be as in a new context again, whatever the block has changed."""
         gl = self.gl
-        for _, setter, first, default in self._values:
+        for _, setter, _, first, default in self._values:
             if default is not None:
                 setter(*first, default)
         for cap in self._switches:
@@ -212,22 +195,22 @@ class Guard:
         gl.glDepthRange(0.0, 1.0)
         for k in self._colours:
             gl.glColorMaski(k, 1, 1, 1, 1)
-        if self.version >= 450:
+        if self._clips:
             gl.glClipControl(LOWER_LEFT, NEGATIVE_ONE_TO_ONE)
 
     def _put_back(self, values, switches, blends, masks, functions, windows, clip):
         gl = self.gl
-        for (_, setter, first, _), value in zip(self._values, values, strict=True):
-            setter(*first, value)
+        for (_, setter, is_there, first, _), value in zip(self._values, values, strict=True):
+            setter(*first, value if is_there is None or is_there(value) else 0)
         for cap, on in zip(self._switches, switches, strict=True):
             (gl.glEnable if on else gl.glDisable)(cap)
         for k in self._colours:
             (gl.glEnablei if blends[k] else gl.glDisablei)(BLEND, k)
             gl.glColorMaski(k, *masks[k])
-            if self.version >= 400:
-                gl.glBlendFuncSeparatei(k, *functions[k][:4])
-                gl.glBlendEquationSeparatei(k, *functions[k][4:])
-        if self.version < 400:
+            if self._blend:
+                self._blend[0](k, *functions[k][:4])
+                self._blend[1](k, *functions[k][4:])
+        if not self._blend:
             gl.glBlendFuncSeparate(*functions[:4])
             gl.glBlendEquationSeparate(*functions[4:])
         for k, (viewport, test, box, depths) in enumerate(windows):

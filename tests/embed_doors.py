@@ -7,6 +7,7 @@ import numpy as np
 import soak
 import trimesh
 from host_state import ERRORS, GL, changes, enum, make_buffer, make_hostile, make_program, objects
+from hosts import Scene
 
 import sonar_gl as sg
 from sonar_gl import embed
@@ -90,11 +91,16 @@ def use(things: Things):
 def run(trial, state: str, first: int) -> tuple[dict, dict]:
     """What changed by each step, an error of each kind pending or none, and what was left; and the pings.
 
+    Of a host that works, too, how many numbers of its frame are others after each step.
+
     trial : of `embed_state.Trial`, pristine
     """
-    things = Things(trial.gl)
-    if state == "hostile":
+    things, scene, frames = Things(trial.gl), None, {}
+    if state == "working":
+        scene = Scene(trial.gl)
+    elif state == "hostile":
         make_hostile(trial.gl)
+    frame = scene and scene.draw()
     before, there = trial.snapshot(), objects(trial.gl)
     changed, pings, doing = {}, {}, use(things)
     for n, pending in enumerate(islice(cycle([None, *ERRORS]), first, None)):
@@ -104,7 +110,9 @@ def run(trial, state: str, first: int) -> tuple[dict, dict]:
             break
         name, pings[done[0]] = f"{n} {done[0]}", done[1]
         changed[name] = changes(before | {"errors": [pending] if pending else []}, trial.snapshot())
+        if scene:
+            frames[name] = int((scene.draw() != frame).sum())
     trial.gl.errors()
     left = changes(there, objects(trial.gl))
     trial.host.destroy()
-    return {"changed": changed, "left": left}, pings
+    return {"changed": changed, "left": left, "frames": frames}, pings

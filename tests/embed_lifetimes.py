@@ -11,38 +11,23 @@ import itertools
 import json
 import os
 import sys
-import threading
 import traceback
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import soak
+from elsewhere import in_another_thread
 from host_state import objects
 from hosts import HOSTS, EglHost
 
 import sonar_gl as sg
+import sonar_gl.gl
 import sonar_gl.gpu
 
 POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
 SMALL = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 1.0, 0.5, 20.0)
-PINGS = {"egl": 10_000, "glx": 1_000}
-
-
-def in_another_thread(function):
-    """What it raises there."""
-    caught = []
-
-    def work():
-        try:
-            function()
-        except sg.Error as why:
-            caught.append(str(why))
-
-    thread = threading.Thread(target=work, name="other")
-    thread.start()
-    thread.join()
-    return caught
+PINGS = {"egl": 10_000, "glx": 10_000}
 
 
 def another_thread(kind):
@@ -229,6 +214,24 @@ def failing_to_be_made(kind):
     host.destroy()
 
 
+def hosts_without_end(kind):
+    """Each of which goes before its sonar is closed: only of the last few anything is kept."""
+    for _ in range(20):
+        host = HOSTS[kind]()
+        simulator = soak.make_simulator("current")
+        host.destroy()
+        simulator.close()
+    kept = sonar_gl.gl._out_of_reach
+    assert len(kept) <= (16 if kind == "glx" else 0)
+    host = HOSTS[kind]()
+    before = objects(host.gl)
+    with soak.make_simulator("current") as simulator:
+        assert simulator.ping(POSE).intensity.any()
+    assert objects(host.gl) == before
+    assert not sonar_gl.gl._discarded and len(kept) <= 16
+    host.destroy()
+
+
 def address_taken(kind):
     """A later context at the address of one that is gone is neither drawn in nor destroyed."""
     host, later = HOSTS[kind](), HOSTS[kind]()
@@ -331,6 +334,7 @@ CASES = [
     forgotten,
     exceptions,
     failing_to_be_made,
+    hosts_without_end,
     address_taken,
     display_closed,
     alone_beside_a_host,

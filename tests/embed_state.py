@@ -6,6 +6,7 @@
 prints one JSON object. Mesa gives a host that very version only where MESA_GL_VERSION_OVERRIDE says so.
 """
 
+import ctypes
 import json
 import sys
 import time
@@ -143,6 +144,8 @@ class Naive:
 def naive(kind, version, state, wanted) -> dict:
     """How many values change, and how many numbers of a ping are wrong, where nobody guards the host."""
     trial, join = Trial(kind, version, state), world.join
+    if "MESA_pack_invert" in trial.gl.has:  # with skipped rows Mesa then writes where it should not
+        trial.gl.PixelStorei(enum("PACK_INVERT_MESA"), 0)
     before, frame = trial.snapshot(), trial.scene and trial.scene.draw()
     world.join = lambda: gl.make_context(Naive(foreign.Host()))
     try:
@@ -242,6 +245,81 @@ def guarded(kind, version, state, wanted) -> dict:
     return out
 
 
+BOUND = {
+    "VERTEX_ARRAY_BINDING": "VertexArrays",
+    "ARRAY_BUFFER_BINDING": "Buffers",
+    "COPY_READ_BUFFER": "Buffers",
+    "PIXEL_PACK_BUFFER_BINDING": "Buffers",
+    "PIXEL_UNPACK_BUFFER_BINDING": "Buffers",
+    "DRAW_FRAMEBUFFER_BINDING": "Framebuffers",
+    "READ_FRAMEBUFFER_BINDING": "Framebuffers",
+    "RENDERBUFFER_BINDING": "Renderbuffers",
+    "TEXTURE_BINDING_2D": "Textures",
+}
+
+
+def deleting(kind, version) -> dict:
+    """A host that deletes what it has bound, in a block or before it; what is bound then, what is pending."""
+    trial = Trial(kind, version, "hostile")
+    gl, guard = trial.gl, Guard(Functions(foreign.Host().address_of))
+    gl.BindVertexArray(gl.name("VertexArrays"))
+    was = {name: gl.integer(name) for name in (*BOUND, "CURRENT_PROGRAM")}
+    gl.DeleteProgram(was["CURRENT_PROGRAM"])  # is there until another is used
+    gl.make_error("INVALID_VALUE")
+    with guard:
+        plain_draw(gl)
+        for name, objects_ in BOUND.items():
+            getattr(gl, f"Delete{objects_}")(1, np.array([was[name]], np.uint32))
+    out = {"was": was, "errors": gl.errors(), "is": {name: gl.integer(name) for name in was}}
+    trial.host.destroy()
+    return out
+
+
+CALLBACK = ctypes.CFUNCTYPE(None, *[ctypes.c_uint] * 4, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
+
+
+def listening(kind, version) -> dict:
+    """A host whose debug callback hears of errors: how often, and what is pending then."""
+    trial = Trial(kind, version, "pristine")
+    gl, guard, heard, out = trial.gl, Guard(Functions(foreign.Host().address_of)), [], {}
+    callback = CALLBACK(lambda *_: heard.append(None))
+    gl.Enable(enum("DEBUG_OUTPUT"))
+    gl.Enable(enum("DEBUG_OUTPUT_SYNCHRONOUS"))
+    gl.DebugMessageControl(enum("DONT_CARE"), enum("DONT_CARE"), enum("DONT_CARE"), 0, None, 0)
+    gl.DebugMessageControl(enum("DONT_CARE"), enum("DEBUG_TYPE_ERROR"), enum("DONT_CARE"), 0, None, 1)
+    gl.DebugMessageCallback(callback, None)
+
+    def note(name):
+        out[name] = len(heard), gl.errors()
+        heard.clear()
+
+    for error in ERRORS:
+        gl.make_error(error)
+        heard.clear()
+        with guard:
+            gl.make_error("INVALID_ENUM")
+        note(error)
+    with guard:
+        gl.make_error("INVALID_ENUM")
+        gl.errors()
+        guard.tell_errors()
+        gl.make_error("INVALID_VALUE")
+        guard.keep_errors()
+        gl.make_error("INVALID_ENUM")
+    note("of its own")
+    gl.make_error("INVALID_ENUM")
+    note("after")
+    gl.Disable(enum("DEBUG_OUTPUT"))
+    with guard:
+        guard.tell_errors()
+        gl.make_error("INVALID_VALUE")
+        guard.keep_errors()
+    note("deaf")
+    gl.DebugMessageCallback(None, None)
+    trial.host.destroy()
+    return out
+
+
 def hosts_moderngl(kind, version, wanted) -> dict:
     """A host that uses moderngl: its default context is its own still."""
     trial = Trial(kind, version, "pristine")
@@ -270,9 +348,10 @@ def main(kind: str, version: str):
     trial.host.destroy()
     out["runs"] = {s: Trial(kind, version, s).run(wanted, 2 * k) for k, s in enumerate(STATES)}
     out["guard"] = {state: guarded(kind, version, state, triangle) for state in STATES}
+    out["deleting"], out["listening"] = deleting(kind, version), listening(kind, version)
     out["moderngl"] = hosts_moderngl(kind, version, wanted)
     out["doors"], pings = {}, {}
-    for k, state in enumerate(("pristine", "hostile")):
+    for k, state in enumerate(STATES):
         out["doors"][state], pings[state] = embed_doors.run(Trial(kind, version, "pristine"), state, 3 * k)
         wrongs = [wrong(pings[state][name], pings["pristine"][name]) for name in pings["pristine"]]
         out["doors"][state]["wrong"] = sum(wrongs)

@@ -10,10 +10,32 @@ LATER = {  # than PyOpenGL
     "CLIP_ORIGIN": 0x935C,
     "CLIP_DEPTH_MODE": 0x935D,
     "ZERO_TO_ONE": 0x935F,
+    "PACK_INVERT_MESA": 0x8758,
+}
+# What an extension brought, and the version that has it without: drivers list many in older contexts, too.
+SINCE = {
+    "ARB_draw_buffers_blend": 400,
+    "ARB_draw_indirect": 400,
+    "ARB_sample_shading": 400,
+    "ARB_tessellation_shader": 400,
+    "ARB_texture_cube_map_array": 400,
+    "ARB_transform_feedback2": 400,
+    "ARB_separate_shader_objects": 410,
+    "ARB_viewport_array": 410,
+    "ARB_compressed_texture_pixel_storage": 420,
+    "ARB_shader_atomic_counters": 420,
+    "ARB_shader_image_load_store": 420,
+    "ARB_ES3_compatibility": 430,
+    "ARB_compute_shader": 430,
+    "ARB_shader_storage_buffer_object": 430,
+    "KHR_debug": 430,
+    "ARB_query_buffer_object": 440,
+    "ARB_clip_control": 450,
+    "MESA_pack_invert": 999,
 }
 
-SINGLE = {
-    330: """DRAW_FRAMEBUFFER_BINDING READ_FRAMEBUFFER_BINDING RENDERBUFFER_BINDING VERTEX_ARRAY_BINDING
+SINGLE = {  # by what brought them, "" being OpenGL 3.3
+    "": """DRAW_FRAMEBUFFER_BINDING READ_FRAMEBUFFER_BINDING RENDERBUFFER_BINDING VERTEX_ARRAY_BINDING
         ARRAY_BUFFER_BINDING COPY_READ_BUFFER COPY_WRITE_BUFFER ELEMENT_ARRAY_BUFFER_BINDING
         PIXEL_PACK_BUFFER_BINDING PIXEL_UNPACK_BUFFER_BINDING UNIFORM_BUFFER_BINDING
         TRANSFORM_FEEDBACK_BUFFER_BINDING CURRENT_PROGRAM ACTIVE_TEXTURE
@@ -33,17 +55,22 @@ SINGLE = {
         PACK_SKIP_IMAGES PACK_ALIGNMENT
         LINE_SMOOTH_HINT POLYGON_SMOOTH_HINT TEXTURE_COMPRESSION_HINT FRAGMENT_SHADER_DERIVATIVE_HINT
         READ_BUFFER DOUBLEBUFFER STEREO SAMPLE_BUFFERS SAMPLES""",
-    400: """DRAW_INDIRECT_BUFFER_BINDING TRANSFORM_FEEDBACK_BINDING MIN_SAMPLE_SHADING_VALUE PATCH_VERTICES
-        PATCH_DEFAULT_INNER_LEVEL PATCH_DEFAULT_OUTER_LEVEL TRANSFORM_FEEDBACK_BUFFER_ACTIVE
+    "ARB_draw_indirect": "DRAW_INDIRECT_BUFFER_BINDING",
+    "ARB_transform_feedback2": """TRANSFORM_FEEDBACK_BINDING TRANSFORM_FEEDBACK_BUFFER_ACTIVE
         TRANSFORM_FEEDBACK_BUFFER_PAUSED""",
-    410: "PROGRAM_PIPELINE_BINDING",
-    420: """ATOMIC_COUNTER_BUFFER_BINDING UNPACK_COMPRESSED_BLOCK_WIDTH UNPACK_COMPRESSED_BLOCK_HEIGHT
+    "ARB_sample_shading": "MIN_SAMPLE_SHADING_VALUE",
+    "ARB_tessellation_shader": "PATCH_VERTICES PATCH_DEFAULT_INNER_LEVEL PATCH_DEFAULT_OUTER_LEVEL",
+    "ARB_separate_shader_objects": "PROGRAM_PIPELINE_BINDING",
+    "ARB_shader_atomic_counters": "ATOMIC_COUNTER_BUFFER_BINDING",
+    "ARB_compressed_texture_pixel_storage": """UNPACK_COMPRESSED_BLOCK_WIDTH UNPACK_COMPRESSED_BLOCK_HEIGHT
         UNPACK_COMPRESSED_BLOCK_DEPTH UNPACK_COMPRESSED_BLOCK_SIZE PACK_COMPRESSED_BLOCK_WIDTH
         PACK_COMPRESSED_BLOCK_HEIGHT PACK_COMPRESSED_BLOCK_DEPTH PACK_COMPRESSED_BLOCK_SIZE""",
-    430: """DISPATCH_INDIRECT_BUFFER_BINDING SHADER_STORAGE_BUFFER_BINDING DEBUG_LOGGED_MESSAGES
-        DEBUG_GROUP_STACK_DEPTH""",
-    440: "QUERY_BUFFER_BINDING",
-    450: "CLIP_ORIGIN CLIP_DEPTH_MODE",
+    "ARB_compute_shader": "DISPATCH_INDIRECT_BUFFER_BINDING",
+    "ARB_shader_storage_buffer_object": "SHADER_STORAGE_BUFFER_BINDING",
+    "KHR_debug": "DEBUG_LOGGED_MESSAGES DEBUG_GROUP_STACK_DEPTH",
+    "ARB_query_buffer_object": "QUERY_BUFFER_BINDING",
+    "ARB_clip_control": "CLIP_ORIGIN CLIP_DEPTH_MODE",
+    "MESA_pack_invert": "PACK_INVERT_MESA",
 }
 COMPATIBILITY = """
     ALPHA_TEST_FUNC ALPHA_TEST_REF CLAMP_VERTEX_COLOR CLAMP_FRAGMENT_COLOR MAP_COLOR MAP_STENCIL
@@ -51,50 +78,66 @@ COMPATIBILITY = """
     ALPHA_BIAS DEPTH_SCALE DEPTH_BIAS ZOOM_X ZOOM_Y SHADE_MODEL MATRIX_MODE CURRENT_COLOR LINE_STIPPLE_PATTERN
     MODELVIEW_MATRIX PROJECTION_MATRIX CLIENT_ACTIVE_TEXTURE"""
 ENABLES = {
-    330: """BLEND CULL_FACE DEPTH_TEST DITHER LINE_SMOOTH POLYGON_OFFSET_FILL POLYGON_OFFSET_LINE
+    "": """BLEND CULL_FACE DEPTH_TEST DITHER LINE_SMOOTH POLYGON_OFFSET_FILL POLYGON_OFFSET_LINE
         POLYGON_OFFSET_POINT POLYGON_SMOOTH SAMPLE_ALPHA_TO_COVERAGE SAMPLE_ALPHA_TO_ONE SAMPLE_COVERAGE
         SAMPLE_MASK SCISSOR_TEST STENCIL_TEST COLOR_LOGIC_OP DEPTH_CLAMP FRAMEBUFFER_SRGB MULTISAMPLE
         PRIMITIVE_RESTART PROGRAM_POINT_SIZE TEXTURE_CUBE_MAP_SEAMLESS RASTERIZER_DISCARD"""
     + "".join(f" CLIP_DISTANCE{k}" for k in range(8)),
-    400: "SAMPLE_SHADING",
-    430: "PRIMITIVE_RESTART_FIXED_INDEX DEBUG_OUTPUT DEBUG_OUTPUT_SYNCHRONOUS",
+    "ARB_sample_shading": "SAMPLE_SHADING",
+    "ARB_ES3_compatibility": "PRIMITIVE_RESTART_FIXED_INDEX",
+    "KHR_debug": "DEBUG_OUTPUT DEBUG_OUTPUT_SYNCHRONOUS",
 }
 COMPATIBILITY_ENABLES = """
     ALPHA_TEST POLYGON_STIPPLE LINE_STIPPLE FOG LIGHTING COLOR_SUM NORMALIZE POINT_SPRITE
     POINT_SMOOTH VERTEX_PROGRAM_TWO_SIDE COLOR_MATERIAL"""
-# of each: the limit, what is asked for each index, what answers
+# of each: what brought it, the limit, what is asked for each index, what answers
 INDEXED = [
-    (330, "MAX_DRAW_BUFFERS", "COLOR_WRITEMASK", "Booleani_v"),
-    (400, "MAX_DRAW_BUFFERS", "BLEND_SRC_RGB BLEND_DST_RGB BLEND_SRC_ALPHA BLEND_DST_ALPHA", "Integeri_v"),
-    (400, "MAX_DRAW_BUFFERS", "BLEND_EQUATION_RGB BLEND_EQUATION_ALPHA", "Integeri_v"),
-    (330, "MAX_UNIFORM_BUFFER_BINDINGS", "UNIFORM_BUFFER_{}", "Integer64i_v"),
-    (330, "MAX_TRANSFORM_FEEDBACK_SEPARATE_ATTRIBS", "TRANSFORM_FEEDBACK_BUFFER_{}", "Integer64i_v"),
-    (420, "MAX_ATOMIC_COUNTER_BUFFER_BINDINGS", "ATOMIC_COUNTER_BUFFER_{}", "Integer64i_v"),
-    (430, "MAX_SHADER_STORAGE_BUFFER_BINDINGS", "SHADER_STORAGE_BUFFER_{}", "Integer64i_v"),
-    (410, "MAX_VIEWPORTS", "VIEWPORT", "Floati_v"),
-    (410, "MAX_VIEWPORTS", "SCISSOR_BOX", "Integeri_v"),
-    (410, "MAX_VIEWPORTS", "DEPTH_RANGE", "Doublei_v"),
-    (330, "MAX_SAMPLE_MASK_WORDS", "SAMPLE_MASK_VALUE", "Integeri_v"),
+    ("", "MAX_DRAW_BUFFERS", "COLOR_WRITEMASK", "Booleani_v"),
     (
-        420,
+        "ARB_draw_buffers_blend",
+        "MAX_DRAW_BUFFERS",
+        "BLEND_SRC_RGB BLEND_DST_RGB BLEND_SRC_ALPHA BLEND_DST_ALPHA",
+        "Integeri_v",
+    ),
+    ("ARB_draw_buffers_blend", "MAX_DRAW_BUFFERS", "BLEND_EQUATION_RGB BLEND_EQUATION_ALPHA", "Integeri_v"),
+    ("", "MAX_UNIFORM_BUFFER_BINDINGS", "UNIFORM_BUFFER_{}", "Integer64i_v"),
+    ("", "MAX_TRANSFORM_FEEDBACK_SEPARATE_ATTRIBS", "TRANSFORM_FEEDBACK_BUFFER_{}", "Integer64i_v"),
+    (
+        "ARB_shader_atomic_counters",
+        "MAX_ATOMIC_COUNTER_BUFFER_BINDINGS",
+        "ATOMIC_COUNTER_BUFFER_{}",
+        "Integer64i_v",
+    ),
+    (
+        "ARB_shader_storage_buffer_object",
+        "MAX_SHADER_STORAGE_BUFFER_BINDINGS",
+        "SHADER_STORAGE_BUFFER_{}",
+        "Integer64i_v",
+    ),
+    ("ARB_viewport_array", "MAX_VIEWPORTS", "VIEWPORT", "Floati_v"),
+    ("ARB_viewport_array", "MAX_VIEWPORTS", "SCISSOR_BOX", "Integeri_v"),
+    ("ARB_viewport_array", "MAX_VIEWPORTS", "DEPTH_RANGE", "Doublei_v"),
+    ("", "MAX_SAMPLE_MASK_WORDS", "SAMPLE_MASK_VALUE", "Integeri_v"),
+    (
+        "ARB_shader_image_load_store",
         "MAX_IMAGE_UNITS",
         "IMAGE_BINDING_NAME IMAGE_BINDING_LEVEL IMAGE_BINDING_LAYERED IMAGE_BINDING_LAYER "
         "IMAGE_BINDING_ACCESS IMAGE_BINDING_FORMAT",
         "Integeri_v",
     ),
 ]
-INDEXED_ENABLES = [(330, "MAX_DRAW_BUFFERS", "BLEND"), (410, "MAX_VIEWPORTS", "SCISSOR_TEST")]
+INDEXED_ENABLES = [("", "MAX_DRAW_BUFFERS", "BLEND"), ("ARB_viewport_array", "MAX_VIEWPORTS", "SCISSOR_TEST")]
 KINDS = {"Integeri_v": "i4", "Integer64i_v": "i8", "Floati_v": "f4", "Doublei_v": "f8", "Booleani_v": "u1"}
 TEXTURES = {
-    330: """TEXTURE_BINDING_1D TEXTURE_BINDING_2D TEXTURE_BINDING_3D TEXTURE_BINDING_1D_ARRAY
+    "": """TEXTURE_BINDING_1D TEXTURE_BINDING_2D TEXTURE_BINDING_3D TEXTURE_BINDING_1D_ARRAY
         TEXTURE_BINDING_2D_ARRAY TEXTURE_BINDING_RECTANGLE TEXTURE_BINDING_BUFFER TEXTURE_BINDING_CUBE_MAP
         TEXTURE_BINDING_2D_MULTISAMPLE TEXTURE_BINDING_2D_MULTISAMPLE_ARRAY SAMPLER_BINDING""",
-    400: "TEXTURE_BINDING_CUBE_MAP_ARRAY",
+    "ARB_texture_cube_map_array": "TEXTURE_BINDING_CUBE_MAP_ARRAY",
 }
 OBJECTS = {
-    330: "Buffer Texture Framebuffer Renderbuffer VertexArray Program Shader Query Sampler",
-    400: "TransformFeedback",
-    410: "ProgramPipeline",
+    "": "Buffer Texture Framebuffer Renderbuffer VertexArray Program Shader Query Sampler",
+    "ARB_transform_feedback2": "TransformFeedback",
+    "ARB_separate_shader_objects": "ProgramPipeline",
 }
 HIGHEST_NAME = 2000
 ERRORS = "INVALID_ENUM", "INVALID_VALUE", "INVALID_OPERATION", "INVALID_FRAMEBUFFER_OPERATION"
@@ -116,6 +159,11 @@ class GL:
         self._room_at = ctypes.c_void_p(ctypes.addressof(self._room))
         self.version = 10 * (10 * self.integer("MAJOR_VERSION") + self.integer("MINOR_VERSION"))
         self.is_compatible = bool(self.integer("CONTEXT_PROFILE_MASK") & 2)
+        ask = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_uint, ctypes.c_uint)(
+            self._library.glXGetProcAddressARB(b"glGetStringi")
+        )
+        listed = {ask(enum("EXTENSIONS"), k).decode()[3:] for k in range(self.integer("NUM_EXTENSIONS"))}
+        self.has = {"", *(name for name, since in SINCE.items() if self.version >= since or name in listed)}
 
     def __getattr__(self, name):
         address = self._library.glXGetProcAddressARB(f"gl{name}".encode())
@@ -158,7 +206,7 @@ class GL:
 
     def drop_messages(self):
         """Forget what the driver has logged of errors and the like."""
-        if self.version >= 430:
+        if "KHR_debug" in self.has:
             self.GetDebugMessageLog(100, 0, None, None, None, None, None, None)
 
     def make_error(self, name: str):
@@ -186,14 +234,14 @@ def _given(value):
     return ctypes.c_float(value) if isinstance(value, float) else value
 
 
-def _names(table: dict, version: int) -> list:
-    return [name for since, names in table.items() if version >= since for name in names.split()]
+def _names(table: dict, gl: GL) -> list:
+    return [name for what, names in table.items() if what in gl.has for name in names.split()]
 
 
 def objects(gl: GL) -> dict:
     """Names that are alive, by kind."""
     out = {}
-    for kind in _names(OBJECTS, gl.version):
+    for kind in _names(OBJECTS, gl):
         is_one = getattr(gl, f"Is{kind}")
         out[kind] = [name for name in range(1, HIGHEST_NAME) if is_one(name)]
     return out
@@ -205,14 +253,14 @@ def snapshot(gl: GL, platform=tuple) -> dict:
     platform : function -> what is current in EGL or GLX
     """
     out = {"current": platform(), "errors": gl.errors()}
-    names = _names(SINGLE, gl.version) + (COMPATIBILITY.split() if gl.is_compatible else [])
+    names = _names(SINGLE, gl) + (COMPATIBILITY.split() if gl.is_compatible else [])
     out |= {name: gl.doubles(name) for name in names}
-    names = _names(ENABLES, gl.version) + (COMPATIBILITY_ENABLES.split() if gl.is_compatible else [])
+    names = _names(ENABLES, gl) + (COMPATIBILITY_ENABLES.split() if gl.is_compatible else [])
     out |= {name: gl.IsEnabled(enum(name)) for name in names if f"{name} on" not in out}
     for k in range(gl.integer("MAX_DRAW_BUFFERS")):
         out[f"DRAW_BUFFER{k}"] = gl.integer(f"DRAW_BUFFER{k}")
-    for since, limit, names, how in INDEXED:
-        if gl.version < since or (gl.version < 410 and limit == "MAX_VIEWPORTS"):
+    for what, limit, names, how in INDEXED:
+        if what not in gl.has:
             continue
         ask, room = getattr(gl, f"Get{how}"), np.zeros(8, KINDS[how])
         several = (
@@ -223,16 +271,16 @@ def snapshot(gl: GL, platform=tuple) -> dict:
                 room[:] = 0
                 ask(enum(name), k, room)
                 out[f"{name}[{k}]"] = tuple(room.tolist())
-    for since, limit, name in INDEXED_ENABLES:
-        for k in range(gl.integer(limit) if gl.version >= since else 0):
+    for what, limit, name in INDEXED_ENABLES:
+        for k in range(gl.integer(limit) if what in gl.has else 0):
             out[f"{name}[{k}]"] = gl.IsEnabledi(enum(name), k)
     active = gl.integer("ACTIVE_TEXTURE")
     for k in range(gl.integer("MAX_COMBINED_TEXTURE_IMAGE_UNITS")):
         gl.ActiveTexture(enum("TEXTURE0") + k)
-        for name in _names(TEXTURES, gl.version):
+        for name in _names(TEXTURES, gl):
             out[f"{name}[{k}]"] = gl.integer(name)
     gl.ActiveTexture(active)
-    if gl.version >= 430:
+    if "KHR_debug" in gl.has:
         room = np.zeros(1, np.uint64)
         for name in ("DEBUG_CALLBACK_FUNCTION", "DEBUG_CALLBACK_USER_PARAM"):
             gl.GetPointerv(enum(name), room)
@@ -358,20 +406,22 @@ def make_hostile(gl: GL) -> None:
         gl.Hint(enum(f"{name}_HINT"), enum("NICEST"))
     gl.Viewport(3, 5, 7, 11)
     gl.Scissor(1, 2, 3, 4)
-    on = [name for name in _names(ENABLES, gl.version) if name not in ("DITHER", "MULTISAMPLE")]
+    on = [name for name in _names(ENABLES, gl) if name not in ("DITHER", "MULTISAMPLE")]
     for name in on:
         gl.Enable(enum(name))
     for name in ("DITHER", "MULTISAMPLE"):
         gl.Disable(enum(name))
     _hostile_by_index(gl)
-    if gl.version >= 430:
+    if "KHR_debug" in gl.has:
         anything = enum(
             "DONT_CARE"
         )  # but errors are none of ours: the driver tells what it thinks of the host
         gl.DebugMessageControl(anything, anything, anything, 0, None, 0)
         gl.DebugMessageControl(anything, enum("DEBUG_TYPE_ERROR"), anything, 0, None, 1)
         gl.PushDebugGroup(enum("DEBUG_SOURCE_APPLICATION"), 1, -1, b"the host's")
-    if gl.version >= 450:
+    if "MESA_pack_invert" in gl.has:
+        gl.PixelStorei(enum("PACK_INVERT_MESA"), 1)
+    if "ARB_clip_control" in gl.has:
         gl.ClipControl(enum("UPPER_LEFT"), enum("ZERO_TO_ONE"))
     if gl.is_compatible:
         _hostile_of_old(gl)
@@ -386,33 +436,35 @@ def _hostile_bindings(gl: GL, junk) -> None:
     make_buffer(gl, "ARRAY_BUFFER", junk)
     for name in ("COPY_READ_BUFFER", "COPY_WRITE_BUFFER", "PIXEL_PACK_BUFFER", "TEXTURE_BUFFER"):
         make_buffer(gl, name, junk)
-    several = [("UNIFORM_BUFFER", 330), ("TRANSFORM_FEEDBACK_BUFFER", 330)]
-    several += [("ATOMIC_COUNTER_BUFFER", 420), ("SHADER_STORAGE_BUFFER", 430)]
-    for name, since in several:
-        if gl.version >= since:
+    several = [("UNIFORM_BUFFER", ""), ("TRANSFORM_FEEDBACK_BUFFER", "")]
+    several += [("ATOMIC_COUNTER_BUFFER", "ARB_shader_atomic_counters")]
+    several += [("SHADER_STORAGE_BUFFER", "ARB_shader_storage_buffer_object")]
+    for name, what in several:
+        if what in gl.has:
             buffer = make_buffer(gl, name, junk)
             for k in (0, 1, 3):
                 gl.BindBufferRange(
                     enum(name), k, buffer, ctypes.c_ssize_t(256 * k), ctypes.c_ssize_t(256 + 4 * k)
                 )
             make_buffer(gl, name, junk)  # at the plain point another one
-    later = [("DRAW_INDIRECT_BUFFER", 400), ("DISPATCH_INDIRECT_BUFFER", 430), ("QUERY_BUFFER", 440)]
-    for name, since in later:
-        if gl.version >= since:
+    later = [("DRAW_INDIRECT_BUFFER", "ARB_draw_indirect"), ("QUERY_BUFFER", "ARB_query_buffer_object")]
+    for name, what in [*later, ("DISPATCH_INDIRECT_BUFFER", "ARB_compute_shader")]:
+        if what in gl.has:
             make_buffer(gl, name, junk)
     for unit in (0, 1, 5, gl.integer("MAX_COMBINED_TEXTURE_IMAGE_UNITS") - 1):
         gl.ActiveTexture(enum("TEXTURE0") + unit)
         gl.BindBuffer(enum("PIXEL_UNPACK_BUFFER"), 0)
         for name in ("TEXTURE_2D", "TEXTURE_CUBE_MAP", "TEXTURE_2D_ARRAY", "TEXTURE_BUFFER"):
             texture = make_texture(gl, name)
-            if name == "TEXTURE_2D" and gl.version >= 420 and unit < gl.integer("MAX_IMAGE_UNITS"):
+            images = gl.integer("MAX_IMAGE_UNITS") if "ARB_shader_image_load_store" in gl.has else 0
+            if name == "TEXTURE_2D" and unit < images:
                 gl.BindImageTexture(unit, texture, 0, 0, 0, enum("READ_WRITE"), enum("RGBA8"))
         sampler = gl.name("Samplers")
         gl.BindSampler(unit, sampler)
         gl.SamplerParameteri(sampler, enum("TEXTURE_COMPARE_MODE"), enum("COMPARE_REF_TO_TEXTURE"))
     gl.ActiveTexture(enum("TEXTURE0") + 5)
     make_buffer(gl, "PIXEL_UNPACK_BUFFER", junk)
-    if gl.version >= 410:
+    if "ARB_separate_shader_objects" in gl.has:
         pipeline = gl.name("ProgramPipelines")
         gl.BindProgramPipeline(pipeline)
     gl.BindRenderbuffer(enum("RENDERBUFFER"), gl.name("Renderbuffers"))
@@ -426,17 +478,18 @@ def _hostile_by_index(gl: GL) -> None:
     for k in range(gl.integer("MAX_DRAW_BUFFERS")):
         gl.ColorMaski(k, k % 2, 0, k % 3 == 0, 0)
         (gl.Disablei if k == 2 else gl.Enablei)(enum("BLEND"), k)
-        if gl.version >= 400:
+        if "ARB_draw_buffers_blend" in gl.has:
             some = enum("SRC_COLOR"), enum("ONE_MINUS_DST_ALPHA"), enum("CONSTANT_ALPHA"), enum("DST_COLOR")
             gl.BlendFuncSeparatei(k, *np.roll(some, k).tolist())
             gl.BlendEquationSeparatei(k, enum("MAX") if k % 2 else enum("MIN"), enum("FUNC_SUBTRACT"))
-    for k in range(gl.integer("MAX_VIEWPORTS") if gl.version >= 410 else 0):
+    for k in range(gl.integer("MAX_VIEWPORTS") if "ARB_viewport_array" in gl.has else 0):
         gl.ViewportIndexedf(k, 0.5 + k, 1.25, 3.5, 4.0 + k)
         gl.ScissorIndexed(k, k, 1, 2, 3 + k)
         gl.DepthRangeIndexed(k, ctypes.c_double(0.7), ctypes.c_double(0.2 + k / 100))
         (gl.Disablei if k == 3 else gl.Enablei)(enum("SCISSOR_TEST"), k)
-    if gl.version >= 400:
+    if "ARB_sample_shading" in gl.has:
         gl.MinSampleShading(0.5)
+    if "ARB_tessellation_shader" in gl.has:
         gl.PatchParameteri(enum("PATCH_VERTICES"), 7)
 
 

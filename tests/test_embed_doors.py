@@ -3,7 +3,6 @@
 import contextlib
 import gc
 import math
-import threading
 import warnings
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 import soak
 import trimesh
+from elsewhere import in_another_thread
 from OpenGL import GL
 
 import sonar_gl as sg
@@ -466,21 +466,9 @@ def test_another_thread_is_told_so():
     host, true = gl_host.Program(scene), simulate(scene)
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
-        said = []
-
-        def elsewhere():
-            for call in (lambda: sensor.sectors(POSE), sector.__enter__):
-                try:
-                    call()
-                except sg.Error as why:
-                    said.append(str(why))
-
-        thread = threading.Thread(target=elsewhere, name="elsewhere")
-        thread.start()
-        thread.join()
-        assert len(said) == 2 and all(
-            "must be used in the thread" in why and "'elsewhere'" in why for why in said
-        )
+        for call in (lambda: sensor.sectors(POSE), sector.__enter__):
+            (said,) = in_another_thread(call)
+            assert "must be used in the thread" in said and "'other'" in said
         draw(host, sensor)
         assert apart(sensor.finish(), true) < ROUNDING
 
@@ -593,18 +581,8 @@ def test_a_sensor_is_closed_in_its_own_thread():
     before = host_state.objects(plain)
     sensor = embed.Sensor(SONAR, sampling=SAMPLING)
     draw(host, sensor)
-    said = []
-
-    def close():
-        try:
-            sensor.close()
-        except sg.Error as why:
-            said.append(str(why))
-
-    thread = threading.Thread(target=close, name="elsewhere")
-    thread.start()
-    thread.join()
-    assert "must be used in the thread" in said[0]
+    (said,) = in_another_thread(sensor.close)
+    assert "must be used in the thread" in said
     sensor.close()
     assert host_state.objects(plain) == before
 

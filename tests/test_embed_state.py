@@ -74,6 +74,22 @@ def check_guard(got):
     assert [name for name in got["not held"] if not name.startswith(NOT_HELD)] == []
 
 
+def check_deleting(got):
+    """What is gone is not bound, which makes no error, and what was pending is so."""
+    assert all(got["was"].values())
+    assert got["errors"] == ["INVALID_VALUE"]
+    assert got["is"] == dict.fromkeys(got["was"], 0)
+
+
+def check_listening(got):
+    """A debug callback hears of none of the guard's errors, but of those of the host in its own turn."""
+    for name in KINDS_OF_ERROR:
+        assert got[name] == [0, [name]]
+    assert got["of its own"] == [1, ["INVALID_VALUE"]]
+    assert got["after"] == [1, ["INVALID_ENUM"]]
+    assert got["deaf"] == [0, ["INVALID_VALUE"]]
+
+
 def check_naive(pristine, working, hostile):
     """moderngl in the host's context as it stands: what it changes, and what it draws."""
     assert pristine["wrong"] == 0
@@ -84,7 +100,9 @@ def check_naive(pristine, working, hostile):
     assert "CURRENT_PROGRAM" in hostile["changed"]
 
 
-@pytest.mark.parametrize("kind", ["egl 3.3", "egl 4.1", "egl 4.5", "glx 3.3", "glx 4.1", "glx compatible"])
+@pytest.mark.parametrize(
+    "kind", ["egl 3.3", "egl 4.1", "egl 4.5", "glx 3.3", "glx 4.1", "glx 4.5", "glx compatible"]
+)
 def test_beside_a_host(kind, run_beside):
     kind, version = kind.split()
     # so that newer functions are refused; other drivers than Mesa give what they have
@@ -102,5 +120,8 @@ def test_beside_a_host(kind, run_beside):
         assert {name: changed for name, changed in doors["changed"].items() if changed} == {}
         assert len(doors["changed"]) == 9
         assert doors["left"] == {} and doors["wrong"] == 0
+    assert list(got["doors"]["working"]["frames"].values()) == [0] * 9
+    check_deleting(got["deleting"])
+    check_listening(got["listening"])
     check_naive(*(got["naive"][state] for state in STATES))
     assert got["moderngl"] == {"same": True, "wrong": 0, "buffer": "mine"}
