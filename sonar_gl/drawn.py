@@ -54,6 +54,7 @@ class DrawnSector:
         target.tenant.__enter__()
         try:
             target.bind()
+            target.tenant.guard.tell_errors()
         except BaseException:
             target.tenant.__exit__()
             raise

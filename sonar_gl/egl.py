@@ -87,8 +87,8 @@ class Private:
         self.display, self._ours, self._destroy = display, (display, surface, surface, handle), destroy
         self._before, self.is_gone = [], False
         self._gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
-        self._mark = secrets.randbelow(0xFFFFFFFF)  # not all ones, as in contexts of others
-        self._gl.glSampleMaski(0, self._mark)
+        self._gl.glSampleMaski(0, secrets.randbelow(0xFFFFFFFF))  # not all ones, as in contexts of others
+        self._mark = self._read_mark()
 
     def __enter__(self):
         before = current() or (self.display, None, None, None)
@@ -96,16 +96,19 @@ class Private:
             error = self._egl.eglGetError()
             self.is_gone = error != BAD_ACCESS
             raise Error(GONE.format(error=error) if self.is_gone else REFUSED)
-        self._gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
-        if self._found.value != self._mark:  # a later one of somebody else has its address
-            self._egl.eglMakeCurrent(*before)
+        if self._read_mark() != self._mark:  # a later one of somebody else has its address
+            make_current(before)
             self.is_gone = True
             raise Error(GONE.format(error=BAD_CONTEXT))
         self._before.append(before)
         return self
 
     def __exit__(self, *_):
-        self._egl.eglMakeCurrent(*self._before.pop())
+        make_current(self._before.pop())
+
+    def _read_mark(self) -> int:
+        self._gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
+        return self._found.value
 
     def release(self):
         """Give the context back, if it is there."""
@@ -121,4 +124,10 @@ def kept():
         yield
     finally:
         if was or (now := current()):
-            library().eglMakeCurrent(*(was or (now[0], None, None, None)))
+            make_current(was or (now[0], None, None, None))
+
+
+def make_current(was: tuple) -> None:
+    """Have again what `current` gave, or nothing, if that was ended meanwhile: ours must not stay instead."""
+    if not library().eglMakeCurrent(*was) and (now := current()):
+        library().eglMakeCurrent(now[0], None, None, None)

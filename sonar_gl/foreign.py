@@ -139,19 +139,22 @@ class Tenant:
     def __init__(self, host: Host):
         self._host, self.load_opengl_function, self.is_gone = host, host.address_of, False
         self.gl, self.guard, self.renderer = host.gl, host.guard, host.renderer
-        self._name, self._mark = ctypes.c_uint(0), os.urandom(16)
+        self._name = ctypes.c_uint(0)
         host.gl.glGenSamplers(1, ctypes.addressof(self._name))
-        host.gl.glSamplerParameterIuiv(self._name.value, BORDER_COLOR, self._mark)
+        host.gl.glSamplerParameterIuiv(self._name.value, BORDER_COLOR, os.urandom(16))
+        self._mark = self._read_mark()
 
     def check(self) -> None:
         """An Error in another thread, or where it is not current or is there no more."""
         self._host.check()
-        gl, name, found = self.gl, self._name.value, (ctypes.c_ubyte * 16)()
-        if gl.glIsSampler(name):
-            gl.glGetSamplerParameterIuiv(name, BORDER_COLOR, ctypes.addressof(found))
-        if bytes(found) != self._mark:  # a later one has its address
-            self.is_gone = True
+        if not self.gl.glIsSampler(self._name.value) or self._read_mark() != self._mark:
+            self.is_gone = True  # a later one has its address
             raise Error(GONE)
+
+    def _read_mark(self) -> bytes:
+        found = (ctypes.c_ubyte * 16)()
+        self.gl.glGetSamplerParameterIuiv(self._name.value, BORDER_COLOR, ctypes.addressof(found))
+        return bytes(found)
 
     def check_thread(self) -> None:
         """An Error in another thread."""

@@ -33,7 +33,7 @@ from host_state import (
 from hosts import HOSTS, SIZE, Scene
 
 import sonar_gl as sg
-from sonar_gl import foreign, gl, world
+from sonar_gl import embed, foreign, gl, world
 from sonar_gl.functions import Functions
 from sonar_gl.guard import Guard
 
@@ -307,6 +307,11 @@ def listening(kind, version) -> dict:
         guard.keep_errors()
         gl.make_error("INVALID_ENUM")
     note("of its own")
+    with embed.Sensor(soak.SONAR, sampling=sg.Sampling(1, 8)) as sensor:
+        sector, *_ = sensor.sectors(POSE)
+        with sector:
+            gl.make_error("INVALID_VALUE")
+    note("in a sector")
     gl.make_error("INVALID_ENUM")
     note("after")
     gl.Disable(enum("DEBUG_OUTPUT"))

@@ -741,3 +741,17 @@ def test_far_from_the_origin():
             errors.append(apart(sensor.finish(), true))
     assert errors[0] > 0.05
     assert errors[1] < ROUNDING
+
+
+def test_a_host_that_has_ended_its_current_context(context):
+    """It stays current until another one is: after a ping of our own none is, and other threads may ping."""
+    ended = gl_host.make_context()
+    library, was = egl.library(), egl.current()
+    library.eglDestroyContext(was[0], was[3])
+    with sg.Simulator(scene_of(), SONAR, None, SAMPLING) as simulator:
+        here = simulator.ping(POSE)
+        assert egl.current() is None
+        there = []
+        assert in_another_thread(lambda: there.append(simulator.ping(POSE))) == []
+    assert np.array_equal(here.intensity, there[0].intensity)
+    assert ended

@@ -86,6 +86,7 @@ def check_listening(got):
     for name in KINDS_OF_ERROR:
         assert got[name] == [0, [name]]
     assert got["of its own"] == [1, ["INVALID_VALUE"]]
+    assert got["in a sector"] == [1, ["INVALID_VALUE"]]
     assert got["after"] == [1, ["INVALID_ENUM"]]
     assert got["deaf"] == [0, ["INVALID_VALUE"]]
 
