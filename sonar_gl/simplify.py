@@ -97,6 +97,31 @@ def _turns(points, faces, start, about, remap, a, b):
 
 
 @compiled
+def _order_of(costs):
+    """(n,) int64, the order of rising costs; of equal ones the first comes first.
+
+    np.argsort is not used: where machine code is kept, its parts may bear the names of those of np.sort that
+    were kept by another process, and one be run in place of the other.
+    """
+    order, other = np.arange(costs.shape[0]), np.empty(costs.shape[0], np.int64)
+    width = 1
+    while width < costs.shape[0]:
+        for low in range(0, costs.shape[0], 2 * width):
+            middle, high = min(low + width, costs.shape[0]), min(low + 2 * width, costs.shape[0])
+            i, j = low, middle
+            for k in range(low, high):
+                if j >= high or (i < middle and costs[order[i]] <= costs[order[j]]):
+                    other[k] = order[i]
+                    i += 1
+                else:
+                    other[k] = order[j]
+                    j += 1
+        order, other = other, order
+        width *= 2
+    return order
+
+
+@compiled
 def simplify(points, faces, locked, target):
     """Fewer faces over some of the same vertices.
 
@@ -137,7 +162,7 @@ def simplify(points, faces, locked, target):
                 count += 1
         if count == 0:
             break
-        order = np.argsort(costs[:count])
+        order = _order_of(costs[:count])
         wanted = (n_faces - target + 1) // 2
         limit = costs[order[min(wanted, count - 1)]] * PASS_SLACK + 1e-30
         touched[:] = False

@@ -1,5 +1,8 @@
 """Fewer triangles for the same mesh: what is kept, how far they stray, that any mixture is sewn together."""
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,7 +10,7 @@ from worlds import terrain
 
 from sonar_gl import detail
 from sonar_gl.detail import make_levels
-from sonar_gl.simplify import simplify
+from sonar_gl.simplify import _order_of, simplify
 
 
 def arrays(mesh):
@@ -293,3 +296,22 @@ def test_a_floor_and_a_wall_are_not_folded():
     bent[:, 2], bent[:, 0] = np.maximum(points[:, 0], 0), np.minimum(points[:, 0], 0)
     fewer, _ = simplify(bent, faces, rim, len(faces) // 8)
     assert np.abs(area_vectors(bent, fewer)).sum(axis=0) == pytest.approx([0.5, 0, 0.5], abs=1e-9)
+
+
+def test_no_machine_code_is_kept_that_may_be_taken_for_anothers():
+    """Numba names the parts of np.sort and np.argsort by numbers that another process gives to others."""
+    package = Path(detail.__file__).parent
+    for path in package.glob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for function in ast.walk(tree):
+            marks = [ast.unparse(one) for one in getattr(function, "decorator_list", ())]
+            if any(mark.startswith("compiled") for mark in marks):
+                called = {ast.unparse(call.func) for call in ast.walk(function) if isinstance(call, ast.Call)}
+                sorts = {name for name in called if name.endswith((".sort", ".argsort")) or name == "sorted"}
+                assert not sorts, f"{path.name}: {function.name}"
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3, 1000, 4097])
+def test_costs_are_put_in_order(n):
+    costs = np.random.default_rng(n).integers(0, 50, n).astype(float)  # with ties
+    assert np.array_equal(_order_of(costs), np.argsort(costs, kind="stable"))
