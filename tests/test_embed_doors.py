@@ -658,8 +658,8 @@ def test_a_host_that_draws_elsewhere_is_told():
 
 def test_names_of_a_host_do_not_clash_with_those_of_the_shader():
     own = """
-    float cos_incidence(float a) { return a; }
-    vec3 plane_of(vec3 a) { return a; }
+    float cos_incidence(vec3 a, vec3 b) { return a.x; }
+    vec3 plane_of(float a, vec2 b, vec2 c) { return vec3(a); }
     vec2 specular_lobe; float cos_times_range; float lobe_times_range;
     """
     text = "#version 330 core\n" + embed.glsl() + own + gl_host.SONAR
