@@ -6,15 +6,13 @@ import math
 
 import numpy as np
 
+from sonar_gl.camera import AHEAD, OPENGL
 from sonar_gl.footprint import FAR_FACTOR
 from sonar_gl.foreign import Tenant
 from sonar_gl.hearing import Hearing
+from sonar_gl.stock import NEAR_M
 from sonar_gl.targets import MAX_RENDERBUFFER_SIZE, Target
 from sonar_gl.types import Error
-
-NEAR_M = 1e-3  # nearer than this the sonar looks through things
-# x of a sector's frame is what lies behind the view's z axis, y is to its left, z is up
-VIEW_FROM_SECTOR = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 class DrawnSector:
@@ -35,12 +33,11 @@ class DrawnSector:
     """
 
     def __init__(self, target: Target, pose, near_m: float, far_m: float):
-        sector, turned = target.sector, np.eye(4)
-        turned[:3, :3] = sector.rotation()
-        view_from_sonar = VIEW_FROM_SECTOR @ turned
+        sector, view_from_sonar = target.sector, np.eye(4)
         self.width, self.height = sector.columns, sector.rows
+        self.rotation = sector.rotation().T @ AHEAD  # a sector looks along its x, upright, as a sonar does
+        view_from_sonar[:3, :3] = (self.rotation @ OPENGL).T
         self.view = view_from_sonar @ np.linalg.inv(pose)
-        self.rotation = view_from_sonar[:3, :3].T @ np.diag([1.0, -1, -1])
         self.projection = sector.projection(near_m, far_m) @ np.linalg.inv(view_from_sonar)
         self.lattice = np.stack([sector.u, sector.v, [1 / far_m, 0, 0]])
         self._target, self.drawn, self.strayed = target, None, False
@@ -89,11 +86,8 @@ class Drawing:
         half = max(sector.half_width_rad for sector in hearing.fan.sectors)
         most = sonar.range_min_m * math.cos(half) * math.cos(math.radians(sonar.elevation_fov_deg) / 2)
         most = max(most, NEAR_M)
-        if (
-            isinstance(near_m, bool)
-            or not isinstance(near_m, (int, float, np.number))
-            or not 0 < near_m <= most
-        ):
+        is_number = isinstance(near_m, (int, float, np.number)) and not isinstance(near_m, bool)
+        if not is_number or not 0 < near_m <= most:
             raise Error(
                 f"near_m must be metres above 0 and no more than {most:.3g}, to cut nothing that is heard "
                 f"(got {near_m!r})"

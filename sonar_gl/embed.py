@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from sonar_gl.acoustics import Acoustics
 from sonar_gl.depth_images import UNKNOWN, images_of, is_planar
-from sonar_gl.drawn import NEAR_M, Drawing, DrawnSector
+from sonar_gl.drawn import Drawing, DrawnSector
 from sonar_gl.fan import Sampling
 from sonar_gl.foreign import Host, Tenant
 from sonar_gl.hearing import Hearing
@@ -22,6 +22,7 @@ from sonar_gl.load import data_folder
 from sonar_gl.programs import load_shader
 from sonar_gl.rigid import check_pose
 from sonar_gl.sonar import Sonar
+from sonar_gl.stock import NEAR_M
 from sonar_gl.targets import give_back, leave, release_left
 from sonar_gl.textures import metres_ahead, read_images
 from sonar_gl.types import Error, Ping
@@ -99,6 +100,7 @@ class Sensor(Listener):
         Error
             if some were not drawn.
         """
+        self._check_open()
         if self._drawing is None:
             raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
         asked = Asked(bodies, noise, seed, labels, ping_number, velocity).checked()

@@ -5,6 +5,7 @@ import gc
 import math
 import warnings
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import gl_host
@@ -571,7 +572,8 @@ def test_a_closed_sensor_leaves_no_objects(use):
     sensor.close()
     sensor.close()
     assert host_state.objects(plain) == before
-    for call in (lambda: sensor.sectors(POSE), lambda: sensor.ping_from_textures(1, np.eye(4))):
+    texture = partial(sensor.ping_from_textures, 1, np.eye(4))
+    for call in (lambda: sensor.sectors(POSE), texture, sensor.finish):
         with pytest.raises(sg.Error, match="this Sensor is closed; make a new one"):
             call()
 

@@ -139,7 +139,7 @@ def splice(page: str, name: str, text: str) -> str:
     pattern = re.compile(re.escape(marks[0]) + ".*?" + re.escape(marks[1]), re.DOTALL)
     if not pattern.search(page):
         raise SystemExit(
-            f"docs/ablation.md must have the line {marks[0].strip()!r}, and a later {marks[1].strip()!r}"
+            f"the page must have the line {marks[0].strip()!r}, and a later {marks[1].strip()!r}"
         )
     return pattern.sub(lambda _: marks[0] + text + marks[1], page, count=1)
 

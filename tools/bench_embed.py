@@ -25,6 +25,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from ablation import splice
 from chart_scenes import make_scene, make_sonar, make_truth
 from PIL import Image
 
@@ -221,17 +222,6 @@ def host_table(found: dict) -> str:
     return "\n".join(lines)
 
 
-def put(page: str, name: str, text: str) -> str:
-    """The page with this text between the marks of a table."""
-    marks = f"<!-- table {name} -->\n", "\n<!-- end -->"
-    before, mark, rest = page.partition(marks[0])
-    if not mark or marks[1] not in rest:
-        raise SystemExit(
-            f"embedding.md must have the line {marks[0].strip()!r}, and a later {marks[1].strip()!r}"
-        )
-    return before + mark + text + marks[1] + rest.partition(marks[1])[2]
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", action="append", choices=SCENES, help="may be repeated; all if left out")
@@ -262,7 +252,7 @@ def main():
             )
         page = (docs / "embedding.md").read_text(encoding="utf-8")
         for name, text in texts.items():
-            page = put(page, name, f"Times on {about}.\n\n{text}")
+            page = splice(page, name, f"Times on {about}.\n\n{text}")
         (docs / "embedding.md").write_text(page, encoding="utf-8")
 
 
