@@ -150,7 +150,7 @@ class Fixed:
         views = self.now.views(pose, labels, where=where)
         return views, self.now.intensity(views)
 
-    def fix(self, poses, where=None):
+    def fix(self, spots):
         """Nothing: they are."""
 
     def due(self, pose, where=None):

@@ -150,14 +150,14 @@ def _ghosts(simulator, now, poses, wheres, first=True):
     return multipath.draw(now, poses, wheres)
 
 
-def fix_ghosts(simulator, poses, where) -> None:
-    """Decide by some poses how finely ghosts are drawn, and stay with it."""
+def fix_ghosts(simulator, spots) -> None:
+    """Decide by some (pose, Whereabouts) how finely ghosts are drawn, and stay with it."""
     if (multipath := simulator._multipath) is None:
         return
     multipath.fixed, least = False, len(SHARES)
-    for at in np.unique(np.linspace(0, len(poses) - 1, GHOST_POSES).round().astype(int)):
+    for at in np.unique(np.linspace(0, len(spots) - 1, GHOST_POSES).round().astype(int)):
         multipath.halved = len(SHARES)
-        alone(simulator, poses[at], where, labels=False)
+        alone(simulator, *spots[at], labels=False)
         least = min(least, multipath.halved)
     multipath.halved, multipath.fixed = least, True
 

@@ -18,7 +18,7 @@ from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.record import Record
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of, whereabouts
+from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, spots_of, whereabouts
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -96,25 +96,26 @@ class Simulator:
         """The fan with these samples."""
         return self._samples.now.fan
 
-    def plan(self, poses) -> Plan | None:
+    def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
         """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
 
         Without this a tolerance is looked after ping by ping, and the samples of one depend on those before.
 
         Parameters
         ----------
-        poses : sequence of (4, 4) world_from_sonar
+        poses : sequence of (4, 4) world_from_sonar; bodies, ... : as for `pings`
 
         Returns
         -------
         Plan, or None if the samples were given to begin with
         """
-        if not (poses := [check_pose(pose) for pose in several(poses)]):
+        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
+        if not (spots := list(spots_of(poses, **changes))):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
-            where = whereabouts(self)
-            plan = self._samples.fix(poses, where)
-            fix_ghosts(self, poses, where)
+            spots = [(pose, whereabouts(self, *changed)) for pose, *changed in spots]
+            plan = self._samples.fix(spots)
+            fix_ghosts(self, spots)
         self._warn()
         return plan
 

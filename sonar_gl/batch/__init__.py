@@ -1,0 +1,1 @@
+"""Headless batches: a job file, and what makes data sets of it."""
