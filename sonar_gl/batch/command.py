@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -67,6 +68,7 @@ def _progress(total: int, there: int):
     """A bar with rate and time left; without a terminal a line every half minute."""
     from tqdm import tqdm
 
+    tqdm.set_lock(threading.RLock())  # its own is for processes that share a bar, and is left behind
     is_terminal = sys.stderr.isatty()
     settings = {} if is_terminal else {"mininterval": 30.0, "maxinterval": 60.0, "ascii": True, "ncols": 90}
     with tqdm(total=total, initial=there, unit=" pings", smoothing=0.05, **settings) as bar:

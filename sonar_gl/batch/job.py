@@ -18,6 +18,7 @@ try:
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
+PLACES = "where", "folder"  # of the job file; they do not count
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
 Mount = Annotated[list[float], Field(min_length=6, max_length=6)]
 Names = Annotated[list[str], Field(min_length=1)]
@@ -147,10 +148,15 @@ class Job(Table):
     where: str = "the job"
     folder: str = "."
 
+    @property
+    def plain(self) -> dict:
+        """As plain values, of which `Job(**plain)` makes it again."""
+        return self.model_dump(exclude_none=True)
+
     @cached_property
     def digest(self) -> str:
         """Of all that decides what the pings are, contents of files that it names included."""
-        plain = self.model_dump(exclude={"where", "folder"})
+        plain = {key: value for key, value in self.plain.items() if key not in PLACES}
         parts = [json.dumps(plain, sort_keys=True)]
         for path in sorted(self.files()):
             parts.append(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}")
@@ -182,7 +188,7 @@ def read_job(path) -> Job:
         raise Error(f"{path}: the job file must be readable ({(why.strerror or str(why)).lower()})") from None
     except ValueError as why:  # not TOML (says the line), or not UTF-8
         raise Error(f"{path}: the job file must be TOML ({why})") from None
-    for key in ("where", "folder"):
+    for key in PLACES:
         if key in data:
             raise Error(f"{path}: the job: unknown key (got {key!r})")
     data = {"name": path.stem} | data

@@ -18,6 +18,7 @@ from sonar_gl.types import Error
 IN_HAND = 2 * BATCH + 1  # pings that a sequence may be at, after the last that it gave
 STALL_S = 900.0  # without a word, after which a process is taken for hung
 DEATHS = 2  # at a ping, after which it is set aside
+PATIENCE_S = 10.0  # for a process to end by itself
 GIVE_UP = 5  # deaths at one part that no ping is to blame for
 # Of a process: the software driver would take all cores for each, and so would libraries.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -79,10 +80,10 @@ class Process:
         self.task, self.pings, self.heard_s = None, range(0), time.monotonic()
 
     def send(self, task, *command):
-        """Have it do something."""
+        """Have it do something; nothing ends it."""
         self.task, self.pings, self.heard_s = task, range(0), time.monotonic()
         try:
-            self.pipe.send(command)
+            self.pipe.send(command or None)
         except OSError:  # it is dead, as `has_died` tells
             pass
 
@@ -108,8 +109,11 @@ class Process:
         """Whether it has, or hangs."""
         return not self.process.is_alive() or time.monotonic() - self.heard_s > STALL_S
 
-    def kill(self) -> int:
-        """End it now; its exit code."""
+    def end(self, gently: bool = False) -> int:
+        """End it; its exit code."""
+        if gently:
+            self.send(None)
+            self.process.join(PATIENCE_S)
         self.process.kill()
         self.process.join()
         self.pipe.close()
@@ -124,52 +128,48 @@ class Pool:
     job : as plain values; url : of the folder
     devices : index of the EGL device of each process, or None for the default one
     warn : function (text)
-    pings_per_part : of the plan
 
     Attributes
     ----------
     stopping : set it to have no more parts begun
     """
 
-    def __init__(self, job: dict, url: str, devices, warn, pings_per_part: int = 1):
+    def __init__(self, job: dict, url: str, devices, warn):
         self._made_of = [(job, url, device) for device in devices]
-        self._processes: list[Process] = []
-        self.warn, self.stopping, self.pings_per_part = warn, False, pings_per_part
+        self._processes: dict[int, Process] = {}
+        self.warn, self.stopping = warn, False
 
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        for process in self._processes:
-            process.kill()
+    def __exit__(self, kind, *_):
+        for process in self._processes.values():
+            process.end(kind is None)
 
     def ask(self, *command):
         """What a process makes of one of the commands of `worker.serve`."""
-        process = Process(*self._made_of[0])
-        try:
-            process.send(None, *command)
-            while True:
-                wait([process.pipe, process.process.sentinel], timeout=1.0)
-                died = process.has_died()  # before the last it said is heard
-                for word, value in process.heard():
-                    if word == "done":
-                        return value
-                    self._take(word, value)
-                if died:
-                    code = process.kill()
-                    raise Error(
-                        f"a process that pings must live (it ended with exit code {code}, at {command[0]!r}; "
-                        "'sonar-gl doctor' may say why)"
-                    )
-        finally:
-            process.kill() if process.process.is_alive() else None
+        process = self._at(0)
+        process.send(None, *command)
+        while True:
+            wait([process.pipe, process.process.sentinel], timeout=1.0)
+            died = process.has_died()  # before the last it said is heard
+            for word, value in process.heard():
+                if word == "done":
+                    return value
+                self._take(word, value)
+            if died:
+                raise Error(
+                    f"a process must live (it ended with exit code {process.end()}, at {command[0]!r}; "
+                    "'sonar-gl doctor' may say why)"
+                )
 
-    def run(self, parts, done) -> None:
+    def run(self, parts, numbers, done) -> None:
         """Make parts.
 
         Parameters
         ----------
-        parts : their numbers, rising
+        parts : which, rising
+        numbers : function (part) -> range of its pings
         done : function (record), called as each is done
 
         Raises
@@ -179,9 +179,9 @@ class Pool:
         """
         fresh, again, refused = (Task(part) for part in parts), deque(), None
         while True:
-            for place, made_of in enumerate(self._made_of):
-                self._employ(place, made_of, again, fresh)
-            busy = [process for process in self._processes if process.task is not None]
+            for place in range(len(self._made_of)):
+                self._employ(place, again, fresh)
+            busy = [process for process in self._processes.values() if process.task is not None]
             if not busy:
                 break
             wait([end for p in busy for end in (p.pipe, p.process.sentinel)], timeout=1.0)
@@ -195,26 +195,26 @@ class Pool:
                         else:
                             self._take(word, value)
                     if died and process.task is not None:
-                        again.append(self._bury(process))
+                        again.append(self._bury(process, numbers))
                 except Error as why:
                     refused, self.stopping, process.task = why, True, None
         if refused is not None:
             raise refused
 
-    def _employ(self, place: int, made_of, again, fresh):
-        """Give the process at a place something to do, if there is something; have one there."""
-        here = self._processes[place] if place < len(self._processes) else None
+    def _at(self, place: int) -> Process:
+        """The process of a place, alive."""
+        here = self._processes.get(place)
+        if here is None or not here.process.is_alive():
+            here = self._processes[place] = Process(*self._made_of[place])
+        return here
+
+    def _employ(self, place: int, again, fresh):
+        """Give the process of a place something to do, if there is something."""
+        here = self._processes.get(place)
         if self.stopping or (here is not None and here.task is not None):
             return
-        task = again.popleft() if again else next(fresh, None)
-        if task is None:
-            return
-        if here is None:
-            self._processes.append(here := Process(*made_of))
-        elif not here.process.is_alive():
-            here.kill()
-            self._processes[place] = here = Process(*made_of)
-        here.send(task, "part", task.part, task.set_aside, task.one_by_one)
+        if (task := again.popleft() if again else next(fresh, None)) is not None:
+            self._at(place).send(task, "part", task.part, task.set_aside, task.one_by_one)
 
     def _take(self, word, value):
         """A message that is no result."""
@@ -223,12 +223,11 @@ class Pool:
         else:
             raise Error(value)
 
-    def _bury(self, process: Process) -> Task:
+    def _bury(self, process: Process, numbers) -> Task:
         """What a dead process was at, to be done again ping by ping."""
-        task, code = process.task, process.kill()
+        task, code = process.task, process.end()
         process.task = None
-        numbers = range(task.part * self.pings_per_part, (task.part + 1) * self.pings_per_part)
-        task.died([n for n in process.pings if n in numbers])
+        task.died([n for n in process.pings if n in numbers(task.part)])
         if task.deaths.get(None, 0) >= GIVE_UP:
             raise Error(
                 f"processes must live (part {task.part} ended {GIVE_UP} of them at no ping, the last with exit "

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.finish import DONE
-from sonar_gl.batch.job import Job
+from sonar_gl.batch.job import PLACES, Job
 from sonar_gl.batch.maker import record_name
 from sonar_gl.batch.planned import Planned
 from sonar_gl.batch.pool import Pool
@@ -40,8 +40,12 @@ class Outcome:
         self.without_echo += record["without_echo"]
 
     @property
+    def done(self) -> int:
+        return self.made + len(self.set_aside)
+
+    @property
     def is_whole(self) -> bool:
-        return self.made + len(self.set_aside) == self.pings
+        return self.done == self.pings
 
 
 def devices_of(workers: int | None, devices) -> list:
@@ -78,20 +82,20 @@ def records(folder: Folder, planned: Planned):
             yield part, folder.get_json(record_name(part))
 
 
-def begin(job: Job, url: str, resume: bool, pool_of, tell) -> tuple[Folder, Planned]:
-    """The folder and the plan of a job: a new one, or that which is there.
+def begin(job: Job, folder: Folder, resume: bool, pool: Pool, tell) -> Planned:
+    """The plan of a job: a new one, or that which is there.
 
     Raises
     ------
     Error
         if a batch is there and is not to be gone on with, or is another one.
     """
-    folder = Folder(url)
     planned = Planned.load(folder)
     if planned is not None and not resume:
         raise Error(f"{folder.url}: a batch is there already; go on with it by --resume, or give another folder")
     if planned is not None and planned.digest != job.digest:
-        changed = [key for key, value in job.model_dump(exclude={"where", "folder"}).items() if planned.job[key] != value]
+        now = job.plain
+        changed = [k for k in sorted({*now, *planned.job} - {*PLACES}) if now.get(k) != planned.job.get(k)]
         what = ", ".join(changed) or "the contents of a file that it names"
         raise Error(
             f"{folder.url}: a batch must be gone on with by the job that began it (changed: {what}; put that "
@@ -101,11 +105,10 @@ def begin(job: Job, url: str, resume: bool, pool_of, tell) -> tuple[Folder, Plan
         if folder.names(""):
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
         tell("choosing the samples")
-        with pool_of(folder) as pool:
-            planned = pool.ask("plan")
-            pool.ask("create", planned)
+        planned = pool.ask("plan")
+        pool.ask("create", planned)
         planned.save(folder)  # last: from here on there is something to go on with
-    return folder, planned
+    return planned
 
 
 def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
@@ -118,26 +121,22 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
     progress : function (pings, pings that are there) -> context manager of a function (pings more)
     """
 
-    def pool_of(folder, pings_per_part=1):
-        return Pool(job.model_dump(), folder.url, devices, tell, pings_per_part)
+    folder = Folder(url)
+    with Pool(job.plain, folder.url, devices, tell) as pool:
+        planned = begin(job, folder, resume, pool, tell)
+        outcome, there = Outcome(planned.n_pings), set()
+        for part, record in records(folder, planned):
+            outcome.add(record)
+            there.add(part)
+        missing = [part for part in range(planned.n_parts) if part not in there]
+        if missing:
+            with progress(planned.n_pings, outcome.done) as more, _stopped_by_ctrl_c(pool, tell):
 
-    folder, planned = begin(job, url, resume, pool_of, tell)
-    outcome, there = Outcome(planned.n_pings), set()
-    for part, record in records(folder, planned):
-        outcome.add(record)
-        there.add(part)
-    missing = [part for part in range(planned.n_parts) if part not in there]
-    if missing:
-        with progress(planned.n_pings, outcome.made + len(outcome.set_aside)) as more:
+                def done(record):
+                    outcome.add(record)
+                    more(record["pings"])
 
-            def done(record):
-                outcome.add(record)
-                more(record["pings"])
-
-            with pool_of(folder, planned.pings_per_part) as pool, _stopped_by_ctrl_c(pool, tell):
-                pool.run(missing, done)
-    if outcome.is_whole and folder.get(DONE) is None:
-        tell("joining what was made")
-        with pool_of(folder) as pool:
+                pool.run(missing, planned.numbers, done)
+        if outcome.is_whole and folder.get(DONE) is None:
             pool.ask("finish")
     return outcome

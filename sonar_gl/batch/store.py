@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
@@ -107,7 +109,9 @@ class Writer:
 
 def consolidate(folder: Folder) -> None:
     """Gather the metadata of all arrays into one file, which is what readers look into first."""
-    zarr.consolidate_metadata(_group(folder, "r+").store)
+    with warnings.catch_warnings():  # that version 3 of the format does not say how: all readers do it so
+        warnings.simplefilter("ignore", UserWarning)
+        zarr.consolidate_metadata(_group(folder, "r+").store)
     place = f"{NAME}/zarr.json"
     folder.put_json(place, folder.get_json(place))  # sorted: folders are listed in any order
 

@@ -66,7 +66,7 @@ class Work:
                 tell("warning", f"scene {orders.job.scenes[scene]!r}: {warning.message}")
             samplings.append(chosen)
             estimates.append(thought)
-        job = orders.job.model_dump()
+        job = orders.job.plain
         part = orders.job.pings_per_part or planned.pings_per_part(Kept(orders).bytes_per_ping)
         return Planned(job, orders.job.digest, len(orders), part, samplings, estimates, gl_renderer=renderer)
 
