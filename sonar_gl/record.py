@@ -54,17 +54,16 @@ class Record:
 
         Parameters
         ----------
-        found : of `Reducer.labels`, or three None
+        found : of `Reducer.labels`, or empty
         velocity : of `in_motion`
         more : for its meta
         """
         if self._pulse is not None:
             intensity = smear(intensity, self._pulse)
-        for array in (intensity, *found):
+        for array in (intensity, *found.values()):
             if array is not None:
                 array.setflags(write=False)
-        body_id, elevation_rad, body_echo = found
         meta = pickle.loads(self._meta)
         meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo, **more}
-        ping = Ping(intensity, *self.axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
+        ping = Ping(intensity, *self.axes, pose=pose, meta=meta, error_estimate=estimate, **found)
         return in_motion(ping, velocity, self.acoustics)

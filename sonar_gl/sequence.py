@@ -43,7 +43,7 @@ def spots_of(poses, bodies=None, times_s=None):
 
 
 def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed, velocity=None) -> Ping:
-    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None.
+    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or empty.
 
     velocity : of `in_motion`
     """
@@ -157,7 +157,7 @@ def _sum_ghosts(simulator, ghosts, now):
 
 
 def _labels(simulator, now, views, labels):
-    return now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
+    return now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else {}
 
 
 def alone(simulator, pose, where, labels: bool, look: bool = False):
