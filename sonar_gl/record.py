@@ -62,7 +62,7 @@ class Record:
 
         Parameters
         ----------
-        found : of `Reducer.labels`, or three None
+        found : of `Reducer.labels`, or empty
         velocity : of `in_motion`
         acoustics : in the ping's own water, or None
         more : for its meta
@@ -70,13 +70,12 @@ class Record:
         pulse = self._pulse if acoustics is None else acoustics.pulse_weights(self.sonar)
         if pulse is not None:
             intensity = smear(intensity, pulse)
-        for array in (intensity, *found):
+        for array in (intensity, *found.values()):
             if array is not None:
                 array.setflags(write=False)
-        body_id, elevation_rad, body_echo = found
         meta = pickle.loads(self._meta)
         meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo, **more}
         if acoustics is not None:
             meta |= self._water(acoustics)
-        ping = Ping(intensity, *self.axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
+        ping = Ping(intensity, *self.axes, pose=pose, meta=meta, error_estimate=estimate, **found)
         return in_motion(ping, velocity, acoustics or self.acoustics)

@@ -53,7 +53,7 @@ def whereabouts(simulator, bodies=None, time_s=None, reflectivity=None, water=No
 
 
 def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed, velocity=None) -> Ping:
-    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None.
+    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or empty.
 
     velocity : of `in_motion`
     """
@@ -169,7 +169,7 @@ def _sum_ghosts(simulator, ghosts, gain):
 
 def _labels(simulator, now, views, labels):
     n_bodies = len(simulator.scene.bodies)
-    return now.reducer.labels(views, now.gain_of(views), n_bodies) if labels else (None,) * 3
+    return now.reducer.labels(views, now.gain_of(views), n_bodies) if labels else {}
 
 
 def alone(simulator, pose, where, labels: bool, look: bool = False):
