@@ -76,7 +76,7 @@ class LabelsTable(Table):
     background : bodies that shadows fall on
     """
 
-    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = list(LAYERS[:6]) + ["boxes"]
+    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = list(LAYERS[:6])
     classes: dict[str, Names] = {}
     background: Names = None
 
