@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
 import uuid
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from fsspec.core import url_to_fs
@@ -37,23 +39,32 @@ class Folder:
         """Where a file is, for `fs`."""
         return f"{self.root}/{name}"
 
-    def put(self, name: str, data: bytes) -> None:
-        """Write a file: beside its place, and renamed."""
+    @contextmanager
+    def writing(self, name: str):
+        """Path of a file here to write, which becomes the file `name` at the end of the block."""
+        place = PurePosixPath(self.path(name))
         if not self.is_local:  # an object is put there whole or not at all
-            self.fs.makedirs(str(PurePosixPath(self.path(name)).parent), exist_ok=True)
-            self.fs.pipe_file(self.path(name), data)
+            with tempfile.TemporaryDirectory() as here:
+                yield Path(here, place.name)
+                self.fs.makedirs(str(place.parent), exist_ok=True)
+                self.fs.put_file(str(Path(here, place.name)), str(place))
             return
-        place = Path(self.path(name))
-        place.parent.mkdir(parents=True, exist_ok=True)
-        beside = place.with_name(f".{place.name[:64]}.{uuid.uuid4().hex[:12]}")
+        Path(place.parent).mkdir(parents=True, exist_ok=True)
+        beside = Path(place.with_name(f".{place.stem[:64]}.{uuid.uuid4().hex[:12]}{place.suffix}"))
         try:
-            with beside.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
+            yield beside
             os.replace(beside, place)
         finally:
             beside.unlink(missing_ok=True)
+
+    def put(self, name: str, data: bytes) -> None:
+        """Write a file."""
+        if self.is_local:
+            with self.writing(name) as path:
+                path.write_bytes(data)
+        else:
+            self.fs.makedirs(str(PurePosixPath(self.path(name)).parent), exist_ok=True)
+            self.fs.pipe_file(self.path(name), data)
 
     def put_json(self, name: str, value) -> None:
         """Write plain values as JSON; the same values give the same bytes."""

@@ -107,12 +107,13 @@ class CocoTable(Table):
 
 
 class RosTable(Table):
-    """ROS 2 bags; port : the sign of y in beam directions to port, see docs/batch.md."""
+    """A ROS 2 bag; see `ros_records.BagSettings`. image_height : of fan images in it, 0 for none."""
 
     image_height: Annotated[int, Field(ge=0, le=8192)] = 0
+    y_sign: Literal["port", "starboard"] = "port"
     bits: Literal[8, 16, 32] = 8
+    scale: Literal["db", "linear"] = "db"
     db_range: Pair = [-60.0, 0.0]
-    port: Literal["negative_y", "positive_y"] = "negative_y"
 
 
 class OpticalTable(Table):

@@ -19,6 +19,7 @@ from sonar_gl.sonar import load_sonar
 from sonar_gl.types import Error, nearest_names
 
 VARY, NOISE = 101, 102  # streams of random numbers; never renumber: bytes would change
+BETWEEN_S = 1.0
 TURNS = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -97,6 +98,10 @@ class Orders:
         # one run of consecutive pings for each scene along each path
         self._runs = [(scene, path) for path in self.paths for scene in range(len(job.scenes))]
         self._starts = np.cumsum([0, *(len(path) for _, path in self._runs)]).tolist()
+        self._later_s = [0.0]  # each run begins a second after the one before has ended
+        for (_, path), (_, following) in zip(self._runs, self._runs[1:], strict=False):
+            ended_s = path[len(path) - 1][0] + self._later_s[-1]
+            self._later_s.append(ended_s + BETWEEN_S - following[0][0])
         self._scenes, self._names = {}, {}
 
     def _sonar(self, table, where):
@@ -177,6 +182,7 @@ class Orders:
         run = bisect_right(self._starts, number) - 1
         scene, path = self._runs[run]
         time_s, pose = path[number - self._starts[run]]
+        time_s = float(time_s) + self._later_s[run]
         key = np.random.SeedSequence(self.job.seed, spawn_key=(VARY, number))
         random = np.random.Generator(np.random.SFC64(key))
         vary = self.job.vary
