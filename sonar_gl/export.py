@@ -49,13 +49,13 @@ def save_png(path, picture: np.ndarray) -> None:
     path = _checked(path, (".png",))
     picture = np.asarray(picture)
     if not (picture.ndim == 2 and picture.dtype == np.uint16):
-        picture = _eight_bit(picture, "a PNG")
+        picture = eight_bit(picture, "a PNG")
     if picture.ndim == 3:
         picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture))
     if not done:
         raise Error(f"{str(path)!r}: a picture of shape {picture.shape} cannot be written as PNG")
-    with _replacing(path) as beside:
+    with replacing(path) as beside:
         beside.write_bytes(data)
 
 
@@ -75,7 +75,7 @@ def save_npz(path, ping: Ping) -> None:
         ) from None
     data = io.BytesIO()
     np.savez(data, **arrays, meta=np.array(meta))
-    with _replacing(path) as beside:
+    with replacing(path) as beside:
         beside.write_bytes(data.getbuffer())
 
 
@@ -131,7 +131,7 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
         first = next(frames)
     except StopIteration:
         raise Error(f"{str(path)!r}: an animation needs at least one frame (got none)") from None
-    with _replacing(path) as beside:
+    with replacing(path) as beside:
         (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(beside, first, frames, float(fps))
 
 
@@ -181,7 +181,7 @@ def _alike(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     """The frames in 8 bits, each checked to be like the first."""
     shape = None
     for index, frame in enumerate(frames):
-        frame = _eight_bit(np.asarray(frame), f"frame {index} of an animation")
+        frame = eight_bit(np.asarray(frame), f"frame {index} of an animation")
         shape = shape or frame.shape
         if frame.shape != shape:
             raise Error(
@@ -190,7 +190,7 @@ def _alike(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         yield np.ascontiguousarray(frame)
 
 
-def _eight_bit(picture: np.ndarray, what: str) -> np.ndarray:
+def eight_bit(picture: np.ndarray, what: str) -> np.ndarray:
     if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
         raise Error(f"{what} must have shape (H, W) or (H, W, 3) RGB (got {picture.shape})")
     if picture.dtype.kind == "f":
@@ -235,7 +235,7 @@ def _reason(why: OSError, folder: Path) -> str:
 
 
 @contextmanager
-def _replacing(path: Path):
+def replacing(path: Path):
     """Name to write to; becomes `path` at the end, or goes without a trace if the writing fails."""
     if not path.parent.is_dir():
         what = "is not a folder" if path.parent.exists() else "does not exist"

@@ -1,0 +1,1 @@
+"""Headless batches of many pings."""
