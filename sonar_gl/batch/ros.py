@@ -37,6 +37,12 @@ def write_part(path, records: Iterable, settings: BagSettings | None = None) -> 
     Error
         if times fall or ROS cannot hold them, names clash, something of a record is wrong or missing, the
         file cannot be written, or rosbags or mcap is not installed.
+
+    Notes
+    -----
+    The frames of /tf are world → base_link, the vehicle, where its pose is given → each sonar and camera, at
+    the time of each record. /tf_static turns a sensor's own frame to that of its messages; every file has it,
+    so that each can be read alone.
     """
     path = Path(path)
     if path.suffix != ".mcap":
