@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from pycocotools import mask
 
-from sonar_gl.export import _replacing, save_png
+from sonar_gl.export import replacing, save_png
 from sonar_gl.types import Error
 
 BODIES = 1 << 16  # annotations' numbers are image_id times this, and the body's
@@ -139,7 +139,7 @@ def join_coco(part_files, path, categories: list[dict], info: dict) -> None:
     path : of the file; its folder exists
     """
     openers = [partial(open, file, "rb") for file in part_files]
-    with _replacing(Path(path)) as beside, beside.open("wb") as out:
+    with replacing(Path(path)) as beside, beside.open("wb") as out:
         out.writelines(coco_json(openers, categories, info))
 
 
