@@ -33,7 +33,11 @@ class Labeller:
         self.halves = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._floats, self._numbers, self._means = Given(shape), Given(shape, np.uint16), Given((3, *shape))
         self._kept = [
-            (np.zeros((SLOTS, shape[1], CELL)), np.empty((RUNS, PLACE + 1), np.int64), np.empty(POOL, np.float32))
+            (
+                np.zeros((SLOTS, shape[1], CELL)),
+                np.empty((RUNS, PLACE + 1), np.int64),
+                np.empty(POOL, np.float32),
+            )
             for _ in range(2)
         ]
 

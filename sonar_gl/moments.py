@@ -14,15 +14,19 @@ from sonar_gl.footprint import (
     ALONG_V,
     BORDER,
     ENERGY,
+    FAR,
     FAR_FACTOR,
     LAST,
+    NEAR,
     REST,
     V_RAY,
+    HALF_HEIGHT,
     A,
     B,
     Q,
     S,
     _below,
+    _find_boxes,
     _find_borders,
     _find_shapes,
     _look,
@@ -36,7 +40,10 @@ ROWS = LAST + 3
 # incidence, and range less `middle_m`). Samples that fill a bin have its `middle_m` for their mean range.
 HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT, ECHO, ECHO_ELEVATION, ECHO_INCIDENCE, ECHO_RANGE = range(8)
 CELL, MOMENTS = 8, 4  # of which the last four are what is handed on
-BODY, COLUMN, FIRST, PAST, PLACE = range(5)  # of a run: where it is, its bins, and where in the pool it begins
+NEAR_BIN, FAR_BIN = footprint.FIRST, LAST
+BODY, COLUMN, FIRST, PAST, PLACE = range(
+    5
+)  # of a run: where it is, its bins, and where in the pool it begins
 
 
 @compiled
@@ -76,26 +83,6 @@ def _find_angles(work, first, last, uc, v_limit, arcs, elevation):
 
 
 @compiled
-def _add(cells, slot, k, echo, elevation, incidence, off):
-    """Put echo into a cell; off : of its mean range from `middle_m`."""
-    cell = cells[slot, uint64(k)]
-    cell[ECHO] += echo
-    cell[ECHO_ELEVATION] += echo * elevation
-    cell[ECHO_INCIDENCE] += echo * incidence
-    cell[ECHO_RANGE] += echo * off
-
-
-@compiled
-def _begin(cells, slot, k, sign, height, elevation, incidence):
-    """Have a sample fill bins from this one on, or to before it."""
-    cell, height = cells[slot, uint64(k)], sign * height
-    cell[HEIGHT] += height
-    cell[HEIGHT_ELEVATION] += height * elevation
-    cell[HEIGHT_INCIDENCE] += height * incidence
-    cell[COUNT] += sign
-
-
-@compiled
 def _ramp_range(s, start):
     """As `footprint._ramp`, of (s - start) ds."""
     t = max(s - start, 0.0)
@@ -110,63 +97,113 @@ def _below_range(s, middle, wide, thin):
 
 
 @compiled_with(footprint)
-def _spread_one(work, m, cells, slot, edges, middle_m, r_first, per_metre):
-    """Add one sample to cells, as `footprint.spread_footprints` does; the first bin and past the last."""
-    K = middle_m.shape[0]
-    energy, s, a, b = work[ENERGY, m], work[S, m], work[A, m], work[B, m]
-    elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
-    wide, thin = max(a, b), min(a, b)
-    if 8 * thin * per_metre >= s * s:
-        low, high = max(s - wide - thin, edges[K]), min(s + wide + thin, edges[0])
-        if high <= low:
-            return K, 0
-        scale = energy / (4 * wide * thin)
-        if s < wide + thin:
-            scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-        first = int((1.0 / high - r_first) * per_metre)
-        last = min(int((1.0 / low - r_first) * per_metre), K - 1)
-        nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
-        for k in range(first, last + 1):
-            edge = edges[k + 1] if k < last else low
-            further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-            echo = scale * (nearer - further)
-            _add(cells, slot, k, echo, elevation, incidence, 0.0)
-            cells[slot, k, ECHO_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
-            nearer, range_nearer = further, range_further
-        return first, last + 1
-    wide = max(wide, 1e-9 * s)
-    near, far = s + wide, s - wide
-    half_height = energy * s / (near * near) if far < 0.0 else energy * 0.25 / wide
-    near, far = min(near, edges[0]), max(far, edges[K])
-    if near <= far:
+def _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre):
+    """As `footprint._spread_trapezoid`; the first bin and past the last."""
+    K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
+    wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
+    low, high = max(s - wide - thin, edges[K]), min(s + wide + thin, edges[0])
+    if high <= low:
         return K, 0
-    first = int((1.0 / near - r_first) * per_metre)
-    last = min(int((1.0 / far - r_first) * per_metre), K - 1)
-    if first >= last:
-        echo = half_height * (near - far) * (near + far)
-        _add(cells, slot, last, echo, elevation, incidence, 2.0 / (near + far) - middle_m[last])
-        return last, last + 1
-    inner, outer = edges[first + 1], edges[last]
-    echo = half_height * (near - inner) * (near + inner)
-    _add(cells, slot, first, echo, elevation, incidence, 2.0 / (near + inner) - middle_m[first])
-    echo = half_height * (outer - far) * (outer + far)
-    _add(cells, slot, last, echo, elevation, incidence, 2.0 / (outer + far) - middle_m[last])
-    if last > first + 1:
-        _begin(cells, slot, first + 1, 1.0, 2 * half_height, elevation, incidence)
-        _begin(cells, slot, last, -1.0, 2 * half_height, elevation, incidence)
+    scale = energy / (4 * wide * thin)
+    if s < wide + thin:
+        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
+    first, last = int((1.0 / high - r_first) * per_metre), int((1.0 / low - r_first) * per_metre)
+    last = min(last, K - 1)
+    nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
+    for k in range(uint64(first), uint64(last + 1)):
+        edge = edges[k + uint64(1)] if k < last else low
+        further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
+        echo = scale * (nearer - further)
+        cells[k, ECHO] += echo
+        cells[k, ECHO_ELEVATION] += echo * work[ELEVATION, m]
+        cells[k, ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
+        cells[k, ECHO_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
+        nearer, range_nearer = further, range_further
     return first, last + 1
 
 
+@compiled_with(footprint)
+def _spread(work, start, stop, cells, edges, middle_m, r_first, per_metre):
+    """As `footprint.spread_footprints`, into one body's cells; the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(uint64(start), uint64(stop)):
+        energy, s = work[ENERGY, m], work[S, m]
+        if energy == 0.0 or s <= 0.0:
+            continue
+        if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
+            first, past = _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre)
+            lowest, highest = min(lowest, first), max(highest, past)
+            continue
+        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
+        if near <= far:
+            continue
+        elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
+        first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
+        lowest, highest = min(lowest, int(first)), max(highest, int(last) + 1)
+        after = first + uint64(1)
+        inner = edges[after] if first < last else far
+        part = half_height * (near - inner)
+        echo = part * (near + inner)
+        cells[first, ECHO] += echo
+        cells[first, ECHO_ELEVATION] += echo * elevation
+        cells[first, ECHO_INCIDENCE] += echo * incidence
+        cells[first, ECHO_RANGE] += 2 * part - echo * middle_m[first]
+        if first >= last:
+            continue
+        outer, height = edges[last], 2 * half_height
+        part = half_height * (outer - far)
+        echo = part * (outer + far)
+        cells[last, ECHO] += echo
+        cells[last, ECHO_ELEVATION] += echo * elevation
+        cells[last, ECHO_INCIDENCE] += echo * incidence
+        cells[last, ECHO_RANGE] += 2 * part - echo * middle_m[last]
+        if after < last:
+            cells[after, HEIGHT] += height
+            cells[after, HEIGHT_ELEVATION] += height * elevation
+            cells[after, HEIGHT_INCIDENCE] += height * incidence
+            cells[after, COUNT] += 1.0
+            cells[last, HEIGHT] -= height
+            cells[last, HEIGHT_ELEVATION] -= height * elevation
+            cells[last, HEIGHT_INCIDENCE] -= height * incidence
+            cells[last, COUNT] -= 1.0
+    return lowest, highest
+
+
 @compiled
-def _drop_one(work, m, cells, slot, middle_m, r_first, per_metre):
-    """Add one sample whole to the bin of its range, as `footprint._drop` does; as of `_spread_one`."""
-    s, K = work[S, m], middle_m.shape[0]
-    k = (1.0 / s - r_first) * per_metre
-    if not 0.0 <= k < K:
-        return K, 0
-    off = 1.0 / s - middle_m[int(k)]
-    _add(cells, slot, int(k), work[ENERGY, m] * s, work[ELEVATION, m], work[INCIDENCE, m], off)
-    return int(k), int(k) + 1
+def _drop(work, start, stop, cells, middle_m, u, nearest, step, bottom_row, r_first, per_metre):
+    """As `footprint._drop`, into one body's cells; the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(start, stop):
+        j = bottom_row + m
+        u_ray, v_ray = u[0] + u[1] * int(nearest - step * j) + u[2] * j, work[V_RAY, m]
+        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
+        k = (1.0 / s - r_first) * per_metre
+        if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
+            cell, echo = cells[int(k)], work[ENERGY, m] * s
+            cell[ECHO] += echo
+            cell[ECHO_ELEVATION] += echo * work[ELEVATION, m]
+            cell[ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
+            cell[ECHO_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]
+            lowest, highest = min(lowest, int(k)), max(highest, int(k) + 1)
+    return lowest, highest
+
+
+@compiled
+def _slot_of(body, slots, n_slots, cells):
+    """The place of a body's cells in a column, a new one at first; slots, n_slots and cells, larger if full."""
+    slot = 0
+    while slot < n_slots and slots[slot, 0] != body:
+        slot += 1
+    if slot < n_slots:
+        return slot, slots, n_slots, cells
+    if n_slots == slots.shape[0]:
+        more = np.zeros((2 * n_slots, cells.shape[1], CELL)), np.empty((2 * n_slots, 3), np.int64)
+        more[0][:n_slots], more[1][:n_slots] = cells, slots
+        cells, slots = more
+    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
+    return slot, slots, n_slots + 1, cells
 
 
 @compiled
@@ -261,31 +298,24 @@ def gather(
         _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
         _find_shapes(work, first, last, uc, part_width[p], v_limit, elevation)
         _find_angles(work, first, last, uc, v_limit, arcs, elevation)
-        slot = -1
-        for m in range(first, last):
-            if work[ENERGY, m] == 0.0 or work[S, m] <= 0.0:
-                continue
-            j = bottom_row + m
-            i = int(nearest - step * j)
-            body = body_id[j, i]
-            if slot < 0 or slots[slot, 0] != body:
-                slot = 0
-                while slot < n_slots and slots[slot, 0] != body:
-                    slot += 1
-                if slot == n_slots:
-                    if n_slots == cells.shape[0]:
-                        more, others = np.zeros((2 * n_slots, K, CELL)), np.empty((2 * n_slots, 3), np.int64)
-                        more[:n_slots], others[:n_slots] = cells, slots
-                        cells, slots = more, others
-                    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, K, 0
-                    n_slots += 1
+        _find_boxes(work, first, last, edges[0], edges[K], r_first, per_metre)
+        start = first
+        while start < last:  # samples of one body after the other
+            body = body_id[bottom_row + start, int(nearest - step * (bottom_row + start))]
+            stop = start + 1
+            while stop < last:
+                j = bottom_row + stop
+                if work[ENERGY, stop] > 0.0 and body_id[j, int(nearest - step * j)] != body:
+                    break
+                stop += 1
+            slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
             if spread:
-                k, past = _spread_one(work, m, cells, slot, edges, middle_m, r_first, per_metre)
+                found = _spread(work, start, stop, cells[slot], edges, middle_m, r_first, per_metre)
             else:
-                u_ray, v_ray = u[0] + u[1] * i + u[2] * j, work[V_RAY, m]
-                work[S, m] = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
-                k, past = _drop_one(work, m, cells, slot, middle_m, r_first, per_metre)
-            slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], k), max(slots[slot, 2], past)
+                lattice = u, nearest, step, bottom_row
+                found = _drop(work, start, stop, cells[slot], middle_m, *lattice, r_first, per_metre)
+            slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], found[0]), max(slots[slot, 2], found[1])
+            start = stop
     if part_u.shape[0]:
         runs, pool, n_runs, used = _close_all(
             cells, slots, n_slots, part_column[-1], flat, runs, pool, n_runs, used

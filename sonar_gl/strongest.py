@@ -24,7 +24,11 @@ def tiles_of(first, weights):
     """
     B, W = weights.shape
     starts = np.array([first[b : b + BEAMS].min() for b in range(0, B, BEAMS)])
-    width = W + BEAMS + max(int(first[b : b + BEAMS].max()) - start for b, start in zip(range(0, B, BEAMS), starts))
+    width = (
+        W
+        + BEAMS
+        + max(int(first[b : b + BEAMS].max()) - start for b, start in zip(range(0, B, BEAMS), starts))
+    )
     out = np.zeros((len(starts), width, BEAMS), np.float32)
     for b in range(B):
         at = first[b] - starts[b // BEAMS]
