@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import os
-import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from sonar_gl.types import Error, Ping
+from sonar_gl.whole import name_beside, reason, replacing
 
 
 def output_folder(path) -> Path:
@@ -28,13 +26,13 @@ def output_folder(path) -> Path:
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        trial = _beside(folder / "trial")
+        trial = name_beside(folder / "trial")
         try:
             trial.write_bytes(b"sonar")
         finally:
             trial.unlink(missing_ok=True)
     except OSError as why:
-        raise Error(f"cannot write into the folder {str(folder)!r}: {_reason(why, folder)}") from None
+        raise Error(f"cannot write into the folder {str(folder)!r}: {reason(why, folder)}") from None
     return folder
 
 
@@ -98,7 +96,7 @@ def load_npz(path) -> Ping:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except OSError as why:
-        raise Error(f"cannot read the ping {str(path)!r}: {_reason(why, path)}") from None
+        raise Error(f"cannot read the ping {str(path)!r}: {reason(why, path)}") from None
     except Exception:  # whatever NumPy and zipfile make of bytes that are no archive
         raise Error(f"cannot read the ping {str(path)!r}: not an NPZ file") from None
     names = [f.name for f in dataclasses.fields(Ping)]
@@ -232,31 +230,3 @@ def _checked(path, suffixes: tuple[str, ...]) -> Path:
     if path.suffix.lower() not in suffixes:
         raise Error(f"{str(path)!r} must end in {' or '.join(suffixes)} (got {path.suffix or 'no suffix'})")
     return path
-
-
-def _beside(path: Path) -> Path:
-    """A name in the same folder, so that the renaming never crosses file systems."""
-    return path.with_name(f".{path.stem[:64]}.{uuid.uuid4().hex[:12]}{path.suffix}")
-
-
-def _reason(why: OSError, folder: Path) -> str:
-    at_fault = next((str(p) for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
-    if isinstance(why, (NotADirectoryError, FileExistsError)) and at_fault:
-        return f"{at_fault!r} is not a folder"
-    return (why.strerror or str(why)).lower()
-
-
-@contextmanager
-def replacing(path: Path):
-    """Name to write to; becomes `path` at the end, or goes without a trace if the writing fails."""
-    if not path.parent.is_dir():
-        what = "is not a folder" if path.parent.exists() else "does not exist"
-        raise Error(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} {what}")
-    beside = _beside(path)
-    try:
-        yield beside
-        os.replace(beside, path)
-    except OSError as why:
-        raise Error(f"cannot write {str(path)!r}: {_reason(why, path.parent)}") from None
-    finally:
-        beside.unlink(missing_ok=True)

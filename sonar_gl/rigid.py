@@ -25,6 +25,21 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     return out
 
 
+def numbers_of(matrix: np.ndarray) -> tuple[float, ...]:
+    """x y z roll pitch yaw of a (4, 4) pose, metres and radians, as `pose` takes them.
+
+    >>> [round(x, 9) for x in numbers_of(pose(1, 2, 3, 0.1, -0.2, 0.3))]
+    [1.0, 2.0, 3.0, 0.1, -0.2, 0.3]
+    """
+    (a, b, _), (d, e, _), (g, h, i) = matrix[:3, :3].tolist()
+    pitch = np.arctan2(-g, np.hypot(a, d))
+    if np.hypot(a, d) < 1e-9:  # straight up or down, where roll and yaw are one
+        roll, yaw = 0.0, np.arctan2(-b, e)
+    else:
+        roll, yaw = np.arctan2(h, i), np.arctan2(d, a)
+    return (*matrix[:3, 3].tolist(), float(roll), float(pitch), float(yaw))
+
+
 def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
     """`world_from_sonar` from SDF's six numbers: metres, and fixed-axis x-y-z angles in radians.
 

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from pycocotools import mask
 
-from sonar_gl.export import replacing, save_png
+from sonar_gl.export import save_png
 from sonar_gl.types import Error
+from sonar_gl.whole import replacing
 
 BODIES = 1 << 16  # annotations' numbers are image_id times this, and the body's
 KINDS = {"images": b'["image", ', "annotations": b'["annotation", '}  # how their lines begin

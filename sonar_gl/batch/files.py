@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import tempfile
-import uuid
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
@@ -14,6 +13,7 @@ from fsspec.core import url_to_fs
 from fsspec.implementations.local import LocalFileSystem
 
 from sonar_gl.types import Error
+from sonar_gl.whole import name_beside
 
 
 class Folder:
@@ -39,6 +39,10 @@ class Folder:
         """Where a file is, for `fs`."""
         return f"{self.root}/{name}"
 
+    def open(self, name: str):
+        """A file, to read its bytes."""
+        return self.fs.open(self.path(name), "rb")
+
     @contextmanager
     def writing(self, name: str):
         """Path of a file here to write, which becomes the file `name` at the end of the block."""
@@ -50,7 +54,7 @@ class Folder:
                 self.fs.put_file(str(Path(here, place.name)), str(place))
             return
         Path(place.parent).mkdir(parents=True, exist_ok=True)
-        beside = Path(place.with_name(f".{place.stem[:64]}.{uuid.uuid4().hex[:12]}{place.suffix}"))
+        beside = name_beside(Path(place))
         try:
             yield beside
             os.replace(beside, place)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
-from sonar_gl.batch import store, table
+from sonar_gl.batch import store
+from sonar_gl.batch import table as table_of
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.maker import record_name, table_name
 from sonar_gl.batch.orders import Orders
+from sonar_gl.batch.outputs import bag_name, coco_name
 from sonar_gl.batch.planned import Planned
+from sonar_gl.dump import fan_artist
+from sonar_gl.export import save_animation
+from sonar_gl.types import Ping
 
 DONE = "done.json"  # the last file of a batch
 
@@ -20,7 +26,7 @@ def _blocks(folder: Folder, planned: Planned) -> Iterator[tuple[int, np.ndarray]
     """(number of the first ping, rows of the table), some thousand pings at a time."""
     first, rows, some = 0, [], 0
     for part in range(planned.n_parts):
-        rows.append(table.from_bytes(folder.get(table_name(part))))
+        rows.append(table_of.from_bytes(folder.get(table_name(part))))
         some += len(rows[-1])
         if some >= store.TABLE_CHUNK or part == planned.n_parts - 1:
             whole = np.concatenate(rows)
@@ -30,7 +36,7 @@ def _blocks(folder: Folder, planned: Planned) -> Iterator[tuple[int, np.ndarray]
             rows, some = [whole[len(whole) - keep :]], keep
 
 
-def _variables(orders: Orders, columns: table.Columns, planned: Planned, sonar: str):
+def _variables(orders: Orders, columns: table_of.Columns, planned: Planned, sonar: str):
     """(name, dtype, dims, shape of a ping, attributes, function (rows) -> values) of one sonar's pings."""
     of, mount, n = columns.of, orders.mounts[sonar], len(columns.moved)
     estimates = np.array([thought[sonar] for thought in planned.estimates])
@@ -73,7 +79,7 @@ def _variables(orders: Orders, columns: table.Columns, planned: Planned, sonar: 
 
 def _add_numbers(orders, folder, planned) -> None:
     """Put the table's columns into the store, by name."""
-    columns = table.Columns(orders)
+    columns = table_of.Columns(orders)
     variables = {sonar: _variables(orders, columns, planned, sonar) for sonar in orders.sonars}
     writer = store.Writer(folder, len(orders.sonars))
     for sonar, entries in variables.items():
@@ -89,10 +95,64 @@ def finish(orders: Orders, planned: Planned, folder: Folder) -> None:
     """Join what is joined, of a batch whose parts are all done."""
     _add_numbers(orders, folder, planned)
     store.consolidate(folder)
+    files = []
+    if orders.job.coco is not None:
+        files += _join_coco(orders, planned, folder)
+    if orders.job.ros is not None:
+        files += _join_bag(planned, folder)
+    if orders.job.pictures is not None and "mp4" in orders.job.pictures.formats:
+        files += _films(orders, planned, folder)
     of_parts = {name for layers in map(Kept(orders).layers, orders.sonars) for name in _names(layers)}
-    files = store.files(folder, of_parts)
+    files += store.files(folder, of_parts)
     summary = {"parts": planned.n_parts, "pings": planned.n_pings}
     folder.put_json(DONE, summary | {"files": {name: folder.checksum(name) for name in sorted(files)}})
+
+
+def _join_coco(orders, planned, folder) -> list[str]:
+    """One file of instances for each sonar."""
+    from sonar_gl.batch.coco import coco_json
+
+    kept, names = Kept(orders), []
+    categories = [{"id": n, "name": name, "supercategory": ""} for n, name in enumerate(kept.classes, 1)]
+    for sonar in orders.sonars:
+        names.append(f"coco/{sonar}/instances.json")
+        parts = [partial(folder.open, coco_name(sonar, part)) for part in range(planned.n_parts)]
+        with folder.writing(names[-1]) as path, path.open("wb") as out:
+            out.writelines(coco_json(parts, categories, {"description": f"{orders.job.name}, sonar {sonar}"}))
+    return names
+
+
+def _join_bag(planned, folder) -> list[str]:
+    """What makes a bag of the parts' files."""
+    from sonar_gl.batch.ros import finish_bag
+
+    from sonar_gl.batch.ros import finish_bag
+
+    there = [name for part in range(planned.n_parts) if folder.fs.exists(folder.path(name := bag_name(part)))]
+    if there:  # else all pings were set aside
+        finish_bag(folder.path("bag"), there)
+    return ["bag/metadata.yaml"] if there else []
+
+
+def _films(orders, planned, folder) -> list[str]:
+    """A film of each sonar's pings that were made."""
+    table, names = orders.job.pictures, []
+    draw = fan_artist(table.height, table.scale, table.db_range, table.colormap, table.axes)
+    for name, sonar in orders.sonars.items():
+        arrays = store.Writer(folder, len(orders.sonars)).group(name)
+
+        def frames(arrays=arrays, sonar=sonar):
+            for first in range(0, planned.n_pings, store.CHUNK):
+                some = arrays["intensity"][first : first + store.CHUNK]
+                made = arrays["status"][first : first + store.CHUNK] == table_of.MADE
+                for intensity in some[made]:
+                    ping = Ping(intensity, sonar.azimuth_rad, sonar.range_m, meta={"bin_size_m": sonar.bin_size_m})
+                    yield draw(None, ping, first)
+
+        names.append(f"{name}.mp4")
+        with folder.writing(names[-1]) as path:
+            save_animation(path, frames(), table.fps)
+    return names
 
 
 def _names(layers):

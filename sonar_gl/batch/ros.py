@@ -16,9 +16,10 @@ from sonar_gl.batch.ros_files import TF_STATIC, BagFile, information, read_conte
 from sonar_gl.batch.ros_messages import BEAMS, nanoseconds
 from sonar_gl.batch.ros_records import BagSettings, CameraRecord, PingRecord
 from sonar_gl.camera import AHEAD
-from sonar_gl.export import eight_bit, replacing
+from sonar_gl.export import eight_bit
 from sonar_gl.rigid import check_pose
 from sonar_gl.types import Error, check_kind, frozen_array
+from sonar_gl.whole import replacing
 
 WORLD, VEHICLE, TF = "world", "base_link", "/tf"  # frames and a topic
 

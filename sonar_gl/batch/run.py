@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,9 +12,12 @@ from dataclasses import dataclass, field
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.finish import DONE
 from sonar_gl.batch.job import PLACES, Job
+from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.maker import record_name
+from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned
 from sonar_gl.batch.pool import Pool
+from sonar_gl.rigid import numbers_of
 from sonar_gl.types import Error
 
 
@@ -28,10 +32,18 @@ class Outcome:
     without_echo : pings that brought nothing back
     """
 
+    orders: Orders
     pings: int
     made: int = 0
     set_aside: dict = field(default_factory=dict)
     without_echo: int = 0
+
+    def describe(self, number: int) -> str:
+        """A ping that was set aside, by what makes it again."""
+        order = self.orders[number]
+        place = " ".join(f"{x:.9g}" for x in numbers_of(order.pose))
+        job = self.orders.job
+        return f"ping {number} of seed {job.seed}, vehicle at {place!r} in {job.scenes[order.scene]}"
 
     def add(self, record: dict) -> None:
         """A part is done."""
@@ -121,10 +133,13 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
     progress : function (pings, pings that are there) -> context manager of a function (pings more)
     """
 
-    folder = Folder(url)
+    orders, folder = Orders(job), Folder(url)
+    if job.ros is not None and not folder.is_local:
+        raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r}; leave it out)")
+    Kept(orders)  # what is wrong with the job is told before anything is made
     with Pool(job.plain, folder.url, devices, tell) as pool:
         planned = begin(job, folder, resume, pool, tell)
-        outcome, there = Outcome(planned.n_pings), set()
+        outcome, there = Outcome(orders, planned.n_pings), set()
         for part, record in records(folder, planned):
             outcome.add(record)
             there.add(part)
@@ -140,3 +155,48 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
         if outcome.is_whole and folder.get(DONE) is None:
             pool.ask("finish")
     return outcome
+
+
+def dry_run(job: Job, devices, tell) -> str:
+    """What a job would make, its size and the time that it takes, by a short trial."""
+    orders = Orders(job)
+    with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, tell) as pool:
+        planned = pool.ask("plan")
+        pool.ask("create", planned)
+        trial = pool.ask("probe", planned)
+    n, lines = planned.n_pings, []
+    for scene, run in orders.runs():
+        path = orders[run[0]], orders[run[-1]]
+        lines.append(
+            f"pings {run[0]}..{run[-1]}: scene {job.scenes[scene]}, {path[0].time_s:g} to {path[1].time_s:g} s"
+        )
+    for scene, (samplings, estimates) in enumerate(zip(planned.samplings, planned.estimates, strict=True)):
+        for name, sampling in samplings.items():
+            sonar = orders.sonars[name]
+            columns = sampling["columns_per_beam"] * sonar.n_beams
+            lines.append(
+                f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins, {columns:.0f} x "
+                f"{sampling['rows']} samples, error thought to be below {estimates[name]:.2g}"
+            )
+    lines.append(f"{n} pings in {planned.n_parts} parts of {planned.pings_per_part}")
+    lines.append(f"size: {_amount(n * trial['ping_bytes'])} ({trial['ping_bytes'] / 1e3:.0f} kB a ping)")
+    alone_s = n * trial["ping_s"]
+    lines.append(
+        f"time: {_duration(alone_s)} in one process ({1e3 * trial['ping_s']:.1f} ms a ping, on "
+        f"{planned.gl_renderer}), {_duration(alone_s / len(devices))} at best in {len(devices)}"
+    )
+    return "\n".join(lines)
+
+
+def _amount(size: float) -> str:
+    for unit in ("kB", "MB", "GB", "TB"):
+        size /= 1000
+        if size < 1000 or unit == "TB":
+            return f"{size:.3g} {unit}"
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} seconds"
