@@ -11,10 +11,12 @@ import numpy as np
 from sonar_gl.beams import Beams
 from sonar_gl.pulse import bin_weights
 from sonar_gl.settings import check, parse
+from sonar_gl.types import Error, check_kind, nearest_names
 from sonar_gl.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 
 NEAR_M = 1e-3  # r^-2 is held below this range: no echo comes from there, and r = 0 stays finite
 MAX_DECADES = 30.0  # gains are held within 10^±30, so that float32 echoes stay finite
+WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "sound_speed_m_s"
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,32 @@ class Acoustics(Beams):
         30.0
         """
         return replace(cls(profile), **parse(text, fields(cls)))
+
+    def in_water(self, water: dict) -> Acoustics:
+        """The same in other water.
+
+        Parameters
+        ----------
+        water : values of any of temperature_c, salinity_psu, depth_m, ph, absorption_db_m, sound_speed_m_s
+
+        Raises Error if a name is another one, a number makes no sense, or echoes would be shown elsewhere.
+
+        >>> Acoustics.physical(ph=7.9).in_water({"temperature_c": 4.0}).sound_speed() < 1470
+        True
+        """
+        check_kind("water", water, dict, 'such as {"temperature_c": 4.0, "salinity_psu": 8.0}')
+        for name in water:
+            if name not in WATER:
+                near = nearest_names(str(name), WATER)
+                raise Error(f"water must hold fields of Acoustics that tell the water (got {name!r}; {near})")
+        out = replace(self, **water)
+        if out.shown_per_true() != self.shown_per_true():
+            raise Error(
+                "the speed of sound must stay where sonar_sound_speed_m_s is set, as echoes would be shown "
+                f"at other ranges (got {out.sound_speed():.2f} for {self.sound_speed():.2f} m/s; leave "
+                "sonar_sound_speed_m_s out, or make one Simulator for each water)"
+            )
+        return out
 
     def absorption(self, frequency_hz: float) -> float:
         """α at this frequency, dB per metre, one way."""

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import click
 
 from sonar_gl._version import __version__
+from sonar_gl.batch.command import batch
 from sonar_gl.checks import verify
 from sonar_gl.commands import Commands, load_numba, numbers, progress
 from sonar_gl.costs import cost_plans, plan_text
@@ -34,6 +35,7 @@ def main():
 
 
 main.add_command(verify)
+main.add_command(batch)
 
 RENDER_EXAMPLES = """\b
 Examples:

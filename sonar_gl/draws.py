@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.acoustics import Acoustics
 from sonar_gl.lattice import Sector
 
 PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
-LOBE = 14  # of them, the strength
+REFLECTIVITY, LOBE = 12, 14  # of them; the strength of the latter
 MARGIN = 2  # samples about what is seen, so that the outermost of a window meet nothing
 
 
@@ -31,15 +32,29 @@ class SectorView:
 class Whereabouts:
     """Where bodies are: (n, 4, 4) world_from_body, and (n,) bool, which of them are there at all.
 
+    The rest is of one ping alone, or None.
+
     bubbles : (m, 4) x y z in the world and radius, metres, of all plumes' bubbles at the time of a ping, or
         None for no plumes
     time_s : of the ping, seconds, or None where nobody said
+    reflectivity : (n,) float32 in place of the bodies' own, a factor where each face has its own
+    acoustics, gain : Acoustics in the ping's own water, and (K,) float32 of each bin
     """
 
     poses: np.ndarray
     shown: np.ndarray
     bubbles: np.ndarray | None = None
     time_s: float | None = None
+    reflectivity: np.ndarray | None = None
+    acoustics: Acoustics | None = None
+    gain: np.ndarray | None = None
+
+    def rows(self, own) -> np.ndarray:
+        """A copy of bodies' own rows, (n, PER_BODY), as they are in this ping."""
+        out = own.copy()
+        if self.reflectivity is not None:
+            out[:, REFLECTIVITY] = self.reflectivity
+        return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,14 +39,20 @@ def output_folder(path) -> Path:
 
 
 def save_png(path, picture: np.ndarray) -> None:
-    """Write a picture as PNG.
+    """Write a picture as PNG: path ends in .png, and its folder exists; picture as of `png_bytes`."""
+    path = _checked(path, (".png",))
+    data = png_bytes(picture)
+    with replacing(path) as beside:
+        beside.write_bytes(data)
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """A picture as a PNG file holds it.
 
     Parameters
     ----------
-    path : ends in .png; its folder exists
     picture : (H, W) or (H, W, 3) RGB; uint8, float 0..1 (to 8 bit), or (H, W) uint16 (16 bit gray)
     """
-    path = _checked(path, (".png",))
     picture = np.asarray(picture)
     if not (picture.ndim == 2 and picture.dtype == np.uint16):
         picture = eight_bit(picture, "a PNG")
@@ -54,9 +60,8 @@ def save_png(path, picture: np.ndarray) -> None:
         picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture))
     if not done:
-        raise Error(f"{str(path)!r}: a picture of shape {picture.shape} cannot be written as PNG")
-    with replacing(path) as beside:
-        beside.write_bytes(data)
+        raise Error(f"a picture of shape {picture.shape} cannot be written as PNG")
+    return data.tobytes()
 
 
 def save_npz(path, ping: Ping) -> None:
@@ -65,18 +70,25 @@ def save_npz(path, ping: Ping) -> None:
     The same ping gives the same bytes. Not compressed: echoes hardly shrink, and reading stays fast.
     """
     path = _checked(path, (".npz",))
+    try:
+        data = npz_bytes(ping)
+    except Error as why:
+        raise Error(f"{str(path)!r}: {why}") from None
+    with replacing(path) as beside:
+        beside.write_bytes(data)
+
+
+def npz_bytes(ping: Ping) -> bytes:
+    """A ping as an NPZ file holds it, see `save_npz`."""
     arrays = {f.name: getattr(ping, f.name) for f in dataclasses.fields(Ping) if f.name != "meta"}
     arrays = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
     try:
         meta = json.dumps(ping.meta, default=_plain, ensure_ascii=False)
     except (TypeError, ValueError) as why:
-        raise Error(
-            f"{str(path)!r}: meta of the ping must be plain values that JSON can hold ({why})"
-        ) from None
+        raise Error(f"meta of the ping must be plain values that JSON can hold ({why})") from None
     data = io.BytesIO()
     np.savez(data, **arrays, meta=np.array(meta))
-    with replacing(path) as beside:
-        beside.write_bytes(data.getbuffer())
+    return data.getvalue()
 
 
 def load_npz(path) -> Ping:

@@ -117,7 +117,7 @@ def spread_footprints(work, start, stop, sums, spans, c, tables, flat, r_first, 
 
 
 @compiled
-def _look(work, plane_echo, body_id, body, u, v, uc, nearest, step, first, n):
+def _look(work, plane_echo, u, v, uc, nearest, step, first, n):
     """Gather the samples of a strip from the row `first` on; the first and the last of them with an echo."""
     q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
     v_ray, echo = work[V_RAY], work[ECHO]
@@ -130,7 +130,7 @@ def _look(work, plane_echo, body_id, body, u, v, uc, nearest, step, first, n):
         if 0 <= i < plane_echo.shape[1] and plane_echo[j, i, 0] > 0:
             q[m], along_u[m], along_v[m] = plane_echo[j, i, 0], plane_echo[j, i, 1], plane_echo[j, i, 2]
             rest[m] = q[m] + along_u[m] * (uc - u[0] - u[1] * i - u[2] * j) - along_v[m] * v_ray[m]
-            if plane_echo[j, i, 3] > 0 and (body == 0 or body_id[j, i] == body):
+            if plane_echo[j, i, 3] > 0:
                 echo[m] = plane_echo[j, i, 3]
                 lowest, highest = m if highest < 0 else lowest, m
     return lowest, highest
@@ -199,8 +199,8 @@ def _drop(work, sums, spans, c, u, nearest, step, bottom_row, first, last, r_fir
 
 @compiled
 def accumulate(
-    plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width,
-    bin_edges_m, tables, flat, footprint, elevation, body, sums, spans,
+    plane_echo, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, flat, footprint,
+    elevation, sums, spans,
 ):  # fmt: skip
     """Sum some of one sector's samples into columns.
 
@@ -210,12 +210,11 @@ def accumulate(
 
     Parameters
     ----------
-    plane_echo : (R, C, 4) float32, body_id : (R, C) uint16, as the shader writes them
+    plane_echo : (R, C, 4) float32, as the shader writes it
     u, v, tan_elevation : of `fan.Sector`
     part_column, part_u, part_width : (P,) of `fan.Parts`, or a slice of them
     bin_edges_m, tables, flat : (K + 1,), of `bin_tables`; footprint : False drops samples whole into one bin
     elevation : what echoes are multiplied by, at even sines across the aperture, or of no length
-    body : 0 for all, or the one body to add
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these parts are overwritten
     spans : (columns, 2) int64, first bin and past the last beyond which a row of sums is zero; overwritten
     """
@@ -237,7 +236,7 @@ def accumulate(
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
         bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
         n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
-        first, last = _look(work, plane_echo, body_id, body, u, v, uc, nearest, step, bottom_row, n)
+        first, last = _look(work, plane_echo, u, v, uc, nearest, step, bottom_row, n)
         if first > last:
             continue
         last += 1

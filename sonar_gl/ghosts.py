@@ -205,7 +205,7 @@ def accumulate_ghosts(
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
         bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
         n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
-        first, last = _look(work, plane_echo, body_id, 0, u, v, uc, nearest, step, bottom_row, n)
+        first, last = _look(work, plane_echo, u, v, uc, nearest, step, bottom_row, n)
         if first > last:
             continue
         last += 1

@@ -16,8 +16,8 @@ class Given:
     that was never given away is free.
     """
 
-    def __init__(self, shape):
-        self.shape, self.arrays = shape, [np.empty(0, np.float32)]
+    def __init__(self, shape, dtype=np.float32):
+        self.shape, self.dtype, self.arrays = shape, dtype, [np.empty(0, dtype)]
         self.unheld = self._references(0)
         self.arrays.clear()
 
@@ -25,14 +25,14 @@ class Given:
         return sys.getrefcount(self.arrays[number])
 
     def zeros(self) -> np.ndarray:
-        """(…) float32, which its owner may write to, keep or let go of."""
+        """(…) of the dtype, which its owner may write to, keep or let go of."""
         for number in range(len(self.arrays)):
             if self._references(number) == self.unheld:
                 array = self.arrays[number]
                 array.setflags(write=True)
                 array.fill(0.0)
                 return array
-        array = np.zeros(self.shape, np.float32)
+        array = np.zeros(self.shape, self.dtype)
         if len(self.arrays) < MOST:
             self.arrays.append(array)
         return array

@@ -100,13 +100,13 @@ class Listener:
         asked : checked
         """
         intensity = hearing.intensity(views)
-        total, found, bodies = hearing.reducer.total, (None,) * 3, asked.bodies
+        total, found, bodies = hearing.reducer.total, {}, asked.bodies
         if total <= 0:
             nothing = f"no echo came back: what was drawn shows no surface in the fan; {advice}"
             _warn(why_unheard(self.sonar, hearing.fan.sonar, views) or nothing)
         if asked.labels:
             found = _labels(hearing, views, len(bodies))
-            bodies = bodies + [f"body {number}" for number in range(len(bodies) + 1, len(found[2]))]
+            bodies = bodies + [f"body {number}" for number in range(len(bodies) + 1, len(found["body_echo"]))]
         if self._record.described != (bodies, how):
             self._record.describe((bodies, how), "host", bodies, [], *how)
         sums = intensity, found, hearing.sampling, asked.seed, total > 0, None
@@ -129,18 +129,12 @@ class Listener:
         self.close()
 
 
-def _labels(hearing: Hearing, views, n_bodies: int):
+def _labels(hearing: Hearing, views, n_bodies: int) -> dict:
     """As of `Reducer.labels`; what has number 0 counts under that."""
-    unknown = 1 + max([n_bodies] + [int(numbers.max(initial=0)) for *_, numbers in views])
-    if unknown > 1 + LAST_BODY:
+    highest = max([n_bodies] + [int(numbers.max(initial=0)) for *_, numbers in views])
+    if highest > LAST_BODY:
         raise Error(f"numbers of bodies must lie in 1..{LAST_BODY}, 0 where none is known (got a higher one)")
-    shown = []
-    for sector, plane_echo, numbers in views:  # the sums take 0 for all bodies
-        numbers = np.where((numbers == 0) & (plane_echo[..., 3] > 0), np.uint16(unknown), numbers)
-        shown.append((sector, plane_echo, numbers))
-    body_id, elevation_rad, echo = hearing.reducer.labels(shown, hearing.gain, unknown)
-    body_id[body_id == unknown] = 0
-    return body_id, elevation_rad, np.append(echo[-1], echo[1:-1])
+    return hearing.reducer.labels(views, hearing.gain, highest)
 
 
 def _warn(message: str) -> None:

@@ -21,11 +21,12 @@ class Views(list):
     """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector of a ping; and its `bubbles`.
 
     bubbles : of `plumes.screen`, which has weakened the echo behind them, or None
+    gain : (K,) float32 in the ping's own water, or None
     """
 
-    def __init__(self, views, bubbles=None):
+    def __init__(self, views, bubbles=None, gain=None):
         super().__init__(views)
-        self.bubbles = bubbles
+        self.bubbles, self.gain = bubbles, gain
 
 
 class Pass(Hearing):
@@ -72,15 +73,20 @@ class Pass(Hearing):
             heard = None
             if where is not None and where.bubbles is not None:
                 heard = screen(lookup(drawn), where.bubbles, pose, self.fan)
-            out.append(Views(views, heard))
+            out.append(Views(views, heard, where and where.gain))
         return out
+
+    def gain_of(self, views: Views) -> np.ndarray:
+        """(K,) float32 of a ping."""
+        return self.gain if views.gain is None else views.gain
 
     def intensity(self, views: Views) -> np.ndarray:
         """(B, K) float32, of surfaces and bubbles, with the gain."""
-        out = super().intensity(views)
+        gain = self.gain_of(views)
+        out = self.reducer.intensity(views, gain)
         if views.bubbles is not None:
             whole = self.reducer.total
-            out += self.reducer.sum_points(views.bubbles, self.gain, not self.box)
+            out += self.reducer.sum_points(views.bubbles, gain, not self.box)
             self.reducer.total += whole
         return out
 
@@ -144,7 +150,7 @@ class Fixed:
         views = self.now.views(pose, labels, where=where)
         return views, self.now.intensity(views)
 
-    def fix(self, poses, where=None):
+    def fix(self, spots):
         """Nothing: they are."""
 
     def due(self, pose, where=None):

@@ -118,13 +118,13 @@ class Planner:
         """Whether something came into view, or left, since the last look, by the whole echo."""
         return not self._fixed and self._watch.changed(whole)
 
-    def fix(self, poses, where=None) -> Plan:
-        """Choose for all of some poses (for POSES of many), and stay with it."""
-        picked = np.unique(np.linspace(0, len(poses) - 1, POSES).round().astype(int))
+    def fix(self, spots) -> Plan:
+        """Choose for all of some (pose, Whereabouts), for POSES of many, and stay with it."""
+        picked = np.unique(np.linspace(0, len(spots) - 1, POSES).round().astype(int))
         plans, guess = [], self._guess
         for k in picked:
             self.rung = guess  # each as if it came first: the order does not count
-            plans.append(self._choose(poses[k], where))
+            plans.append(self._choose(*spots[k]))
         self.rung, self._fixed = max(plan.rung for plan in plans), True
         finest = [plan for plan in plans if plan.rung == self.rung]
         self.plan = replace(
@@ -132,7 +132,7 @@ class Planner:
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        self.now, self._planned = self.passes.of(self.plan.sampling), {pose.tobytes() for pose in poses}
+        self.now, self._planned = self.passes.of(self.plan.sampling), {pose.tobytes() for pose, _ in spots}
         self._tell()
         return self.plan
 

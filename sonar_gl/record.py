@@ -31,13 +31,11 @@ class Record:
 
     def describe(self, key, scene: str, bodies, plumes, tolerance: float | None, gl_renderer: str) -> None:
         """Have pings say that they are of this scene, bodies and plumes, by name; key is kept."""
-        sonar, acoustics = self.sonar, self.acoustics
+        sonar = self.sonar
         meta = {
             "sonar": asdict(sonar),
-            "acoustics": acoustics.meta(),
-            "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
-            "sound_speed_m_s": acoustics.sound_speed(),
-            "profile": acoustics.profile,
+            **self._water(self.acoustics),
+            "profile": self.acoustics.profile,
             "tolerance": tolerance,
             "bin_size_m": sonar.bin_size_m,
             "scene": scene,
@@ -49,22 +47,35 @@ class Record:
         # each ping gets its own copy, ten times quicker than by deepcopy
         self.described, self._meta = key, pickle.dumps(meta)
 
-    def ping(self, pose, intensity, found, sampling, seed, has_echo, estimate, velocity=None, **more) -> Ping:
+    def _water(self, acoustics: Acoustics) -> dict:
+        return {
+            "acoustics": acoustics.meta(),
+            "absorption_db_m": acoustics.absorption(self.sonar.frequency_hz),
+            "sound_speed_m_s": acoustics.sound_speed(),
+        }
+
+    def ping(
+        self, pose, intensity, found, sampling, seed, has_echo, estimate, velocity=None, acoustics=None,
+        **more,
+    ) -> Ping:  # fmt: skip
         """A ping from what was summed.
 
         Parameters
         ----------
-        found : of `Reducer.labels`, or three None
+        found : of `Reducer.labels`, or empty
         velocity : of `in_motion`
+        acoustics : in the ping's own water, or None
         more : for its meta
         """
-        if self._pulse is not None:
-            intensity = smear(intensity, self._pulse)
-        for array in (intensity, *found):
+        pulse = self._pulse if acoustics is None else acoustics.pulse_weights(self.sonar)
+        if pulse is not None:
+            intensity = smear(intensity, pulse)
+        for array in (intensity, *found.values()):
             if array is not None:
                 array.setflags(write=False)
-        body_id, elevation_rad, body_echo = found
         meta = pickle.loads(self._meta)
         meta |= {"sampling": asdict(sampling), "seed": seed, "has_echo": has_echo, **more}
-        ping = Ping(intensity, *self.axes, body_id, elevation_rad, pose, meta, body_echo, estimate)
-        return in_motion(ping, velocity, self.acoustics)
+        if acoustics is not None:
+            meta |= self._water(acoustics)
+        ping = Ping(intensity, *self.axes, pose=pose, meta=meta, error_estimate=estimate, **found)
+        return in_motion(ping, velocity, acoustics or self.acoustics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numba import uint64
@@ -12,6 +12,7 @@ from sonar_gl.compiled import compiled
 from sonar_gl.fan import Fan
 from sonar_gl.footprint import accumulate
 from sonar_gl.given import Given
+from sonar_gl.labels import Labeller
 from sonar_gl.pair import Pair
 
 # Handing half of the work to the other thread takes as long as so many rows of strips, or products of a
@@ -90,19 +91,6 @@ def add_points(points, column_edges_rad, bin_edges_m, elevation, top, shared, su
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
-def _about(view, body: int):
-    """The part of a view that holds a body's samples, and the neighbours that bound them."""
-    sector, plane_echo, bodies = view
-    met = bodies == body
-    (first, last), (left, right) = (
-        (max(at[0] - 1, 0), at[-1] + 2) if len(at := np.flatnonzero(met.any(axis=axis))) else (0, 0)
-        for axis in (1, 0)
-    )
-    u, v = (np.array([w[0] + w[1] * left + w[2] * first, w[1], w[2]]) for w in (sector.u, sector.v))
-    here = slice(first, last), slice(left, right)
-    return replace(sector, u=u, v=v), plane_echo[here], bodies[here]
-
-
 class Reducer:
     """Turns the samples of a fan into beams and bins; owns the sums that every ping uses again.
 
@@ -126,7 +114,7 @@ class Reducer:
         self.top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
         sines = np.linspace(-self.top, self.top, ELEVATIONS)
         self.elevation = UNITY.astype(np.float64) if heard is None else heard(sines)
-        self.moments = np.arcsin(sines) * (1.0 if heard is None else self.elevation)
+        self.arcs = np.arcsin(sines) * (1.0 if heard is None else self.elevation)
         self.weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
         self.edges = fan.sonar.bin_edges_m
         self.tables, self.flat = bin_tables(self.edges)
@@ -138,7 +126,7 @@ class Reducer:
             listened[(first[weights[:, w] > 0] + w) % fan.n_columns] = True
         middle = (len(first) + 1) // 2
         self.halves = slice(0, middle), slice(middle, None)
-        self.jobs = []
+        self.jobs, self._labeller = [], None
         for half in np.array_split(np.arange(fan.n_columns), 2):
             for index, sector in enumerate(fan.sectors):
                 parts = sector.parts
@@ -150,24 +138,13 @@ class Reducer:
         """(B, K) float32 echo times the (K,) float32 gain, from the samples of all sectors."""
         return self._beams(self._accumulate(views), gain)
 
-    def labels(self, views, gain, n_bodies: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The body of the strongest echo, (B, K) uint16; its mean elevation, (B, K) float32, radians; and
-        the sum of each body's echo times the (K,) gain, (n_bodies + 1,) float64."""
-        shape = (len(self.first), self.fan.sonar.n_bins)
-        strongest, body_id = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
-        elevation = np.full(shape, np.nan, np.float32)
-        body_echo = np.zeros(n_bodies + 1)
-        seen = [np.unique(bodies[plane_echo[..., 3] > 0]) for _, plane_echo, bodies in views]
-        for body in np.unique(np.concatenate(seen)).tolist():
-            about = [_about(view, body) for view in views]
-            echo = self._beams(self._accumulate(about, body))
-            body_echo[body] = (echo @ gain.astype(np.float64)).sum()
-            moment = self._beams(self._accumulate(about, body, moment=True))
-            stronger = echo > strongest
-            strongest[stronger] = echo[stronger]
-            body_id[stronger] = body
-            elevation[stronger] = moment[stronger] / echo[stronger]
-        return body_id, elevation, body_echo
+    def labels(self, views, gain, n_bodies: int, background=None, alone=None) -> dict:
+        """Fields of a Ping, as of `Labeller.find`."""
+        if self._labeller is None:
+            tables = self.tables, self.elevation, self.arcs
+            self._labeller = Labeller(self.fan, self.first, self.weights, *tables)
+        run = partial(self._both, alone=self._rows(views) < FEW_ROWS)
+        return self._labeller.find(views, self.jobs, run, gain, n_bodies, background, alone)
 
     def sum_with(self, adders, gain) -> np.ndarray:
         """(B, K) as of `intensity`, of what several put into columns, one after the other.
@@ -201,17 +178,21 @@ class Reducer:
         """What work(0) and work(1) return, the latter from the other thread unless `alone`."""
         return (work(0), work(1)) if alone else self._pair.run(work)
 
-    def _accumulate(self, views, body=0, moment=False) -> np.ndarray:
-        """Fill the columns' sums, with one body's echo or all, or that times its elevation, radians."""
+    def _rows(self, views) -> float:
+        """Rows of strips in all, about."""
+        whole = zip(self.fan.sectors, views, strict=True)
+        return sum(len(s.parts.u) / s.columns * plane_echo[..., 0].size for s, (_, plane_echo, _) in whole)
+
+    def _accumulate(self, views) -> np.ndarray:
+        """Fill the columns' sums."""
 
         def work(half):
             for owner, index, parts in self.jobs:
                 if owner != half:
                     continue
-                sector, plane_echo, bodies = views[index]
+                sector, plane_echo, _ = views[index]
                 accumulate(
                     plane_echo,
-                    bodies,
                     sector.u,
                     sector.v,
                     sector.tan_elevation,
@@ -220,15 +201,12 @@ class Reducer:
                     self.tables,
                     self.flat,
                     self.footprint,
-                    self.moments if moment else self.elevation,
-                    body,
+                    self.elevation,
                     self.sums,
                     self.spans,
                 )
 
-        whole = zip(self.fan.sectors, views, strict=True)
-        rows = sum(len(s.parts.u) / s.columns * plane_echo[..., 0].size for s, (_, plane_echo, _) in whole)
-        self._both(work, rows < FEW_ROWS)
+        self._both(work, self._rows(views) < FEW_ROWS)
         return self.sums
 
     def _beams(self, sums, gain=UNITY) -> np.ndarray:

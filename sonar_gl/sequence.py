@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
@@ -35,15 +36,24 @@ def each(values, name: str, poses=None) -> Iterable:
     return repeat(None) if values is None else values
 
 
-def spots_of(poses, bodies=None, times_s=None):
-    """(pose, bodies, time) of each ping, for `in_batches`."""
-    more = each(bodies, "bodies", poses), each(times_s, "times_s", poses)
-    for pose, *moved in zip(several(poses), *more, strict=False):
-        yield check_pose(pose), *moved
+def spots_of(poses, **changes):
+    """(pose, *what `whereabouts` takes) of each ping, for `in_batches`."""
+    more = [each(values, name, poses) for name, values in changes.items()]
+    for pose, *changed in zip(several(poses), *more, strict=False):
+        yield check_pose(pose), *changed
+
+
+def whereabouts(simulator, bodies=None, time_s=None, reflectivity=None, water=None):
+    """Whereabouts of a ping, by what `Simulator.ping` takes."""
+    where = simulator._world.moved(bodies, time_s, simulator.acoustics.bubbles, reflectivity)
+    if water is None:
+        return where
+    sonar, acoustics = simulator.sonar, simulator.acoustics.in_water(water)
+    return replace(where, acoustics=acoustics, gain=acoustics.gain(sonar.range_m, sonar).astype(np.float32))
 
 
 def finish(simulator, pose, where, sampling, views, intensity, whole, found, seed, velocity=None) -> Ping:
-    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or three None.
+    """A ping from what was summed, `whole` in all; `found` : of `Reducer.labels`, or empty.
 
     velocity : of `in_motion`
     """
@@ -56,7 +66,8 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
         record.describe(scene, scene.name, *names, samples.tolerance, simulator.gl_info["renderer"])
     more = {} if where.time_s is None else {"time_s": where.time_s}
     estimate = samples.estimate(pose)
-    return record.ping(pose, intensity, found, sampling, seed, whole > 0, estimate, velocity, **more)
+    made = pose, intensity, found, sampling, seed, whole > 0, estimate
+    return record.ping(*made, velocity, where.acoustics, **more)
 
 
 def in_batches(simulator, spots, labels: bool):
@@ -64,7 +75,7 @@ def in_batches(simulator, spots, labels: bool):
 
     Parameters
     ----------
-    spots : (pose, bodies, time) of each
+    spots : of `spots_of`
     """
     spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
@@ -102,8 +113,8 @@ def _gather(simulator, spots):
     batch = []
     while len(batch) < BATCH:
         try:
-            pose, *moved = next(spots)
-            spot = pose, simulator._world.moved(*moved, simulator.acoustics.bubbles)
+            pose, *changed = next(spots)
+            spot = pose, whereabouts(simulator, *changed)
         except StopIteration:
             return batch, None, None, True
         except Exception as why:  # of the poses: those before come first
@@ -120,7 +131,7 @@ def _add_up(simulator, now, views, ghosts, labels):
     for seen, mirrored in zip(views, ghosts, strict=True):
         intensity = now.intensity(seen)
         straight = now.reducer.total
-        made, more = _sum_ghosts(simulator, mirrored, now)
+        made, more = _sum_ghosts(simulator, mirrored, now.gain_of(seen))
         if more:
             intensity += made
         ghosts = mirrored is not None and (mirrored.halved, more)
@@ -139,25 +150,26 @@ def _ghosts(simulator, now, poses, wheres, first=True):
     return multipath.draw(now, poses, wheres)
 
 
-def fix_ghosts(simulator, poses, where) -> None:
-    """Decide by some poses how finely ghosts are drawn, and stay with it."""
+def fix_ghosts(simulator, spots) -> None:
+    """Decide by some (pose, Whereabouts) how finely ghosts are drawn, and stay with it."""
     if (multipath := simulator._multipath) is None:
         return
     multipath.fixed, least = False, len(SHARES)
-    for at in np.unique(np.linspace(0, len(poses) - 1, GHOST_POSES).round().astype(int)):
+    for at in np.unique(np.linspace(0, len(spots) - 1, GHOST_POSES).round().astype(int)):
         multipath.halved = len(SHARES)
-        alone(simulator, poses[at], where, labels=False)
+        alone(simulator, *spots[at], labels=False)
         least = min(least, multipath.halved)
     multipath.halved, multipath.fixed = least, True
 
 
-def _sum_ghosts(simulator, ghosts, now):
+def _sum_ghosts(simulator, ghosts, gain):
     """What they add to the straight echoes, and its sum."""
-    return (0.0, 0.0) if ghosts is None else simulator._multipath.sum(ghosts, now.gain)
+    return (0.0, 0.0) if ghosts is None else simulator._multipath.sum(ghosts, gain)
 
 
 def _labels(simulator, now, views, labels):
-    return now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else (None,) * 3
+    n_bodies = len(simulator.scene.bodies)
+    return now.reducer.labels(views, now.gain_of(views), n_bodies) if labels else {}
 
 
 def alone(simulator, pose, where, labels: bool, look: bool = False):
@@ -166,10 +178,10 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
     now = simulator._samples.now
     straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
-    made, more = _sum_ghosts(simulator, ghosts, now)
+    made, more = _sum_ghosts(simulator, ghosts, now.gain_of(views))
     while ghosts is not None and simulator._multipath.too_coarse(ghosts.halved, more, straight):
         (ghosts,) = _ghosts(simulator, now, [pose], [where], first=False)
-        made, more = _sum_ghosts(simulator, ghosts, now)
+        made, more = _sum_ghosts(simulator, ghosts, now.gain_of(views))
     if more:
         intensity += made
     return (

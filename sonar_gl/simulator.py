@@ -18,7 +18,7 @@ from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.record import Record
 from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of
+from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, spots_of, whereabouts
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -71,10 +71,9 @@ class Simulator:
         self._passes = Passes(world.gpu, sonar, self.acoustics)
         self._multipath, self._record = None, Record(sonar, self.acoustics)
         with self._drawing():
-            given = sampling is not None
             if self.acoustics.multipath != "none":
                 self._multipath = Multipath(self._passes, world.scene, tolerance)
-            self._samples = Fixed(self._passes, sampling) if given else Planner(self._passes, tolerance)
+            self._samples = Fixed(self._passes, sampling) if sampling else Planner(self._passes, tolerance)
             self._passes.warm()
 
     def _open_world(self) -> World:
@@ -97,25 +96,26 @@ class Simulator:
         """The fan with these samples."""
         return self._samples.now.fan
 
-    def plan(self, poses) -> Plan | None:
+    def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
         """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
 
         Without this a tolerance is looked after ping by ping, and the samples of one depend on those before.
 
         Parameters
         ----------
-        poses : sequence of (4, 4) world_from_sonar
+        poses : sequence of (4, 4) world_from_sonar; bodies, ... : as for `pings`
 
         Returns
         -------
         Plan, or None if the samples were given to begin with
         """
-        if not (poses := [check_pose(pose) for pose in several(poses)]):
+        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
+        if not (spots := list(spots_of(poses, **changes))):
             raise Error("poses must hold at least one pose (got none)")
         with self._drawing():
-            where = self._world.moved(None, None, self.acoustics.bubbles)
-            plan = self._samples.fix(poses, where)
-            fix_ghosts(self, poses, where)
+            spots = [(pose, whereabouts(self, *changed)) for pose, *changed in spots]
+            plan = self._samples.fix(spots)
+            fix_ghosts(self, spots)
         self._warn()
         return plan
 
@@ -125,8 +125,9 @@ class Simulator:
             self._samples.warning = None
 
     def ping(
-        self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None
-    ) -> Ping:
+        self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
+        reflectivity=None, water=None,
+    ) -> Ping:  # fmt: skip
         """One transmission from `pose` and what it brings back.
 
         Parameters
@@ -139,6 +140,8 @@ class Simulator:
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
             `motion.shown_at`. None = it stands
+        reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
+        water : of this ping alone, fields of `Acoustics` to values, as `Acoustics.in_water` takes them
 
         Warns
         -----
@@ -148,22 +151,22 @@ class Simulator:
         pose, seed, velocity = check_pose(pose), check_seed(seed), check_velocity(velocity)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         with self._drawing():
-            where = self._world.moved(bodies, time_s, self.acoustics.bubbles)
+            where = whereabouts(self, bodies, time_s, reflectivity, water)
             ping = finish(self, *alone(self, pose, where, labels), seed, velocity)
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
     def pings(
-        self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None
-    ) -> Iterator[Ping]:
-        """Pings from one pose after the other, quicker than by themselves: while some are drawn those before
-        are summed.
+        self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
+        reflectivities=None, waters=None,
+    ) -> Iterator[Ping]:  # fmt: skip
+        """Pings from one pose after the other, quicker than one by one: some are drawn as others are summed.
 
         Parameters
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels : as of `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities : for each pose what `ping` takes; None for none at all
+        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
 
         Yields
         ------
@@ -171,7 +174,8 @@ class Simulator:
         """
         seed = check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        made = in_batches(self, spots_of(poses, bodies, times_s), labels)
+        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
+        made = in_batches(self, spots_of(poses, **changes), labels)
         for number, one, velocity in zip(count(), made, each(velocities, "velocities", poses), strict=False):
             ping = finish(self, *one, seed, check_velocity(velocity))
             self._warn()
@@ -220,10 +224,7 @@ class Simulator:
             yield context
 
     def close(self):
-        """Give back all that this simulator holds, and the OpenGL context if no other uses it.
-
-        Twice does no harm.
-        """
+        """Give back all that it holds, and the OpenGL context if no other uses it; twice does no harm."""
         world = self._world
         if world is not None:
             world.check_thread()

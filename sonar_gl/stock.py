@@ -122,7 +122,7 @@ class Stock:
         specular : with their lobes
         """
         where = where or self.where
-        matrices, rows = np.zeros((len(where.poses), 3, 4)), self.rows.copy()
+        matrices, rows = np.zeros((len(where.poses), 3, 4)), where.rows(self.rows)
         if not specular:
             rows[:, LOBE] = 0.0
         about = where.poses, where.shown, self.centres, self.bounds, self.closed

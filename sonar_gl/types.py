@@ -87,6 +87,10 @@ class Ping:
     meta : what made it: sonar, profile, sampling, seed, version, GL renderer
     body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
     error_estimate : float or None, the share of the echo that is thought to lie in wrong bins
+    incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, NaN where nothing
+    true_range_m : (B, K) float32 or None, mean slant range of that echo, in the water, NaN where nothing
+    share : (B, K) float32 or None, that echo's share of the bin's, 0..1, 0 where nothing
+    shadow : (B, K) bool or None, whether bodies before the background have taken its echo
     """
 
     intensity: np.ndarray
@@ -98,6 +102,10 @@ class Ping:
     meta: dict = field(default_factory=dict)
     body_echo: np.ndarray | None = None
     error_estimate: float | None = None
+    incidence_rad: np.ndarray | None = None
+    true_range_m: np.ndarray | None = None
+    share: np.ndarray | None = None
+    shadow: np.ndarray | None = None
 
     @property
     def bin_size_m(self) -> float:

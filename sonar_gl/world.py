@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl import egl, gl
 from sonar_gl.bubbles import Bubbles
-from sonar_gl.draws import Whereabouts
+from sonar_gl.draws import REFLECTIVITY, Whereabouts
 from sonar_gl.foreign import check_thread, join
 from sonar_gl.gpu import SceneOnGpu
 from sonar_gl.load import data_folder
@@ -88,18 +88,21 @@ class World:
         """The bodies, for pings that are not told otherwise."""
         return self.gpu.stock.where
 
-    def moved(self, bodies, time_s: float | None = None, with_bubbles: bool = False) -> Whereabouts:
-        """Where bodies are when some are elsewhere, and bubbles at a time.
+    def moved(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> Whereabouts:
+        """Where bodies are when some are elsewhere, or reflect otherwise, and bubbles at a time.
 
         Parameters
         ----------
         bodies : None, or names to (4, 4) world_from_body, or to None for what is not there
         time_s : seconds, None for 0
         with_bubbles : of the scene's plumes, if there are any
+        reflectivity : None, or names of bodies to μ, 0..1
         """
         where, plumes = self._moved(bodies)
         if time_s is not None:
             where = replace(where, time_s=_seconds(time_s))
+        if reflectivity is not None:
+            where = replace(where, reflectivity=self._reflectivity(reflectivity))
         if not (with_bubbles and self.scene.plumes):
             return where
         there = [plume for plume in self.scene.plumes if plumes[plume.name] is not None]
@@ -122,14 +125,28 @@ class World:
             if name in plumes:
                 plumes[name] = pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
                 continue
-            if name not in self.numbers:
-                known = ", ".join(map(repr, [*self.numbers, *plumes])) or "none"
-                raise Error(f"bodies must be bodies of the scene (got {name!r}; there are: {known[:200]})")
-            number = self.numbers[name]
+            number = self._number_of(name, "bodies", plumes)
             shown[number] = pose is not None
             if pose is not None:
                 poses[number] = check_pose(pose, f"the pose of body {name!r}")
         return Whereabouts(poses, shown), plumes
+
+    def _number_of(self, name, what: str, plumes=()) -> int:
+        if name not in self.numbers:
+            known = ", ".join(map(repr, [*self.numbers, *plumes])) or "none"
+            raise Error(f"{what} must be bodies of the scene (got {name!r}; there are: {known[:200]})")
+        return self.numbers[name]
+
+    def _reflectivity(self, changed) -> np.ndarray:
+        check_kind("reflectivity", changed, dict, 'such as {"diver": 0.2}')
+        out = self.gpu.stock.rows[:, REFLECTIVITY].copy()
+        for name, value in changed.items():
+            number = self._number_of(name, "names in reflectivity")
+            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not (is_number and 0 <= value <= 1):  # NaN too
+                raise Error(f"the reflectivity of body {name!r} must be a number in 0..1 (got {value!r})")
+            out[number] = value
+        return out
 
     def add(self, bodies) -> None:
         """More bodies or plumes; inside `drawing`."""

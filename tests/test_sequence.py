@@ -364,7 +364,9 @@ def test_a_simulator_closed_in_the_midst_says_so():
         assert another.ping(POSES[0]).intensity.any()
 
 
-@pytest.mark.parametrize("more", [{"times_s": [0.0]}, {"bodies": [None]}, {"velocities": [None]}])
+@pytest.mark.parametrize(
+    "more", [{name: [None]} for name in ("times_s", "bodies", "velocities", "reflectivities", "waters")]
+)
 def test_as_many_of_all_as_poses(more):
     scene, sonar, refused = (
         sg.Scene([]),

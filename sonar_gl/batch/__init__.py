@@ -1,1 +1,1 @@
-"""Headless batches of many pings."""
+"""Headless batches: a job file, and what makes data sets of it."""

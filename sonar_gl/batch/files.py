@@ -1,0 +1,110 @@
+"""A folder of results, here or at any URL that fsspec knows; files appear in it whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import uuid
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+from fsspec.core import url_to_fs
+from fsspec.implementations.local import LocalFileSystem
+
+from sonar_gl.types import Error
+
+
+class Folder:
+    """A folder at a path or URL, made if it is not there.
+
+    Raises
+    ------
+    Error
+        if it cannot be reached or written to, with the reason.
+    """
+
+    def __init__(self, url: str):
+        try:
+            self.fs, self.root = url_to_fs(str(url))
+            self.is_local = isinstance(self.fs, LocalFileSystem)
+            self.fs.makedirs(self.root, exist_ok=True)
+        except Exception as why:  # of as many kinds as there are file systems
+            reason = getattr(why, "strerror", None) or " ".join(str(why).split())
+            raise Error(f"the folder {str(url)!r} must be one that can be written to ({reason})") from None
+        self.url = self.root if self.is_local else str(url).rstrip("/")
+
+    def path(self, name: str) -> str:
+        """Where a file is, for `fs`."""
+        return f"{self.root}/{name}"
+
+    @contextmanager
+    def writing(self, name: str):
+        """Path of a file here to write, which becomes the file `name` at the end of the block."""
+        place = PurePosixPath(self.path(name))
+        if not self.is_local:  # an object is put there whole or not at all
+            with tempfile.TemporaryDirectory() as here:
+                yield Path(here, place.name)
+                self.fs.makedirs(str(place.parent), exist_ok=True)
+                self.fs.put_file(str(Path(here, place.name)), str(place))
+            return
+        Path(place.parent).mkdir(parents=True, exist_ok=True)
+        beside = Path(place.with_name(f".{place.stem[:64]}.{uuid.uuid4().hex[:12]}{place.suffix}"))
+        try:
+            yield beside
+            os.replace(beside, place)
+        finally:
+            beside.unlink(missing_ok=True)
+
+    def put(self, name: str, data: bytes) -> None:
+        """Write a file."""
+        if self.is_local:
+            with self.writing(name) as path:
+                path.write_bytes(data)
+        else:
+            self.fs.makedirs(str(PurePosixPath(self.path(name)).parent), exist_ok=True)
+            self.fs.pipe_file(self.path(name), data)
+
+    def put_json(self, name: str, value) -> None:
+        """Write plain values as JSON; the same values give the same bytes."""
+        self.put(name, (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode())
+
+    def get(self, name: str) -> bytes | None:
+        """What is in a file, or None if it is not there."""
+        try:
+            return self.fs.cat_file(self.path(name))
+        except FileNotFoundError:
+            return None
+
+    def get_json(self, name: str):
+        """The plain values of a JSON file, or None if it is not there."""
+        data = self.get(name)
+        try:
+            return None if data is None else json.loads(data)
+        except ValueError:
+            raise Error(f"{self.path(name)}: must be JSON (it is damaged; delete it)") from None
+
+    def names(self, folder: str) -> list[str]:
+        """Files of a folder in it, sorted; none if there is no such folder."""
+        try:
+            found = self.fs.ls(self.path(folder), detail=False)
+        except FileNotFoundError:
+            return []
+        return sorted(PurePosixPath(name).name for name in found)
+
+    def remove(self, folder: str) -> None:
+        """Take a folder or file away, if it is there."""
+        if self.fs.exists(self.path(folder)):
+            self.fs.rm(self.path(folder), recursive=True)
+
+    def checksum(self, name: str) -> str | None:
+        """SHA-256 of a file as hexadecimal digits, or None if it is not there."""
+        found = hashlib.sha256()
+        try:
+            with self.fs.open(self.path(name), "rb") as file:
+                while block := file.read(1 << 20):
+                    found.update(block)
+        except FileNotFoundError:
+            return None
+        return found.hexdigest()

@@ -1,0 +1,128 @@
+"""What a job keeps of its pings: layers of bins, the numbers of bodies and classes, and what is said of all."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from sonar_gl._version import __version__
+from sonar_gl.batch.layers import layers_of
+from sonar_gl.batch.orders import Orders, matching
+from sonar_gl.types import Error
+
+BACKGROUND = ("*floor*", "*ground*", "*seabed*", "*terrain*", "*heightmap*", "*wall*")
+
+
+class Kept:
+    """Layers, bodies and classes of a job.
+
+    Attributes
+    ----------
+    bodies : names of all scenes' bodies; those of scene k begin at first_body[k], and a body's number in the
+        arrays is 1 + its index here
+    classes : names; a class's number is 1 + its index
+    class_id : (bodies + 1,) number of the class of each body's number, 0 for none
+
+    Raises
+    ------
+    Error
+        naming table and key, where labels name no body.
+    """
+
+    def __init__(self, orders: Orders):
+        self.orders, self.job, self.labels = orders, orders.job, orders.job.labels
+        self.first_body, self.bodies = [], []
+        for index in range(len(self.job.scenes)):
+            self.first_body.append(len(self.bodies))
+            self.bodies += [body.name for body in orders.scene(index).bodies]
+        self.classes, of_body = self._classes()
+        self.class_id = np.array([0, *of_body], np.uint8 if len(self.classes) < 256 else np.uint16)
+        self._backgrounds = [self._background(index) for index in range(len(self.job.scenes))]
+
+    def _classes(self):
+        asked = self.labels.classes if self.labels else {}
+        if not asked:  # bodies that differ by a number alone are of one class
+            plain = [re.sub(r"[_\W]*\d+$", "", name) or name for name in self.bodies]
+            classes = list(dict.fromkeys(plain))
+            return classes, [1 + classes.index(name) for name in plain]
+        out = [0] * len(self.bodies)
+        for number, (name, patterns) in enumerate(asked.items(), 1):
+            where = f"{self.job.where}: labels.classes.{name}"
+            for body in matching(patterns, dict.fromkeys(self.bodies), where):
+                for at in (k for k, other in enumerate(self.bodies) if other == body):
+                    out[at] = out[at] or number
+        return list(asked), out
+
+    def _background(self, scene: int):
+        if self.labels is None or "shadow" not in self.labels.layers:
+            return None
+        names = [body.name for body in self.orders.scene(scene).bodies]
+        where = f"{self.job.where}: labels.background"
+        if self.labels.background is not None:
+            return matching(self.labels.background, names, where)
+        found = [name for pattern in BACKGROUND for name in names if re.search(pattern.strip("*"), name.lower())]
+        if not found:
+            raise Error(
+                f"{where} must be given, for the layer shadow: the bodies that shadows fall on (got none, and "
+                f"none of {', '.join(names)[:200]} is called a floor or a wall)"
+            )
+        return list(dict.fromkeys(found))
+
+    def background(self, scene: int):
+        """Names of the bodies that shadows fall on, or None where nobody asks."""
+        return self._backgrounds[scene]
+
+    def classes_of(self, scene: int) -> np.ndarray:
+        """Number of the class of each body of a scene, by its number there."""
+        first = self.first_body[scene]
+        return np.concatenate([self.class_id[:1], self.class_id[1 + first :]])
+
+    def layers(self, sonar: str) -> tuple[list, list]:
+        """Layers of bins, and arrays with a few numbers for each body: (name, dtype, shape, dims, fill,
+        attributes)."""
+        asked = self.labels.layers if self.labels else []
+        orders, sizes = self.orders, (len(self.bodies), len(self.classes))
+        kept = layers_of(asked, orders.sonars[sonar], orders.acoustics, self.job.arrays.mantissa_bits, *sizes)
+        if "boxes" not in asked:
+            return kept, []
+        n = len(self.bodies)
+        return kept, [
+            ("body_echo", "float32", (n,), ("body",), 0.0, {"long_name": "sum of the body's echo", "units": "1"}),
+            ("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins in which the body is the strongest"}),
+            (
+                "body_box",
+                "int32",
+                (n, 4),
+                ("body", "box"),
+                -1,
+                {"long_name": "first and last beam, first and last bin of these, -1 for none"},
+            ),
+        ]
+
+    @property
+    def bytes_per_ping(self) -> int:
+        """Of all sonars' arrays, before they are packed."""
+        total = 0
+        for name, sonar in self.orders.sonars.items():
+            kept, per_body = self.layers(name)
+            total += sonar.n_beams * sonar.n_bins * sum(np.dtype(layer.dtype).itemsize for layer in kept)
+            total += sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for _, dtype, shape, *_ in per_body)
+        return total
+
+    def attributes(self, planned) -> dict:
+        """What the store says of all pings."""
+        job = self.job
+        return {
+            "Conventions": "CF-1.11",
+            "title": job.name,
+            "source": f"sonar_gl {__version__}",
+            "gl_renderer": planned.gl_renderer,
+            "seed": job.seed,
+            "tolerance": job.tolerance,
+            "scenes": job.scenes,
+            "bodies": self.bodies,
+            "classes": self.classes,
+            "class_of_body": self.class_id[1:].tolist(),
+            "digest": planned.digest,
+        }

@@ -1,0 +1,130 @@
+"""The arrays of a batch: a Zarr group that xarray opens as a data set, written part by part."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec
+
+from sonar_gl.batch.files import Folder
+
+NAME = "pings.zarr"
+CHUNK = 8  # pings that are packed together; whole parts are files
+# Bits of one weight side by side: what is rounded away packs to nothing. LZ4 takes half of Zstandard's time
+# and gives a tenth away.
+CODEC = BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle")
+TABLE_CHUNK = 16384  # pings, of what has one number a ping
+
+
+def _group(folder: Folder, mode: str):
+    return zarr.open_group(f"{folder.url}/{NAME}", mode=mode)
+
+
+def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: dict) -> None:
+    """Make the arrays, empty.
+
+    Parameters
+    ----------
+    part : pings of a part, each of which is one file of each array
+    sonars : by name, (Sonar, layers, per-body layers (name, dtype, shape of a ping, dims, fill, attributes))
+    attributes : of the data set
+    """
+    root = _group(folder, "w")
+    root.attrs.update(attributes)
+    for name, (sonar, layers, per_body) in sonars.items():
+        group = root if len(sonars) == 1 else root.create_group(name)
+        group.attrs.update({**attributes, "sonar": name})
+        shape = sonar.n_beams, sonar.n_bins
+        chunk = np.gcd(CHUNK, part)
+        about = [(layer.name, layer.dtype, shape, ("beam", "range"), layer.fill, layer.attributes) for layer in layers]
+        for layer, dtype, size, dims, fill, attrs in [*about, *per_body]:
+            group.create_array(
+                layer,
+                shape=(n_pings, *size),
+                dtype=dtype,
+                chunks=(int(chunk), *size),
+                shards=(part, *size),
+                compressors=CODEC,
+                fill_value=fill,
+                dimension_names=("ping", *dims),
+                attributes={**attrs, **({"coordinates": "azimuth_rad"} if "beam" in dims else {})},
+            )
+        axis(group, "azimuth_rad", ("beam",), sonar.azimuth_rad, "beam centres, positive to port", "rad")
+        axis(group, "range", ("range",), sonar.range_m, "slant range, bin centres", "m")
+
+
+def axis(group, name, dims, values, long_name, units) -> None:
+    """Put a small array there."""
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        dtype=values.dtype,
+        chunks=values.shape,
+        dimension_names=dims,
+        attributes={"long_name": long_name, "units": units},
+    )
+    array[:] = values
+
+
+class Writer:
+    """Writes into a store that is there."""
+
+    def __init__(self, folder: Folder, n_sonars: int):
+        self._root, self._n_sonars = _group(folder, "r+"), n_sonars
+
+    def group(self, sonar: str):
+        """The arrays of a sonar."""
+        return self._root if self._n_sonars == 1 else self._root[sonar]
+
+    def write(self, sonar: str, first: int, arrays: dict) -> list[str]:
+        """Put the arrays of consecutive pings in their place, whole shards of them.
+
+        Returns
+        -------
+        names of the files, in the folder; one that holds nothing but what stands for nothing is not written
+        """
+        group, names = self.group(sonar), []
+        for name, values in arrays.items():
+            array = group[name]
+            array[first : first + len(values)] = values
+            place = [first // array.shards[0], *[0] * (values.ndim - 1)]
+            names.append("/".join([NAME, array.path, "c", *map(str, place)]))
+        return names
+
+    def add(self, sonar: str, name: str, dtype: str, dims, shape, attributes) -> None:
+        """Make an array with a few numbers a ping, or make it anew."""
+        self.group(sonar).create_array(
+            name,
+            shape=shape,
+            dtype=dtype,
+            chunks=(min(shape[0], TABLE_CHUNK), *shape[1:]),
+            fill_value=np.nan if dtype == "float64" else 0,
+            dimension_names=("ping", *dims),
+            attributes=attributes,
+            overwrite=True,
+        )
+
+
+def consolidate(folder: Folder) -> None:
+    """Gather the metadata of all arrays into one file, which is what readers look into first."""
+    with warnings.catch_warnings():  # that version 3 of the format does not say how: all readers do it so
+        warnings.simplefilter("ignore", UserWarning)
+        zarr.consolidate_metadata(_group(folder, "r+").store)
+    place = f"{NAME}/zarr.json"
+    folder.put_json(place, folder.get_json(place))  # sorted: folders are listed in any order
+
+
+def files(folder: Folder, of_parts: set) -> list[str]:
+    """Names of all files but those of arrays that parts write."""
+    out = []
+    root = _group(folder, "r")
+    for group in (root, *(group for _, group in root.groups())):
+        place = "/".join(filter(None, (NAME, group.path)))
+        out.append(f"{place}/zarr.json")
+        for name in group.array_keys():
+            inner = folder.fs.find(folder.path(f"{place}/{name}"))
+            inner = [path[len(folder.root) + 1 :] for path in inner]
+            out += [path for path in inner if name not in of_parts or path.endswith("zarr.json")]
+    return out

@@ -1,0 +1,323 @@
+"""The compiled sums of labels: each body's echo, and its moments, in columns and bins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import uint64
+
+from sonar_gl import footprint
+from sonar_gl.compiled import compiled, compiled_with
+from sonar_gl.footprint import (
+    ALONG_U,
+    ALONG_V,
+    BORDER,
+    ENERGY,
+    FAR,
+    FAR_FACTOR,
+    LAST,
+    NEAR,
+    REST,
+    V_RAY,
+    HALF_HEIGHT,
+    A,
+    B,
+    Q,
+    S,
+    _below,
+    _find_boxes,
+    _find_borders,
+    _find_shapes,
+    _look,
+)
+
+# Beside what `footprint` finds of a sample: its elevation and its incidence, radians.
+ELEVATION, INCIDENCE = LAST + 1, LAST + 2
+ROWS = LAST + 3
+# Of a cell, one body's in one bin: what begins or ends there of samples that fill bins (their height, it times
+# elevation and incidence, how many), and what lies in it of those that do not (echo, it times elevation,
+# incidence, and range less `middle_m`). Samples that fill a bin have its `middle_m` for their mean range.
+HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT, ECHO, ECHO_ELEVATION, ECHO_INCIDENCE, ECHO_RANGE = range(8)
+CELL, MOMENTS = 8, 4  # of which the last four are what is handed on
+NEAR_BIN, FAR_BIN = footprint.FIRST, LAST
+BODY, COLUMN, FIRST, PAST, PLACE = range(
+    5
+)  # of a run: where it is, its bins, and where in the pool it begins
+
+
+@compiled
+def acos(c):
+    """arccos of 0..1 to 2e-8; unlike the library's the compiler makes vectors of it.
+
+    Source: Abramowitz, Stegun, "Handbook of Mathematical Functions", 4.4.46
+    """
+    p = -0.0012624911 * c + 0.0066700901
+    p = ((p * c - 0.0170881256) * c + 0.0308918810) * c - 0.0501743046
+    p = ((p * c + 0.0889789874) * c - 0.2145988016) * c + 1.5707963050
+    return math.sqrt(max(1.0 - c, 0.0)) * p
+
+
+@compiled
+def middle_of(bin_edges_s):
+    """(K,) mean range of what fills a bin, whose density is s = 1/r: ∫ ds / ∫ s ds."""
+    return 2.0 / (bin_edges_s[:-1] + bin_edges_s[1:])
+
+
+@compiled
+def _find_angles(work, first, last, uc, v_limit, arcs, elevation):
+    """Elevation and incidence of a strip's samples from `first` to before `last`."""
+    rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
+    for m in range(uint64(first), uint64(last)):
+        x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
+        size = math.sqrt(x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m])
+        work[INCIDENCE, m] = acos(min(max(s[m], 0.0) / size, 1.0))
+    u2, v2, middle = 1.0 + uc * uc, v_limit * v_limit, (arcs.shape[0] - 1) / 2
+    for m in range(first, last):
+        vc = (border[m] + border[m + 1]) / 2
+        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
+        i = min(max(int(place), 0), arcs.shape[0] - 2)
+        work[ELEVATION, m] = arcs[i] + (place - i) * (arcs[i + 1] - arcs[i])
+        if elevation.shape[0] and work[ENERGY, m] > 0.0:  # the table holds how it is heard, too
+            work[ELEVATION, m] /= elevation[i] + (place - i) * (elevation[i + 1] - elevation[i])
+
+
+@compiled
+def _ramp_range(s, start):
+    """As `footprint._ramp`, of (s - start) ds."""
+    t = max(s - start, 0.0)
+    return t * t / 2
+
+
+@compiled
+def _below_range(s, middle, wide, thin):
+    """As `footprint._below`, of range times energy."""
+    rise = _ramp_range(s, middle - wide - thin) - _ramp_range(s, middle - wide + thin)
+    return rise - (_ramp_range(s, middle + wide - thin) - _ramp_range(s, middle + wide + thin))
+
+
+@compiled_with(footprint)
+def _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre):
+    """As `footprint._spread_trapezoid`; the first bin and past the last."""
+    K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
+    wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
+    low, high = max(s - wide - thin, edges[K]), min(s + wide + thin, edges[0])
+    if high <= low:
+        return K, 0
+    scale = energy / (4 * wide * thin)
+    if s < wide + thin:
+        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
+    first, last = int((1.0 / high - r_first) * per_metre), int((1.0 / low - r_first) * per_metre)
+    last = min(last, K - 1)
+    nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
+    for k in range(uint64(first), uint64(last + 1)):
+        edge = edges[k + uint64(1)] if k < last else low
+        further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
+        echo = scale * (nearer - further)
+        cells[k, ECHO] += echo
+        cells[k, ECHO_ELEVATION] += echo * work[ELEVATION, m]
+        cells[k, ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
+        cells[k, ECHO_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
+        nearer, range_nearer = further, range_further
+    return first, last + 1
+
+
+@compiled_with(footprint)
+def _spread(work, start, stop, cells, edges, middle_m, r_first, per_metre):
+    """As `footprint.spread_footprints`, into one body's cells; the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(uint64(start), uint64(stop)):
+        energy, s = work[ENERGY, m], work[S, m]
+        if energy == 0.0 or s <= 0.0:
+            continue
+        if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
+            first, past = _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre)
+            lowest, highest = min(lowest, first), max(highest, past)
+            continue
+        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
+        if near <= far:
+            continue
+        elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
+        first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
+        lowest, highest = min(lowest, int(first)), max(highest, int(last) + 1)
+        after = first + uint64(1)
+        inner = edges[after] if first < last else far
+        part = half_height * (near - inner)
+        echo = part * (near + inner)
+        cells[first, ECHO] += echo
+        cells[first, ECHO_ELEVATION] += echo * elevation
+        cells[first, ECHO_INCIDENCE] += echo * incidence
+        cells[first, ECHO_RANGE] += 2 * part - echo * middle_m[first]
+        if first >= last:
+            continue
+        outer, height = edges[last], 2 * half_height
+        part = half_height * (outer - far)
+        echo = part * (outer + far)
+        cells[last, ECHO] += echo
+        cells[last, ECHO_ELEVATION] += echo * elevation
+        cells[last, ECHO_INCIDENCE] += echo * incidence
+        cells[last, ECHO_RANGE] += 2 * part - echo * middle_m[last]
+        if after < last:
+            cells[after, HEIGHT] += height
+            cells[after, HEIGHT_ELEVATION] += height * elevation
+            cells[after, HEIGHT_INCIDENCE] += height * incidence
+            cells[after, COUNT] += 1.0
+            cells[last, HEIGHT] -= height
+            cells[last, HEIGHT_ELEVATION] -= height * elevation
+            cells[last, HEIGHT_INCIDENCE] -= height * incidence
+            cells[last, COUNT] -= 1.0
+    return lowest, highest
+
+
+@compiled
+def _drop(work, start, stop, cells, middle_m, u, nearest, step, bottom_row, r_first, per_metre):
+    """As `footprint._drop`, into one body's cells; the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(start, stop):
+        j = bottom_row + m
+        u_ray, v_ray = u[0] + u[1] * int(nearest - step * j) + u[2] * j, work[V_RAY, m]
+        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
+        k = (1.0 / s - r_first) * per_metre
+        if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
+            cell, echo = cells[int(k)], work[ENERGY, m] * s
+            cell[ECHO] += echo
+            cell[ECHO_ELEVATION] += echo * work[ELEVATION, m]
+            cell[ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
+            cell[ECHO_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]
+            lowest, highest = min(lowest, int(k)), max(highest, int(k) + 1)
+    return lowest, highest
+
+
+@compiled
+def _slot_of(body, slots, n_slots, cells):
+    """The place of a body's cells in a column, a new one at first; slots, n_slots and cells, larger if full."""
+    slot = 0
+    while slot < n_slots and slots[slot, 0] != body:
+        slot += 1
+    if slot < n_slots:
+        return slot, slots, n_slots, cells
+    if n_slots == slots.shape[0]:
+        more = np.zeros((2 * n_slots, cells.shape[1], CELL)), np.empty((2 * n_slots, 3), np.int64)
+        more[0][:n_slots], more[1][:n_slots] = cells, slots
+        cells, slots = more
+    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
+    return slot, slots, n_slots + 1, cells
+
+
+@compiled
+def _close(cells, slot, first, past, flat, pool, place):
+    """Lay a body's cells of one column in the pool, MOMENTS rows one after the other, and clear them."""
+    n = past - first
+    height = by_elevation = by_incidence = count = 0.0
+    for i in range(uint64(n)):
+        cell, at = cells[slot, uint64(first + i)], uint64(place + i)
+        count += cell[COUNT]
+        height += cell[HEIGHT]
+        by_elevation += cell[HEIGHT_ELEVATION]
+        by_incidence += cell[HEIGHT_INCIDENCE]
+        if count == 0.0:  # what is left of the sums is rounding
+            height = by_elevation = by_incidence = 0.0
+        pool[at] = cell[ECHO] + height * flat[uint64(first + i)]
+        pool[uint64(at + n)] = cell[ECHO_ELEVATION] + by_elevation * flat[uint64(first + i)]
+        pool[uint64(at + 2 * n)] = cell[ECHO_INCIDENCE] + by_incidence * flat[uint64(first + i)]
+        pool[uint64(at + 3 * n)] = cell[ECHO_RANGE]
+        cell[:] = 0.0
+
+
+@compiled
+def _close_all(cells, slots, n_slots, column, flat, runs, pool, n_runs, used):
+    """Hand a column's cells on; runs and pool, larger ones where they were full, and how much is used."""
+    for slot in range(n_slots):
+        first, past = slots[slot, 1], slots[slot, 2]
+        if first >= past:
+            continue
+        if n_runs == runs.shape[0]:
+            more = np.empty((2 * n_runs, runs.shape[1]), runs.dtype)
+            more[:n_runs] = runs
+            runs = more
+        wanted = used + MOMENTS * (past - first)
+        if wanted > pool.shape[0]:
+            larger = np.empty(2 * wanted, pool.dtype)
+            larger[:used] = pool[:used]
+            pool = larger
+        _close(cells, slot, first, past, flat, pool, used)
+        runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
+        runs[n_runs, FIRST], runs[n_runs, PAST], runs[n_runs, PLACE] = first, past, used
+        n_runs, used = n_runs + 1, wanted
+    return runs, pool, n_runs, used
+
+
+@compiled_with(footprint)
+def gather(
+    plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, spread,
+    elevation, arcs, cells, runs, pool, n_runs, used,
+):  # fmt: skip
+    """Sum some of one sector's samples into columns, for each body by itself.
+
+    Parameters
+    ----------
+    plane_echo, u .. part_width, bin_edges_m, tables, elevation : as of `footprint.accumulate`
+    body_id : (R, C) uint16
+    spread : False drops samples whole into one bin
+    arcs : elevation, radians, at even sines across the aperture, times how it is heard
+    cells : (slots, K, CELL) float64, zeros before and after
+    runs : (n, 5) int64, BODY .. PLACE, in use up to n_runs
+    pool : (n,) float32, in use up to used: of each run MOMENTS rows, of its bins' echo, and that times
+        elevation, incidence, and range less `middle_of` the bin
+
+    Returns
+    -------
+    cells, runs, pool, n_runs, used : of these larger ones, where they were full
+    """
+    R, K = plane_echo.shape[0], bin_edges_m.shape[0] - 1
+    r_first, r_last = bin_edges_m[0], bin_edges_m[K]
+    per_metre, edges, flat, middle_m = K / (r_last - r_first), tables[0], tables[1], middle_of(tables[0])
+    work, slots, n_slots = np.empty((ROWS, R + 1)), np.empty((cells.shape[0], 3), np.int64), 0
+    for p in range(part_u.shape[0]):
+        c, uc = part_column[p], part_u[p]
+        if p > 0 and part_column[p - 1] != c:
+            runs, pool, n_runs, used = _close_all(
+                cells, slots, n_slots, part_column[p - 1], flat, runs, pool, n_runs, used
+            )
+            n_slots = 0
+        v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)
+        nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
+        last_row = nearest - step * R
+        if max(nearest, last_row) <= -1.0 or min(nearest, last_row) >= plane_echo.shape[1]:
+            continue
+        bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
+        bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
+        n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
+        first, last = _look(work, plane_echo, u, v, uc, nearest, step, bottom_row, n)
+        if first > last:
+            continue
+        last += 1
+        work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
+        _find_borders(work, max(first, 1), min(last + 1, n), 1.0 / (FAR_FACTOR * r_last), v_limit)
+        _find_shapes(work, first, last, uc, part_width[p], v_limit, elevation)
+        _find_angles(work, first, last, uc, v_limit, arcs, elevation)
+        _find_boxes(work, first, last, edges[0], edges[K], r_first, per_metre)
+        start = first
+        while start < last:  # samples of one body after the other
+            body = body_id[bottom_row + start, int(nearest - step * (bottom_row + start))]
+            stop = start + 1
+            while stop < last:
+                j = bottom_row + stop
+                if work[ENERGY, stop] > 0.0 and body_id[j, int(nearest - step * j)] != body:
+                    break
+                stop += 1
+            slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
+            if spread:
+                found = _spread(work, start, stop, cells[slot], edges, middle_m, r_first, per_metre)
+            else:
+                lattice = u, nearest, step, bottom_row
+                found = _drop(work, start, stop, cells[slot], middle_m, *lattice, r_first, per_metre)
+            slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], found[0]), max(slots[slot, 2], found[1])
+            start = stop
+    if part_u.shape[0]:
+        runs, pool, n_runs, used = _close_all(
+            cells, slots, n_slots, part_column[-1], flat, runs, pool, n_runs, used
+        )
+    return cells, runs, pool, n_runs, used

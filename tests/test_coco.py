@@ -1,0 +1,161 @@
+"""COCO files, as the tool that their users have reads them."""
+
+import json
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools import mask
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+
+import sonar_gl as sg
+from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, join_coco, mask_picture, save_mask
+
+# pycocotools' own, when it decodes
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+CLASSES = [0, 2, 0, 1, 2, 1]  # of the bodies: 2 is background
+NAMES = ["", "diver", "floor", "tyre \u2028 1", "buoy", "unseen"]
+CATEGORIES = [{"id": 1, "name": "tyre", "supercategory": "waste"}, {"id": 2, "name": "thing"}]
+ECHO = [0.0, 1.25, 9.0, 0.333333333, 2.0, 0.0]
+
+
+def drawn(seed):
+    """An id map with a body in pieces, one with a hole, one that goes from the top of a column to its end."""
+    rng = np.random.default_rng(seed)
+    ids = np.zeros((40, 61), np.uint16)
+    ids[20:] = 2
+    ids[:, 7:9] = 3
+    ids[rng.random(ids.shape) < 0.02] = 1
+    ids[12:25, 30:44], ids[15:18, 33:40] = 4, 0
+    return ids
+
+
+def records(number):
+    echo = {"names": NAMES, "echo": ECHO}
+    return coco_records(drawn(number), CLASSES, number, f"png/{number:08d}.png", **echo, sonar="fls")
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """Two files of parts, of pings 0..2 and 3..4."""
+    folder = tmp_path_factory.mktemp("coco")
+    for name, numbers in (("a", range(3)), ("b", range(3, 5))):
+        (folder / name).write_bytes(b"".join(coco_lines(*records(number)) for number in numbers))
+    return [folder / "a", folder / "b"]
+
+
+@pytest.fixture(scope="module")
+def joined(parts):
+    path = parts[0].with_name("instances.json")
+    join_coco(parts, path, CATEGORIES, {"description": "made"})
+    return COCO(str(path))
+
+
+def test_boxes_and_masks_are_those_of_the_numbers_of_bodies(joined):
+    assert joined.dataset["info"] == {"description": "made"}
+    assert joined.loadCats([1, 2]) == CATEGORIES
+    assert sorted(joined.getImgIds()) == [0, 1, 2, 3, 4]
+    for number in range(5):
+        (image,), ids = joined.loadImgs([number]), drawn(number)
+        size = {"height": 40, "width": 61}
+        assert image == {"id": number, "file_name": f"png/{number:08d}.png", **size, "sonar": "fls"}
+        annotations = joined.loadAnns(joined.getAnnIds([number]))
+        assert [one["body_id"] for one in annotations] == [1, 3, 4]
+        for one in annotations:
+            body = one["body_id"]
+            rows, columns = np.nonzero(ids == body)
+            np.testing.assert_array_equal(joined.annToMask(one), ids == body)
+            box = [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
+            rest = {
+                "id": number * 65536 + body,
+                "image_id": number,
+                "category_id": CLASSES[body],
+                "iscrowd": 0,
+            }
+            rest |= {"bbox": box, "area": len(rows), "body": NAMES[body], "echo": round(ECHO[body], 6)}
+            rest |= {"segmentation": one["segmentation"], "body_id": body}
+            assert one == rest
+
+
+def test_the_annotations_themselves_score_all_points(joined):
+    """As detections, by boxes and by masks: none is lost to a number that the tool takes for nothing."""
+    for kind, key in (("bbox", "bbox"), ("segm", "segmentation")):
+        keys = "image_id", "category_id", key
+        wanted = [{**{key: one[key] for key in keys}, "score": 0.9} for one in joined.dataset["annotations"]]
+        judged = COCOeval(joined, joined.loadRes(wanted), kind)
+        judged.evaluate(), judged.accumulate(), judged.summarize()
+        assert judged.stats[0] == 1.0
+
+
+def test_run_lengths_are_those_of_the_tool():
+    """To the byte: maps of one pixel, row and column, empty and full ones among them."""
+    rng = np.random.default_rng(1)
+    for shape in [(1, 1), (1, 9), (9, 1), (13, 17), (300, 200)]:
+        for share in (0.0, 0.1, 0.6, 1.0):
+            ids = rng.integers(1, 60, shape).astype(np.uint16) * (rng.random(shape) < share)
+            _, annotations = coco_records(ids, [0] + [1] * 60, 7, "a.png")
+            assert [one["body_id"] for one in annotations] == [b for b in np.unique(ids).tolist() if b]
+            for one in annotations:
+                expected = mask.encode(np.asfortranarray(ids == one["body_id"], np.uint8))
+                assert one["segmentation"]["counts"] == expected["counts"].decode()
+                assert one["bbox"] == mask.toBbox(expected).tolist()
+                assert one["area"] == mask.area(expected)
+
+
+def test_a_file_has_the_same_bytes_however_it_is_parted(parts, joined, tmp_path):
+    together, path = tmp_path / "all", tmp_path / "instances.json"
+    together.write_bytes(b"".join(part.read_bytes() for part in parts))
+    join_coco([together], path, CATEGORIES, {"description": "made"})
+    assert path.read_bytes() == parts[0].with_name("instances.json").read_bytes()
+    assert sorted(tmp_path.iterdir()) == [together, path]
+    join_coco([], path, CATEGORIES, {})
+    empty = {"info": {}, "licenses": [], "categories": CATEGORIES, "images": [], "annotations": []}
+    assert json.loads(path.read_bytes()) == empty
+
+
+def test_a_line_that_is_no_record_is_told_and_leaves_the_old_file(parts, tmp_path):
+    path, broken = tmp_path / "instances.json", tmp_path / "broken"
+    path.write_bytes(b"old")
+    broken.write_bytes(parts[0].read_bytes()[:-9])
+    with pytest.raises(sg.Error, match=r"broken, line 12: must be a COCO record \(got b'\[\"annotation\", "):
+        join_coco([parts[1], broken], path, CATEGORIES, {})
+    assert path.read_bytes() == b"old"
+    assert sorted(tmp_path.iterdir()) == [broken, path]
+    with pytest.raises(sg.Error, match=r"^bodies of a mask must have a class each \(got body 4 of 3 known\)"):
+        coco_records(drawn(0), CLASSES[:3], 0, "a.png")
+
+
+def test_many_annotations_are_not_held():
+    """A hundred times as many take no more memory."""
+    lines = coco_lines(*records(1)).splitlines(keepends=True)
+
+    class Part(list):
+        def __enter__(self):
+            return iter(self)
+
+        def __exit__(self, *_):
+            pass
+
+    def peak(times):
+        tracemalloc.reset_peak()
+        size = sum(map(len, coco_json([lambda: Part(lines)] * times, CATEGORIES, {})))
+        return size, tracemalloc.get_traced_memory()[1]
+
+    tracemalloc.start()
+    (small, few), (large, many) = peak(10), peak(1000)
+    tracemalloc.stop()
+    assert large > 90 * small
+    assert many < few + 20_000  # what the list of parts takes; the text has a megabyte
+
+
+@pytest.mark.parametrize(("highest", "dtype"), [(255, np.uint8), (256, np.uint16), (65535, np.uint16)])
+def test_masks_hold_numbers_of_bodies(tmp_path, highest, dtype):
+    ids = drawn(0)
+    ids[3, 5] = highest
+    save_mask(tmp_path / "mask.png", ids)
+    again = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_UNCHANGED)
+    assert again.dtype == mask_picture(ids).dtype == dtype
+    np.testing.assert_array_equal(again, ids)
