@@ -83,7 +83,7 @@ class BagFile:
 
 
 def read_contents(file, name: str) -> Contents:
-    """What an open binary file holds, which will be called so in its folder; from its summary, or an Error."""
+    """What an open binary file holds, which is called so in its folder: its summary, or an Error."""
     reader = library("mcap.reader")
     try:
         summary = reader.make_reader(file).get_summary()
