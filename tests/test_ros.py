@@ -172,6 +172,14 @@ def test_levels_of_each_kind():
     assert levels(intensity, 8, "db", (-30.0, 3.0))[:, 0].tolist() == [209, 232, 232, 255]
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (4, 1), (1, 4), (5, 2)])
+def test_levels_of_few_bins(shape):
+    """OpenCV takes some small arrays for scalars."""
+    decibels = -np.arange(math.prod(shape), dtype=float).reshape(shape)
+    found = levels(10 ** (decibels / 10), 8, "db", (-60.0, 0.0))
+    np.testing.assert_allclose(found, ((decibels + 60) / 60 * 255)[::-1].T, atol=0.501)  # half a level
+
+
 @pytest.mark.parametrize(("bits", "dtype"), [(16, 2), (32, 4)])
 def test_wide_levels_are_little_endian(tmp_path, bits, dtype):
     settings = BagSettings(bits=bits, scale="linear")
@@ -324,7 +332,10 @@ def test_a_part_tells_ros_of_itself(tmp_path):
     beside = (tmp_path / "metadata.yaml").read_text().splitlines()
     assert beside[0] == "rosbag2_bagfile_information:" and beside[1] == "  version: 8"
     assert told.name == "rosbag2"
-    assert told.metadata["serialized_metadata"].splitlines() == [line[2:] for line in beside[1:]]
+    inside = told.metadata["serialized_metadata"].splitlines()
+    names = beside.index("  relative_file_paths:")
+    assert inside[: names - 1] == [line[2:] for line in beside[1:names]]
+    assert inside[names - 1 : names + 1] == ["relative_file_paths: []", "files: []"]  # the folder's alone
 
 
 def test_the_same_records_give_the_same_bytes(tmp_path):
@@ -334,6 +345,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path):
     folder, *_ = split_bag(tmp_path / "two")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert sorted(before) == ["a.mcap", "b.mcap", "metadata.yaml"]
+    assert write(tmp_path, record()).read_bytes() == write(tmp_path, record(), name="b.mcap").read_bytes()
 
 
 def test_what_no_bag_can_hold_is_refused(tmp_path):
@@ -397,7 +409,7 @@ def test_parts_that_make_no_bag_are_refused(tmp_path):
     assert "c.mcap' of a bag: no such file" in refused(finish_bag, tmp_path, ["c.mcap"])
     for broken in (whole[:-100], b"", b"\x89MCAP0\r\n" + bytes(200), b"text"):
         (tmp_path / "b.mcap").write_bytes(broken)
-        assert "b.mcap' must be a whole part" in refused(finish_bag, tmp_path, ["b.mcap"])
+        assert "'b.mcap' must be a whole part" in refused(finish_bag, tmp_path, ["b.mcap"])
     assert not (tmp_path / "metadata.yaml").exists()
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.batch.ros_files import TF_STATIC, BagFile, information, read_contents, to_yaml
+from sonar_gl.batch.ros_files import TF_STATIC, BagFile, Contents, information, read_contents, to_yaml
 from sonar_gl.batch.ros_messages import BEAMS, nanoseconds
 from sonar_gl.batch.ros_records import BagSettings, CameraRecord, PingRecord
 from sonar_gl.camera import AHEAD
@@ -25,7 +25,7 @@ WORLD, VEHICLE, TF = "world", "base_link", "/tf"  # frames and a topic
 
 
 def write_part(path, records: Iterable, settings: BagSettings | None = None) -> None:
-    """Write pings and camera images as one MCAP file; the same records give the same bytes.
+    """Write pings and camera images as one MCAP file; the same records give the same bytes under any name.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def write_part(path, records: Iterable, settings: BagSettings | None = None) -> 
             part.add(record)
         if part.time_ns < 0:
             raise Error(f"{str(path)!r}: a part must hold at least one record (got none)")
-        part.file.finish(path.name)
+        part.file.finish()
 
 
 def finish_bag(folder, part_files: Iterable) -> Path:
@@ -77,21 +77,36 @@ def finish_bag(folder, part_files: Iterable) -> Path:
     Error
         if there is no part, one is not there or no whole MCAP file, or two overlap in time.
     """
-    folder = Path(folder)
-    parts = [read_contents(folder / Path(name).name) for name in part_files]
-    parts.sort(key=lambda part: (part.start_ns, part.end_ns, part.name))
+    folder, parts = Path(folder), []
+    for name in (Path(name).name for name in part_files):
+        try:
+            with (folder / name).open("rb") as file:
+                parts.append(read_contents(file, name))
+        except OSError as why:
+            reason = (why.strerror or str(why)).lower()
+            raise Error(f"cannot read the part {str(folder / name)!r} of a bag: {reason}") from None
+    text = bag_metadata(parts)
+    target = folder / "metadata.yaml"
+    with replacing(target) as beside:
+        beside.write_text(text, encoding="utf-8")
+    return target
+
+
+def bag_metadata(parts: Iterable[Contents]) -> str:
+    """Text of the metadata.yaml of a bag of these files, in any order, as `finish_bag` writes it.
+
+    For folders that are not of this machine: `ros_files.read_contents` reads any open file.
+    """
+    parts = sorted(parts, key=lambda part: (part.start_ns, part.end_ns, part.name))
     if not parts:
-        raise Error(f"a bag must have at least one part (got none for {str(folder)!r})")
+        raise Error("a bag must have at least one part (got none)")
     for former, latter in pairwise(parts):
         if latter.start_ns < former.end_ns:
             raise Error(
                 f"parts of a bag must follow one another in time (got {former.name} until "
                 f"{former.end_ns / 1e9:g} s and {latter.name} from {latter.start_ns / 1e9:g} s)"
             )
-    target = folder / "metadata.yaml"
-    with replacing(target) as beside:
-        beside.write_text(to_yaml({"rosbag2_bagfile_information": information(parts)}), encoding="utf-8")
-    return target
+    return to_yaml({"rosbag2_bagfile_information": information(parts)})
 
 
 class _Part:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from pathlib import Path
 
 from sonar_gl.batch.ros_messages import library, messages
 from sonar_gl.types import Error
@@ -75,31 +74,27 @@ class BagFile:
         self.start_ns, self.end_ns = time_ns if self.start_ns is None else self.start_ns, time_ns
         self.topics[topic] = (msgtype, self.topics.get(topic, ("", 0))[1] + 1)
 
-    def finish(self, name: str) -> None:
-        """End the file, which will be called so; ROS finds in it what it finds beside it."""
-        told = information([Contents(name, self.start_ns, self.end_ns, self.topics)])
+    def finish(self) -> None:
+        """End the file; without its own name, ROS finds in it what it finds beside those of a folder."""
+        told = information([Contents("", self.start_ns, self.end_ns, self.topics)])
+        told |= {"relative_file_paths": [], "files": []}
         self.writer.add_metadata("rosbag2", {"serialized_metadata": to_yaml(told)})
         self.writer.finish()
 
 
-def read_contents(path: Path) -> Contents:
-    """What a file holds, from its summary, or an Error."""
+def read_contents(file, name: str) -> Contents:
+    """What an open binary file holds, which is called so in its folder: its summary, or an Error."""
     reader = library("mcap.reader")
     try:
-        with path.open("rb") as file:
-            summary = reader.make_reader(file).get_summary()
+        summary = reader.make_reader(file).get_summary()
         statistics, channels, schemas = summary.statistics, summary.channels, summary.schemas
         topics = {
             channel.topic: (schemas[channel.schema_id].name, statistics.channel_message_counts[number])
             for number, channel in channels.items()
         }
-        return Contents(path.name, statistics.message_start_time, statistics.message_end_time, topics)
-    except OSError as why:
-        raise Error(
-            f"cannot read the part {str(path)!r} of a bag: {(why.strerror or str(why)).lower()}"
-        ) from None
+        return Contents(name, statistics.message_start_time, statistics.message_end_time, topics)
     except Exception:  # whatever is made of bytes that are none of ours
-        raise Error(f"{str(path)!r} must be a whole part of a bag, an MCAP file (make it again)") from None
+        raise Error(f"{name!r} must be a whole part of a bag, an MCAP file (make it again)") from None
 
 
 def information(files: list[Contents]) -> dict:

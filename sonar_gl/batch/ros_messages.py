@@ -82,7 +82,7 @@ def levels(intensity: np.ndarray, bits: int, scale: str, db_range) -> np.ndarray
     """
     if scale == "db":
         low, high = db_range
-        share = cv2.max(np.ascontiguousarray(intensity, np.float32), 10 ** (low / 10))
+        share = np.maximum(intensity, np.float32(10 ** (low / 10)), dtype=np.float32, order="C")
         cv2.log(share, dst=share)
         share *= 10 / math.log(10) / (high - low)
         share -= low / (high - low)
