@@ -27,16 +27,19 @@ the job, 3 all are there but some that were set aside, 130 stopped by Ctrl-C.
 @click.command(epilog=EPILOG, short_help="Make a data set of many pings, by a job file.")
 @click.argument("job", required=False)
 @option("out", default=None, show_default="named after the job, here")
-@click.option("--dry-run", is_flag=True, help="Print what would be made, its size and time, after a short trial.")
+@click.option("--dry-run", is_flag=True, help="Say what would be made, its size and time, after a trial.")
 @click.option("--resume", is_flag=True, help="Go on with what is in the folder.")
-@click.option("--check", metavar="DIR", help="Compare the files of a finished batch with their checksums.")
+@click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
 @click.option("--device", type=click.IntRange(min=0), multiple=True, show_default="the variable SONAR_GL_DEVICE, or 0",
               help="Index of an OpenGL device; may be repeated: processes take them in turn.")  # fmt: skip
 @click.option("--cluster", metavar="ADDRESS", help="Of a Dask scheduler, whose workers make the pings.")
 @click.pass_context
 def batch(ctx, **options):
-    """Make the pings that the file JOB asks for, label and store them. docs/batch.md tells what JOB may hold."""
+    """Make the pings that the file JOB asks for, label and store them.
+
+    JOB is a TOML file; docs/batch.md tells what it may hold.
+    """
     o = SimpleNamespace(**options)
     from sonar_gl.types import Error
 
@@ -46,7 +49,9 @@ def batch(ctx, **options):
         from sonar_gl.batch import run as batches
         from sonar_gl.batch.job import read_job
     except ModuleNotFoundError as why:
-        raise Error(f"batch needs more packages ({why.name} is not there; pip install 'sonar_gl[batch]')") from None
+        raise Error(
+            f"batch needs more packages ({why.name} is not there; pip install 'sonar_gl[batch]')"
+        ) from None
     if o.check is not None:
         ctx.exit(_check(o.check))
     job = read_job(o.job)
@@ -105,5 +110,7 @@ def _check(url: str) -> int:
     wrong = check(folder, planned, progress)
     for line in wrong:
         click.echo(line)
-    click.echo(f"{url}: {len(wrong)} files are wrong" if wrong else f"{url}: all files are as they were written")
+    click.echo(
+        f"{url}: {len(wrong)} files are wrong" if wrong else f"{url}: all files are as they were written"
+    )
     return 1 if wrong else 0

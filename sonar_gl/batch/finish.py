@@ -1,4 +1,4 @@
-"""What is joined of all parts at the end: numbers of each ping, films, indices; and whether all is as it was."""
+"""What is joined of all parts at the end, numbers of each ping, films, indices; and whether all is whole."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ def _variables(orders: Orders, columns: table_of.Columns, planned: Planned, sona
 
     def places(rows):
         out = of(rows, "moved").reshape(-1, n, 3, 4)
-        return np.concatenate([out, np.broadcast_to([[[[0.0, 0.0, 0.0, 1.0]]]], (len(rows), n, 1, 4))], axis=2)
+        return np.concatenate(
+            [out, np.broadcast_to([[[[0.0, 0.0, 0.0, 1.0]]]], (len(rows), n, 1, 4))], axis=2
+        )
 
     out = [
         ("status", "uint8", (), (), {
@@ -58,7 +60,7 @@ def _variables(orders: Orders, columns: table_of.Columns, planned: Planned, sona
         ("echo", "float64", (), (), {"long_name": "sum of intensity before noise", "units": "1"},
          lambda rows: of(rows, ("echo", sonar))[:, 0]),
         ("error_estimate", "float64", (), (), {
-            "long_name": "share of the echo in wrong bins, thought to be less in 95 of 100 pings", "units": "1"},
+            "long_name": "share of the echo in wrong bins, in 95 of 100 pings less", "units": "1"},
          lambda rows: estimates[of(rows, "scene")[:, 0].astype(int)]),
     ]  # fmt: skip
     for word in ("water", "noise"):
@@ -126,8 +128,6 @@ def _join_bag(planned, folder) -> list[str]:
     """What makes a bag of the parts' files."""
     from sonar_gl.batch.ros import finish_bag
 
-    from sonar_gl.batch.ros import finish_bag
-
     there = [name for part in range(planned.n_parts) if folder.fs.exists(folder.path(name := bag_name(part)))]
     if there:  # else all pings were set aside
         finish_bag(folder.path("bag"), there)
@@ -146,7 +146,9 @@ def _films(orders, planned, folder) -> list[str]:
                 some = arrays["intensity"][first : first + store.CHUNK]
                 made = arrays["status"][first : first + store.CHUNK] == table_of.MADE
                 for intensity in some[made]:
-                    ping = Ping(intensity, sonar.azimuth_rad, sonar.range_m, meta={"bin_size_m": sonar.bin_size_m})
+                    ping = Ping(
+                        intensity, sonar.azimuth_rad, sonar.range_m, meta={"bin_size_m": sonar.bin_size_m}
+                    )
                     yield draw(None, ping, first)
 
         names.append(f"{name}.mp4")

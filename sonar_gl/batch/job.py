@@ -35,7 +35,7 @@ class SonarTable(Table):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = None
     range_m: Annotated[float, Field(gt=0)] = None
     bins: Annotated[int, Field(ge=1)] = None
-    mount: Mount = [0.0] * 6
+    mount: Mount = Field([0.0] * 6)
 
 
 class MovedTable(Table):
@@ -64,9 +64,9 @@ class VaryTable(Table):
     Noise
     """
 
-    bodies: list[MovedTable] = []
-    water: dict[str, Pair | float] = {}
-    noise: dict[str, Pair | float] = {}
+    bodies: list[MovedTable] = Field([])
+    water: dict[str, Pair | float] = Field({})
+    noise: dict[str, Pair | float] = Field({})
 
 
 class LabelsTable(Table):
@@ -76,8 +76,8 @@ class LabelsTable(Table):
     background : bodies that shadows fall on
     """
 
-    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = list(LAYERS[:6])
-    classes: dict[str, Names] = {}
+    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:6]))
+    classes: dict[str, Names] = Field({})
     background: Names = None
 
 
@@ -90,10 +90,10 @@ class ArraysTable(Table):
 class PicturesTable(Table):
     """Fan images, NPZ files and films, as of `sonar-gl render`."""
 
-    formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = ["png"]
+    formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     scale: Literal["db", "linear"] = "db"
-    db_range: Pair = [-60.0, 0.0]
+    db_range: Pair = Field([-60.0, 0.0])
     colormap: str = "jet"
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
@@ -103,7 +103,7 @@ class CocoTable(Table):
     """Instances in gray fan images: COCO JSON, PNG masks."""
 
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    db_range: Pair = [-60.0, 0.0]
+    db_range: Pair = Field([-60.0, 0.0])
 
 
 class RosTable(Table):
@@ -113,7 +113,7 @@ class RosTable(Table):
     y_sign: Literal["port", "starboard"] = "port"
     bits: Literal[8, 16, 32] = 8
     scale: Literal["db", "linear"] = "db"
-    db_range: Pair = [-60.0, 0.0]
+    db_range: Pair = Field([-60.0, 0.0])
 
 
 class OpticalTable(Table):
@@ -122,7 +122,7 @@ class OpticalTable(Table):
     width: Annotated[int, Field(ge=16, le=8192)] = 640
     height: Annotated[int, Field(ge=16, le=8192)] = 480
     fov_x_rad: Annotated[float, Field(gt=0.01, lt=3.0)] = 1.2
-    mount: Mount = [0.0] * 6
+    mount: Mount = Field([0.0] * 6)
 
 
 class Job(Table):
@@ -132,11 +132,11 @@ class Job(Table):
     seed: Annotated[int, Field(ge=0)] = 0
     tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.01
     scenes: Names
-    resource_paths: list[str] = []
+    resource_paths: list[str] = Field([])
     skip_missing: bool = False
     pings_per_part: Annotated[int, Field(ge=1, le=4096)] = None
-    acoustics: dict = {}
-    noise: dict = {}
+    acoustics: dict = Field({})
+    noise: dict = Field({})
     sonars: Annotated[list[SonarTable], Field(min_length=1)]
     poses: Annotated[list[dict], Field(min_length=1)]
     vary: VaryTable = VaryTable()

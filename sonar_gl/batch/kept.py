@@ -1,4 +1,4 @@
-"""What a job keeps of its pings: layers of bins, the numbers of bodies and classes, and what is said of all."""
+"""What a job keeps of its pings: layers of bins, numbers of bodies and classes, and what is said of all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sonar_gl.batch.layers import layers_of
 from sonar_gl.batch.orders import Orders, matching
 from sonar_gl.types import Error
 
-BACKGROUND = ("*floor*", "*ground*", "*seabed*", "*terrain*", "*heightmap*", "*wall*")
+BACKGROUND = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
 
 
 class Kept:
@@ -61,13 +61,15 @@ class Kept:
         where = f"{self.job.where}: labels.background"
         if self.labels.background is not None:
             return matching(self.labels.background, names, where)
-        found = [name for pattern in BACKGROUND for name in names if re.search(pattern.strip("*"), name.lower())]
+        found = [
+            name for pattern in BACKGROUND for name in names if re.search(pattern.strip("*"), name.lower())
+        ]
         if not found:
             raise Error(
-                f"{where} must be given, for the layer shadow: the bodies that shadows fall on (got none, and "
+                f"{where} must name the bodies that shadows fall on, for the layer shadow (got none, and "
                 f"none of {', '.join(names)[:200]} is called a floor or a wall)"
             )
-        return list(dict.fromkeys(found))
+        return found
 
     def background(self, scene: int):
         """Names of the bodies that shadows fall on, or None where nobody asks."""
@@ -88,8 +90,22 @@ class Kept:
             return kept, []
         n = len(self.bodies)
         return kept, [
-            ("body_echo", "float32", (n,), ("body",), 0.0, {"long_name": "sum of the body's echo", "units": "1"}),
-            ("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins in which the body is the strongest"}),
+            (
+                "body_echo",
+                "float32",
+                (n,),
+                ("body",),
+                0.0,
+                {"long_name": "sum of the body's echo"},
+            ),
+            (
+                "body_bins",
+                "int32",
+                (n,),
+                ("body",),
+                0,
+                {"long_name": "bins where it is the strongest"},
+            ),
             (
                 "body_box",
                 "int32",

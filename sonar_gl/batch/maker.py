@@ -72,8 +72,8 @@ class Maker:
         ----------
         set_aside : numbers of pings to leave out, and why
         one_by_one : have `tell` hear of each ping before it is made, not after
-        tell : function (word, value): "from" the number of the first of several pings, "before" and "after" one,
-            "warning" and a text
+        tell : function (word, value): "from" and the number of the first of several pings, "before" or
+            "after" and that of one, "warning" and a text
 
         Returns
         -------

@@ -57,7 +57,9 @@ def matching(patterns, names, where: str) -> list[str]:
     names = list(names)
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise Error(f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})")
+            raise Error(
+                f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})"
+            )
     return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 

@@ -1,4 +1,4 @@
-"""What is kept of pings: each output takes those of a part one by one and ends with the names of its files."""
+"""What is kept of pings: each output takes those of a part one by one, and ends with its files' names."""
 
 from __future__ import annotations
 
@@ -129,7 +129,9 @@ class Coco(Output):
     def take(self, order, sonar, ping):
         from sonar_gl.batch.coco import coco_lines, coco_records, mask_picture
 
-        picture = np.rint(255 * fan_image(ping, self.table.height, "db", self.table.db_range)).astype(np.uint8)
+        picture = np.rint(255 * fan_image(ping, self.table.height, "db", self.table.db_range)).astype(
+            np.uint8
+        )
         ids = np.where(picture > 0, fan_ids(ping, self.table.height), 0)  # what cannot be seen is no instance
         name = numbered(f"coco/{sonar}/images", order.number, "png")
         self.put(name, png_bytes(picture))
@@ -220,7 +222,9 @@ class Ros(Output):
         if self.records:
             name = bag_name(self.part)
             with self.folder.writing(name) as path:
-                write_part(path, (record for *_, record in sorted(self.records, key=lambda r: r[:2])), self.settings)
+                write_part(
+                    path, (record for *_, record in sorted(self.records, key=lambda r: r[:2])), self.settings
+                )
             self.names.append(name)
         self.records = []
         return self.names

@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from collections import deque
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 
@@ -82,10 +82,8 @@ class Process:
     def send(self, task, *command):
         """Have it do something; nothing ends it."""
         self.task, self.pings, self.heard_s = task, range(0), time.monotonic()
-        try:
+        with suppress(OSError):  # if it is dead `has_died` tells
             self.pipe.send(command or None)
-        except OSError:  # it is dead, as `has_died` tells
-            pass
 
     def heard(self):
         """Messages that it has sent."""
@@ -230,8 +228,8 @@ class Pool:
         task.died([n for n in process.pings if n in numbers(task.part)])
         if task.deaths.get(None, 0) >= GIVE_UP:
             raise Error(
-                f"processes must live (part {task.part} ended {GIVE_UP} of them at no ping, the last with exit "
-                f"code {code}; is memory short? 'sonar-gl doctor' may say why)"
+                f"processes must live (part {task.part} ended {GIVE_UP} of them at no ping, the last with "
+                f"exit code {code}; is memory short? 'sonar-gl doctor' may say why)"
             )
         self.warn(f"a process died at part {task.part} (exit code {code}); another takes its place")
         return task

@@ -63,7 +63,9 @@ class Outcome:
 def devices_of(workers: int | None, devices) -> list:
     """The EGL device of each process: those given in turn; of no workers as many as there are cores."""
     devices = list(devices) or [None]
-    return [devices[k % len(devices)] for k in range(workers or max(len(os.sched_getaffinity(0)), len(devices)))]
+    return [
+        devices[k % len(devices)] for k in range(workers or max(len(os.sched_getaffinity(0)), len(devices)))
+    ]
 
 
 @contextmanager
@@ -104,7 +106,9 @@ def begin(job: Job, folder: Folder, resume: bool, pool: Pool, tell) -> Planned:
     """
     planned = Planned.load(folder)
     if planned is not None and not resume:
-        raise Error(f"{folder.url}: a batch is there already; go on with it by --resume, or give another folder")
+        raise Error(
+            f"{folder.url}: a batch is there already; go on with it by --resume, or give another folder"
+        )
     if planned is not None and planned.digest != job.digest:
         now = job.plain
         changed = [k for k in sorted({*now, *planned.job} - {*PLACES}) if now.get(k) != planned.job.get(k)]
@@ -135,7 +139,9 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
 
     orders, folder = Orders(job), Folder(url)
     if job.ros is not None and not folder.is_local:
-        raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r}; leave it out)")
+        raise Error(
+            f"{job.where}: ros must be written to a folder of this machine (got {url!r}; leave it out)"
+        )
     Kept(orders)  # what is wrong with the job is told before anything is made
     with Pool(job.plain, folder.url, devices, tell) as pool:
         planned = begin(job, folder, resume, pool, tell)
@@ -166,18 +172,15 @@ def dry_run(job: Job, devices, tell) -> str:
         trial = pool.ask("probe", planned)
     n, lines = planned.n_pings, []
     for scene, run in orders.runs():
-        path = orders[run[0]], orders[run[-1]]
-        lines.append(
-            f"pings {run[0]}..{run[-1]}: scene {job.scenes[scene]}, {path[0].time_s:g} to {path[1].time_s:g} s"
-        )
+        start_s, end_s = orders[run[0]].time_s, orders[run[-1]].time_s
+        lines.append(f"pings {run[0]}..{run[-1]}: scene {job.scenes[scene]}, {start_s:g} to {end_s:g} s")
     for scene, (samplings, estimates) in enumerate(zip(planned.samplings, planned.estimates, strict=True)):
         for name, sampling in samplings.items():
             sonar = orders.sonars[name]
-            columns = sampling["columns_per_beam"] * sonar.n_beams
-            lines.append(
-                f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins, {columns:.0f} x "
-                f"{sampling['rows']} samples, error thought to be below {estimates[name]:.2g}"
-            )
+            size = f"{sonar.n_beams} beams x {sonar.n_bins} bins"
+            samples = f"{sampling['columns_per_beam'] * sonar.n_beams:.0f} x {sampling['rows']} samples"
+            error = f"error thought to be below {estimates[name]:.2g}"
+            lines.append(f"{name} in {job.scenes[scene]}: {size}, {samples}, {error}")
     lines.append(f"{n} pings in {planned.n_parts} parts of {planned.pings_per_part}")
     lines.append(f"size: {_amount(n * trial['ping_bytes'])} ({trial['ping_bytes'] / 1e3:.0f} kB a ping)")
     alone_s = n * trial["ping_s"]
@@ -189,10 +192,11 @@ def dry_run(job: Job, devices, tell) -> str:
 
 
 def _amount(size: float) -> str:
-    for unit in ("kB", "MB", "GB", "TB"):
+    for unit in ("kB", "MB", "GB"):
         size /= 1000
-        if size < 1000 or unit == "TB":
+        if size < 1000:
             return f"{size:.3g} {unit}"
+    return f"{size / 1000:.3g} TB"
 
 
 def _duration(seconds: float) -> str:

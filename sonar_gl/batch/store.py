@@ -38,7 +38,10 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
         group.attrs.update({**attributes, "sonar": name})
         shape = sonar.n_beams, sonar.n_bins
         chunk = np.gcd(CHUNK, part)
-        about = [(layer.name, layer.dtype, shape, ("beam", "range"), layer.fill, layer.attributes) for layer in layers]
+        about = [
+            (layer.name, layer.dtype, shape, ("beam", "range"), layer.fill, layer.attributes)
+            for layer in layers
+        ]
         for layer, dtype, size, dims, fill, attrs in [*about, *per_body]:
             group.create_array(
                 layer,

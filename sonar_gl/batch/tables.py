@@ -71,7 +71,9 @@ def _known(table_type, place):
 
 def made(kind, table: Mapping, where: str):
     """A dataclass that checks itself, from a table of its fields; errors say where."""
-    keys = {field.name: field.default is MISSING and field.default_factory is MISSING for field in fields(kind)}
+    keys = {
+        field.name: field.default is MISSING and field.default_factory is MISSING for field in fields(kind)
+    }
     for key in table:
         if key not in keys:
             raise Error(f"{where}: unknown key (got {key!r}; {nearest_names(key, keys)})")

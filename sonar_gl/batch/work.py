@@ -57,7 +57,11 @@ class Work:
                         [order.water or None for order in asked],
                     )
                     s = plan.sampling
-                    chosen[name] = {"columns_per_beam": s.columns_per_beam, "rows": s.rows, "reducer": s.reducer}
+                    chosen[name] = {
+                        "columns_per_beam": s.columns_per_beam,
+                        "rows": s.rows,
+                        "reducer": s.reducer,
+                    }
                     thought[name] = plan.error_estimate
                     renderer = world.gl_info["renderer"]
                 for simulator in opened:
