@@ -11,7 +11,7 @@ from sonar_gl.moments import COLUMN, FIRST, MOMENTS, PAST, PLACE
 
 # Beams at a time, so that what is read of columns serves several; bins at a time, so that what several beams
 # hear stays in fast memory; and what is known of these bins, one row after the other.
-BEAMS, BINS = 4, 32
+BEAMS, BINS = 4, 64
 ROW = MOMENTS * BINS
 
 
@@ -86,25 +86,26 @@ def _pack(runs, owner, pools, k0, n_columns, origin, end, panel):
 
 
 @compiled
-def _compare(row, body, gain, strongest, total, body_id, sums):
-    """Have a beam's bins know a body's echo; its sum with the gain."""
-    first = second = 0.0
-    n = uint64(strongest.shape[0])
-    for k in range(n):
-        total[k] += row[k]
+def _compare(rows, at, body, gain, b, k0, n, strongest, total, body_id, sums):
+    """Have a beam's bins know a body's echo, which begins at `at`; its sum with the gain."""
+    at, b, k0 = uint64(at), uint64(b), uint64(k0)
     for moment in range(uint64(1), uint64(MOMENTS)):
-        mine, at = sums[moment - uint64(1)], moment * uint64(BINS)
-        for k in range(n):
-            mine[k] = row[at + k] if row[k] > strongest[k] else mine[k]
-    for k in range(n):
-        body_id[k] = body if row[k] > strongest[k] else body_id[k]
-    for k in range(n):
-        strongest[k] = max(row[k], strongest[k])
-    for k in range(0, strongest.shape[0] - 1, 2):  # two sums: each addition waits for the one before
-        first += np.float64(row[k]) * gain[k]
-        second += np.float64(row[k + 1]) * gain[k + 1]
-    if strongest.shape[0] % 2:
-        first += np.float64(row[strongest.shape[0] - 1]) * gain[strongest.shape[0] - 1]
+        mine, which = at + moment * uint64(BINS), moment - uint64(1)
+        for k in range(uint64(n)):
+            stronger = rows[at + k] > strongest[b, k0 + k]
+            sums[which, b, k0 + k] = rows[mine + k] if stronger else sums[which, b, k0 + k]
+    for k in range(uint64(n)):
+        stronger = rows[at + k] > strongest[b, k0 + k]
+        body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]
+    for k in range(uint64(n)):
+        total[b, k0 + k] += rows[at + k]
+        strongest[b, k0 + k] = max(rows[at + k], strongest[b, k0 + k])
+    first = second = 0.0  # two sums: each addition waits for the one before
+    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):
+        first += np.float64(rows[at + k]) * gain[k0 + k]
+        second += np.float64(rows[at + k + uint64(1)]) * gain[k0 + k + uint64(1)]
+    if n % 2:
+        first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
     return first + second
 
 
@@ -155,16 +156,15 @@ def choose(
             k_first, k_past = min(k_first, runs[n, FIRST]), max(k_past, runs[n, PAST])
         for k0 in range(k_first // BINS * BINS, k_past, BINS):
             low, high = _pack(runs[mine], owner[mine], pools, k0, n_columns, origin, end, panel)
-            k1 = min(k0 + BINS, K)
+            n_bins = min(BINS, K - k0)
             for t in range(t0, t1):
                 if not _weigh(panel, low, high, origin, tile_starts[t], tile_weights[t], rows):
                     continue
                 for b in range(BEAMS * t, min(BEAMS * (t + 1), B)):
-                    row = rows[(b - BEAMS * t) * ROW : (b - BEAMS * t + 1) * ROW]
-                    known = strongest[b, k0:k1], share[b, k0:k1], body_id[b, k0:k1], means[:, b, k0:k1]
-                    body_echo[body] += _compare(row, body, gain[k0:k1], *known)
+                    at, known = (b - BEAMS * t) * ROW, (strongest, share, body_id, means)
+                    body_echo[body] += _compare(rows, at, body, gain, b, k0, n_bins, *known)
                     if background[body]:
-                        for k in range(k0, k1):
-                            left[b, k] += row[k - k0]
+                        for k in range(n_bins):
+                            left[b, k0 + k] += rows[at + k]
     for b in range(BEAMS * t0, min(BEAMS * t1, B)):
         _finish(strongest[b], share[b], means[:, b], middle_m)
