@@ -18,14 +18,15 @@ KEPT = 6  # what is in use, the half of it, and what a search for others tries
 
 
 class Views(list):
-    """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector of a ping; and its `bubbles`.
+    """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector of a ping; `bubbles` and `background`.
 
     bubbles : of `plumes.screen`, which has weakened the echo behind them, or None
+    background : Views of some bodies alone, or None
     """
 
     def __init__(self, views, bubbles=None):
         super().__init__(views)
-        self.bubbles = bubbles
+        self.bubbles, self.background = bubbles, None
 
 
 class Pass(Hearing):

@@ -12,6 +12,7 @@ import numpy as np
 from sonar_gl.multipath import SHARES
 from sonar_gl.nothing import why_nothing
 from sonar_gl.rigid import check_pose
+from sonar_gl.shadows import Background
 from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
@@ -59,12 +60,13 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     return record.ping(pose, intensity, found, sampling, seed, whole > 0, estimate, velocity, **more)
 
 
-def in_batches(simulator, spots, labels: bool):
+def in_batches(simulator, spots, labels):
     """What `finish` makes pings of: pose, where, sampling, views, intensity and its sum, labels.
 
     Parameters
     ----------
     spots : (pose, bodies, time) of each
+    labels : of `labels_of`
     """
     spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
@@ -75,7 +77,7 @@ def in_batches(simulator, spots, labels: bool):
                 upcoming = None
                 if batch:
                     now = samples.now
-                    views = now.views_of(*zip(*batch, strict=True), labels)
+                    views = _views(now, *zip(*batch, strict=True), labels)
                     ghosts = _ghosts(simulator, now, *zip(*batch, strict=True))
                     future = pool.submit(_add_up, simulator, now, views, ghosts, labels)
                     upcoming = batch, views, now.sampling, future
@@ -156,13 +158,28 @@ def _sum_ghosts(simulator, ghosts, now):
     return (0.0, 0.0) if ghosts is None else simulator._multipath.sum(ghosts, now.gain)
 
 
+def _views(now, poses, wheres, labels):
+    """Of each pose, drawn at once; with the `background` alone where shadows are asked for."""
+    if not isinstance(labels, Background):
+        return now.views_of(poses, wheres, labels)
+    views = now.views_of((*poses, *poses), (*wheres, *map(labels.alone, wheres)), True)
+    for seen, behind in zip(views, views[len(poses) :], strict=False):
+        seen.background = behind
+    return views[: len(poses)]
+
+
 def _labels(simulator, now, views, labels):
-    return now.reducer.labels(views, now.gain, len(simulator.scene.bodies)) if labels else {}
+    if not labels:
+        return {}
+    asked, n_bodies = (), len(simulator.scene.bodies)
+    if isinstance(labels, Background):
+        asked = labels.mask(n_bodies), now.reducer.intensity(views.background)
+    return now.reducer.labels(views, now.gain, n_bodies, *asked)
 
 
-def alone(simulator, pose, where, labels: bool, look: bool = False):
+def alone(simulator, pose, where, labels, look: bool = False):
     """What `finish` makes a ping of."""
-    views, intensity = simulator._samples.sense(pose, labels, where, look)
+    views, intensity = simulator._samples.sense(pose, bool(labels), where, look)
     now = simulator._samples.now
     straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
@@ -172,6 +189,8 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
         made, more = _sum_ghosts(simulator, ghosts, now)
     if more:
         intensity += made
+    if isinstance(labels, Background):
+        (views.background,) = now.views_of([pose], [labels.alone(where)])
     return (
         pose,
         where,
