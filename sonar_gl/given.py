@@ -26,13 +26,18 @@ class Given:
 
     def zeros(self) -> np.ndarray:
         """(…) of the dtype, which its owner may write to, keep or let go of."""
+        array = self.any()
+        array.fill(0)
+        return array
+
+    def any(self) -> np.ndarray:
+        """The same, with whatever it holds."""
         for number in range(len(self.arrays)):
             if self._references(number) == self.unheld:
                 array = self.arrays[number]
                 array.setflags(write=True)
-                array.fill(0.0)
                 return array
-        array = np.zeros(self.shape, self.dtype)
+        array = np.empty(self.shape, self.dtype)
         if len(self.arrays) < MOST:
             self.arrays.append(array)
         return array

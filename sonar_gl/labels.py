@@ -27,7 +27,7 @@ class Labeller:
     def __init__(self, fan, first, weights, tables, elevation, arcs):
         shape = len(first), fan.sonar.n_bins
         self.fan, self.tables, self.elevation, self.arcs = fan, tables, elevation, arcs
-        self.edges, self.middle_m = fan.sonar.bin_edges_m, middle_of(tables[0])
+        self.edges, self.middle_m = fan.sonar.bin_edges_m, middle_of(tables[0]).astype(np.float32)
         self.tiles = tiles_of(first, weights)
         n_tiles = len(self.tiles[0])
         self.halves = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
@@ -75,20 +75,20 @@ class Labeller:
         runs, owner = runs[order], owner[order]
         bodies, begins = np.unique(runs[:, BODY], return_index=True)
         begins = np.append(begins, len(runs))
-        strongest, share, left, means = (given.zeros() for given in [self._floats] * 3 + [self._means])
+        strongest, share, means = self._floats.zeros(), self._floats.zeros(), self._means.any()
         body_id, body_echo = self._numbers.zeros(), np.zeros((2, n_bodies + 1))
-        pools = tuple(kept[2] for kept in self._kept)
+        left = np.empty((0, 0), np.float32) if background is None else self._floats.zeros()
         is_background = np.zeros(n_bodies + 1, bool) if background is None else background
+        pools = tuple(kept[2] for kept in self._kept)
 
         def pick(half):
             choose(
                 bodies, begins, runs, owner, pools, self.fan.n_columns, *self.tiles, self.halves[half], gain,
-                is_background, body_echo[half], strongest, share, body_id, left, means,
+                self.middle_m, is_background, body_echo[half], strongest, share, body_id, left, means,
             )  # fmt: skip
 
         run(pick)
         elevation, incidence, range_m = means
-        range_m += self.middle_m.astype(np.float32)
         return {
             "body_id": body_id,
             "elevation_rad": elevation,

@@ -35,15 +35,13 @@ from sonar_gl.footprint import (
 # Beside what `footprint` finds of a sample: its elevation and its incidence, radians.
 ELEVATION, INCIDENCE = LAST + 1, LAST + 2
 ROWS = LAST + 3
-# Of a cell, one body's in one bin: what begins or ends there of samples that fill bins (their height, it times
-# elevation and incidence, how many), and what lies in it of those that do not (echo, it times elevation,
-# incidence, and range less `middle_m`). Samples that fill a bin have its `middle_m` for their mean range.
+# Of a cell, one body's in one bin: what begins or ends there of samples that fill bins (their height, that
+# times elevation and incidence, how many), and what lies in it of those that do not (echo, that times
+# elevation, incidence, and range less `middle_m`). What fills a bin has its `middle_m` for its mean range.
 HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT, ECHO, ECHO_ELEVATION, ECHO_INCIDENCE, ECHO_RANGE = range(8)
 CELL, MOMENTS = 8, 4  # of which the last four are what is handed on
 NEAR_BIN, FAR_BIN = footprint.FIRST, LAST
-BODY, COLUMN, FIRST, PAST, PLACE = range(
-    5
-)  # of a run: where it is, its bins, and where in the pool it begins
+BODY, COLUMN, FIRST, PAST, PLACE = range(5)  # of a run, its bins, and where in the pool it begins
 
 
 @compiled
@@ -192,7 +190,7 @@ def _drop(work, start, stop, cells, middle_m, u, nearest, step, bottom_row, r_fi
 
 @compiled
 def _slot_of(body, slots, n_slots, cells):
-    """The place of a body's cells in a column, a new one at first; slots, n_slots and cells, larger if full."""
+    """The place of a body's cells in a column, a new one at first; and the rest, larger if it was full."""
     slot = 0
     while slot < n_slots and slots[slot, 0] != body:
         slot += 1

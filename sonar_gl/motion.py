@@ -11,6 +11,9 @@ from sonar_gl.compiled import compiled
 from sonar_gl.types import Error, Ping, frozen_array
 
 FASTEST_M_S, FASTEST_RAD_S = 30.0, 20.0
+# Labels are those of the nearest cell; and what stands where there is none.
+NEAREST = dict.fromkeys(("elevation_rad", "incidence_rad", "true_range_m"), np.nan)
+NEAREST |= {"body_id": 0, "share": 0.0, "shadow": False}
 
 
 def check_velocity(velocity) -> np.ndarray | None:
@@ -112,8 +115,8 @@ def in_motion(ping: Ping, velocity, acoustics) -> Ping:
 
     What a beam hears in a bin is shared among those that cover its new place, half way to the beams beside
     it, so that the sum over beams, each times the angle it covers, stays but for what leaves the fan and the
-    range. What comes into the fan stays dark: the sound went out before. Numbers and elevations of bodies are
-    those of the nearest cell; `body_echo` stays.
+    range. What comes into the fan stays dark: the sound went out before. Labels are those of the nearest
+    cell; `body_echo` stays.
 
     Parameters
     ----------
@@ -140,8 +143,8 @@ def in_motion(ping: Ping, velocity, acoustics) -> Ping:
     _lay(np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across)
     intensity = np.ascontiguousarray(across.T / width)
     intensity.setflags(write=False)
-    body_id, elevation = ping.body_id, ping.elevation_rad
-    if body_id is not None:
+    labels = {name: getattr(ping, name) for name in NEAREST if getattr(ping, name) is not None}
+    if labels:
         # where the middle of each cell was at rest, to the first order
         was = own[:, None] - _turned(own[:, None], r, velocity, *speeds)
         if whole_turn:
@@ -150,8 +153,8 @@ def in_motion(ping: Ping, velocity, acoustics) -> Ping:
         bin_ = np.searchsorted(edges, r / _nearer(was, velocity, sound_speed), side="right") - 1
         inside = (beam >= 0) & (beam < len(own)) & (bin_ >= 0) & (bin_ < len(r))
         cell = beam.clip(0, len(own) - 1), bin_.clip(0, len(r) - 1)
-        body_id = np.where(inside, body_id[cell], np.uint16(0))
-        elevation = np.where(inside, elevation[cell], np.float32(np.nan))
-        body_id.setflags(write=False), elevation.setflags(write=False)
+        for name, array in labels.items():
+            labels[name] = np.where(inside, array[cell], array.dtype.type(NEAREST[name]))
+            labels[name].setflags(write=False)
     meta = {**ping.meta, "velocity": [float(v) for v in velocity]}
-    return replace(ping, intensity=intensity, body_id=body_id, elevation_rad=elevation, meta=meta)
+    return replace(ping, intensity=intensity, meta=meta, **labels)

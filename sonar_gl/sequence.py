@@ -13,6 +13,7 @@ import numpy as np
 from sonar_gl.multipath import SHARES
 from sonar_gl.nothing import why_nothing
 from sonar_gl.rigid import check_pose
+from sonar_gl.shadows import Background
 from sonar_gl.types import Error, Ping
 
 BATCH = 4  # poses drawn at once
@@ -70,12 +71,17 @@ def finish(simulator, pose, where, sampling, views, intensity, whole, found, see
     return record.ping(*made, velocity, where.acoustics, **more)
 
 
-def in_batches(simulator, spots, labels: bool):
+def in_batches(simulator, spots, labels):
     """What `finish` makes pings of: pose, where, sampling, views, intensity and its sum, labels.
 
     Parameters
     ----------
+<<<<<<< HEAD
     spots : of `spots_of`
+=======
+    spots : (pose, bodies, time) of each
+    labels : of `labels_of`
+>>>>>>> work-labels
     """
     spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
@@ -86,7 +92,7 @@ def in_batches(simulator, spots, labels: bool):
                 upcoming = None
                 if batch:
                     now = samples.now
-                    views = now.views_of(*zip(*batch, strict=True), labels)
+                    views = _views(now, *zip(*batch, strict=True), labels)
                     ghosts = _ghosts(simulator, now, *zip(*batch, strict=True))
                     future = pool.submit(_add_up, simulator, now, views, ghosts, labels)
                     upcoming = batch, views, now.sampling, future
@@ -167,14 +173,33 @@ def _sum_ghosts(simulator, ghosts, gain):
     return (0.0, 0.0) if ghosts is None else simulator._multipath.sum(ghosts, gain)
 
 
+def _views(now, poses, wheres, labels):
+    """Of each pose, drawn at once; with the `background` alone where shadows are asked for."""
+    if not isinstance(labels, Background):
+        return now.views_of(poses, wheres, labels)
+    views = now.views_of((*poses, *poses), (*wheres, *map(labels.alone, wheres)), True)
+    for seen, behind in zip(views, views[len(poses) :], strict=False):
+        seen.background = behind
+    return views[: len(poses)]
+
+
 def _labels(simulator, now, views, labels):
+<<<<<<< HEAD
     n_bodies = len(simulator.scene.bodies)
     return now.reducer.labels(views, now.gain_of(views), n_bodies) if labels else {}
+=======
+    if not labels:
+        return {}
+    asked, n_bodies = (), len(simulator.scene.bodies)
+    if isinstance(labels, Background):
+        asked = labels.mask(n_bodies), now.reducer.intensity(views.background)
+    return now.reducer.labels(views, now.gain, n_bodies, *asked)
+>>>>>>> work-labels
 
 
-def alone(simulator, pose, where, labels: bool, look: bool = False):
+def alone(simulator, pose, where, labels, look: bool = False):
     """What `finish` makes a ping of."""
-    views, intensity = simulator._samples.sense(pose, labels, where, look)
+    views, intensity = simulator._samples.sense(pose, bool(labels), where, look)
     now = simulator._samples.now
     straight = now.reducer.total
     (ghosts,) = _ghosts(simulator, now, [pose], [where])
@@ -184,6 +209,8 @@ def alone(simulator, pose, where, labels: bool, look: bool = False):
         made, more = _sum_ghosts(simulator, ghosts, now.gain_of(views))
     if more:
         intensity += made
+    if isinstance(labels, Background):
+        (views.background,) = now.views_of([pose], [labels.alone(where)])
     return (
         pose,
         where,

@@ -18,7 +18,12 @@ from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.record import Record
 from sonar_gl.scene import Scene, check_pose
+<<<<<<< HEAD
 from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, spots_of, whereabouts
+=======
+from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of
+from sonar_gl.shadows import labels_of
+>>>>>>> work-labels
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -73,7 +78,12 @@ class Simulator:
         with self._drawing():
             if self.acoustics.multipath != "none":
                 self._multipath = Multipath(self._passes, world.scene, tolerance)
+<<<<<<< HEAD
             self._samples = Fixed(self._passes, sampling) if sampling else Planner(self._passes, tolerance)
+=======
+            planned = sampling is None
+            self._samples = Planner(self._passes, tolerance) if planned else Fixed(self._passes, sampling)
+>>>>>>> work-labels
             self._passes.warm()
 
     def _open_world(self) -> World:
@@ -126,7 +136,11 @@ class Simulator:
 
     def ping(
         self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
+<<<<<<< HEAD
         reflectivity=None, water=None,
+=======
+        background=None,
+>>>>>>> work-labels
     ) -> Ping:  # fmt: skip
         """One transmission from `pose` and what it brings back.
 
@@ -135,29 +149,39 @@ class Simulator:
         pose : (4, 4) world_from_sonar, metres; `sonar_gl.pose` makes one from x y z roll pitch yaw
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes
-        labels : also find the body of the strongest echo in each bin, and its elevation
+        labels : also find the body of the strongest echo in each bin, and what `Ping` has of that echo
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for what is not there
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
             `motion.shown_at`. None = it stands
+<<<<<<< HEAD
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : of this ping alone, fields of `Acoustics` to values, as `Acoustics.in_water` takes them
+=======
+        background : with labels, names of bodies such as the floor on whose echo others throw a `shadow`
+>>>>>>> work-labels
 
         Warns
         -----
-        UserWarning
-            if nothing came back, saying what was nearest and why.
+        UserWarning : if nothing came back, saying what was nearest and why.
         """
         pose, seed, velocity = check_pose(pose), check_seed(seed), check_velocity(velocity)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         with self._drawing():
+<<<<<<< HEAD
             where = whereabouts(self, bodies, time_s, reflectivity, water)
             ping = finish(self, *alone(self, pose, where, labels), seed, velocity)
+=======
+            wanted = labels_of(labels, background, self._world.numbers)
+            where = self._world.moved(bodies, time_s, self.acoustics.bubbles)
+            ping = finish(self, *alone(self, pose, where, wanted), seed, velocity)
+>>>>>>> work-labels
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
     def pings(
         self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
+<<<<<<< HEAD
         reflectivities=None, waters=None,
     ) -> Iterator[Ping]:  # fmt: skip
         """Pings from one pose after the other, quicker than one by one: some are drawn as others are summed.
@@ -167,6 +191,17 @@ class Simulator:
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels : as of `ping`; the noise's ping_number counts from 0
         bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
+=======
+        background=None,
+    ) -> Iterator[Ping]:  # fmt: skip
+        """Pings from one pose after the other, quicker than alone: some are drawn while others are summed.
+
+        Parameters
+        ----------
+        poses : (4, 4) world_from_sonar each; may be an endless generator
+        noise, seed, labels, background : as of `ping`; the noise's ping_number counts from 0
+        bodies, times_s, velocities : for each pose what `ping` takes; None for none at all
+>>>>>>> work-labels
 
         Yields
         ------
@@ -174,8 +209,13 @@ class Simulator:
         """
         seed = check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
+<<<<<<< HEAD
         changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
         made = in_batches(self, spots_of(poses, **changes), labels)
+=======
+        wanted = labels_of(labels, background, self._open_world().numbers)
+        made = in_batches(self, spots_of(poses, bodies, times_s), wanted)
+>>>>>>> work-labels
         for number, one, velocity in zip(count(), made, each(velocities, "velocities", poses), strict=False):
             ping = finish(self, *one, seed, check_velocity(velocity))
             self._warn()
@@ -224,7 +264,11 @@ class Simulator:
             yield context
 
     def close(self):
+<<<<<<< HEAD
         """Give back all that it holds, and the OpenGL context if no other uses it; twice does no harm."""
+=======
+        """Give back all that this holds, and the OpenGL context if no other uses it; twice does no harm."""
+>>>>>>> work-labels
         world = self._world
         if world is not None:
             world.check_thread()

@@ -31,8 +31,13 @@ the job, 3 all are there but some that were set aside, 130 stopped by Ctrl-C.
 @click.option("--resume", is_flag=True, help="Go on with what is in the folder.")
 @click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
-@click.option("--device", type=click.IntRange(min=0), multiple=True, show_default="the variable SONAR_GL_DEVICE, or 0",
-              help="Index of an OpenGL device; may be repeated: processes take them in turn.")  # fmt: skip
+@click.option(
+    "--device",
+    type=click.IntRange(min=0),
+    multiple=True,
+    show_default="the variable SONAR_GL_DEVICE, or 0",
+    help="Index of an OpenGL device; may be repeated: processes take them in turn.",
+)
 @click.option("--cluster", metavar="ADDRESS", help="Of a Dask scheduler, whose workers make the pings.")
 @click.pass_context
 def batch(ctx, **options):

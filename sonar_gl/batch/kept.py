@@ -61,9 +61,7 @@ class Kept:
         where = f"{self.job.where}: labels.background"
         if self.labels.background is not None:
             return matching(self.labels.background, names, where)
-        found = [
-            name for pattern in BACKGROUND for name in names if re.search(pattern.strip("*"), name.lower())
-        ]
+        found = [name for name in names if any(word in name.lower() for word in BACKGROUND)]
         if not found:
             raise Error(
                 f"{where} must name the bodies that shadows fall on, for the layer shadow (got none, and "

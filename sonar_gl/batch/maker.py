@@ -116,6 +116,7 @@ class Maker:
         """(order, ping) of each of consecutive pings in one scene; those that fail go to `failed`."""
         simulator, mount = self.simulators(scene)[name], self.orders.mounts[name]
         labels = self.orders.job.labels is not None
+        background = self.kept.background(scene)
         run = [order for order in run if order.number not in failed]
         if run and not one_by_one:
             tell("from", run[0].number)
@@ -126,6 +127,7 @@ class Maker:
                 times_s=[order.time_s for order in run],
                 reflectivities=[order.reflectivity for order in run],
                 waters=[order.water or None for order in run],
+                background=background,
             )
             try:
                 for order in run[:]:
@@ -149,6 +151,7 @@ class Maker:
                             time_s=order.time_s,
                             reflectivity=order.reflectivity,
                             water=order.water or None,
+                            background=background,
                         ),
                         order,
                         tell,

@@ -1,4 +1,4 @@
-"""What is fixed before the first ping of a batch, from the job alone: so the same job gives the same bytes."""
+"""What is fixed before the first ping of a batch, from the job alone: the same job gives the same bytes."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from dataclasses import asdict
 
 import numpy as np
 
@@ -56,12 +57,7 @@ class Work:
                         [order.reflectivity for order in asked],
                         [order.water or None for order in asked],
                     )
-                    s = plan.sampling
-                    chosen[name] = {
-                        "columns_per_beam": s.columns_per_beam,
-                        "rows": s.rows,
-                        "reducer": s.reducer,
-                    }
+                    chosen[name] = asdict(plan.sampling)
                     thought[name] = plan.error_estimate
                     renderer = world.gl_info["renderer"]
                 for simulator in opened:

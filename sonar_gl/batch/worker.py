@@ -26,7 +26,7 @@ def serve(pipe, job: dict, url: str, device: int | None) -> None:
     """Do what comes through a pipe until there is None or it ends.
 
     In: the name of a method of `Work`, and what it takes. Out: what `Maker.make` tells, and at the end
-    ("done", result), or ("refused", sentence) for a user's mistake, files that cannot be written, and all else.
+    ("done", result), or ("refused", sentence) for a user's mistake, full disks, and all else.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pool says when to end
     _die_with_parent()
