@@ -21,20 +21,13 @@ class Views(list):
     """(sector, (R, C, 4) plane and echo, (R, C) body) of each sector of a ping; `bubbles` and `background`.
 
     bubbles : of `plumes.screen`, which has weakened the echo behind them, or None
-<<<<<<< HEAD
     gain : (K,) float32 in the ping's own water, or None
-=======
     background : Views of some bodies alone, or None
->>>>>>> work-labels
     """
 
     def __init__(self, views, bubbles=None, gain=None):
         super().__init__(views)
-<<<<<<< HEAD
-        self.bubbles, self.gain = bubbles, gain
-=======
-        self.bubbles, self.background = bubbles, None
->>>>>>> work-labels
+        self.bubbles, self.gain, self.background = bubbles, gain, None
 
 
 class Pass(Hearing):

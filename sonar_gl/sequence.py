@@ -76,12 +76,8 @@ def in_batches(simulator, spots, labels):
 
     Parameters
     ----------
-<<<<<<< HEAD
     spots : of `spots_of`
-=======
-    spots : (pose, bodies, time) of each
     labels : of `labels_of`
->>>>>>> work-labels
     """
     spots, waiting, why, over = iter(spots), None, None, False
     with ThreadPoolExecutor(1) as pool:
@@ -184,17 +180,12 @@ def _views(now, poses, wheres, labels):
 
 
 def _labels(simulator, now, views, labels):
-<<<<<<< HEAD
-    n_bodies = len(simulator.scene.bodies)
-    return now.reducer.labels(views, now.gain_of(views), n_bodies) if labels else {}
-=======
     if not labels:
         return {}
     asked, n_bodies = (), len(simulator.scene.bodies)
     if isinstance(labels, Background):
         asked = labels.mask(n_bodies), now.reducer.intensity(views.background)
-    return now.reducer.labels(views, now.gain, n_bodies, *asked)
->>>>>>> work-labels
+    return now.reducer.labels(views, now.gain_of(views), n_bodies, *asked)
 
 
 def alone(simulator, pose, where, labels, look: bool = False):

@@ -18,12 +18,8 @@ from sonar_gl.passes import Fixed, Passes
 from sonar_gl.plan import Plan, Planner
 from sonar_gl.record import Record
 from sonar_gl.scene import Scene, check_pose
-<<<<<<< HEAD
 from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, spots_of, whereabouts
-=======
-from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, several, spots_of
 from sonar_gl.shadows import labels_of
->>>>>>> work-labels
 from sonar_gl.sonar import Sonar
 from sonar_gl.types import Error, GBuffer, Ping, check_kind
 from sonar_gl.world import World
@@ -61,13 +57,10 @@ class Simulator:
         context: str | None = None,
     ):
         self._world = self._underway = None
-        for name, value, kind, cure in (
-            ("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file"),
-            ("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file"),
-            ("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()"),
-            ("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)"),
-        ):
-            check_kind(name, value, kind, cure)
+        check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")
+        check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+        check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
+        check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
         self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
         world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device, context)
@@ -78,12 +71,7 @@ class Simulator:
         with self._drawing():
             if self.acoustics.multipath != "none":
                 self._multipath = Multipath(self._passes, world.scene, tolerance)
-<<<<<<< HEAD
             self._samples = Fixed(self._passes, sampling) if sampling else Planner(self._passes, tolerance)
-=======
-            planned = sampling is None
-            self._samples = Planner(self._passes, tolerance) if planned else Fixed(self._passes, sampling)
->>>>>>> work-labels
             self._passes.warm()
 
     def _open_world(self) -> World:
@@ -136,11 +124,7 @@ class Simulator:
 
     def ping(
         self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
-<<<<<<< HEAD
-        reflectivity=None, water=None,
-=======
-        background=None,
->>>>>>> work-labels
+        reflectivity=None, water=None, background=None,
     ) -> Ping:  # fmt: skip
         """One transmission from `pose` and what it brings back.
 
@@ -154,54 +138,32 @@ class Simulator:
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
             `motion.shown_at`. None = it stands
-<<<<<<< HEAD
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : of this ping alone, fields of `Acoustics` to values, as `Acoustics.in_water` takes them
-=======
         background : with labels, names of bodies such as the floor on whose echo others throw a `shadow`
->>>>>>> work-labels
 
-        Warns
-        -----
-        UserWarning : if nothing came back, saying what was nearest and why.
+        Warns, if nothing came back, saying what was nearest and why.
         """
         pose, seed, velocity = check_pose(pose), check_seed(seed), check_velocity(velocity)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
         with self._drawing():
-<<<<<<< HEAD
-            where = whereabouts(self, bodies, time_s, reflectivity, water)
-            ping = finish(self, *alone(self, pose, where, labels), seed, velocity)
-=======
             wanted = labels_of(labels, background, self._world.numbers)
-            where = self._world.moved(bodies, time_s, self.acoustics.bubbles)
+            where = whereabouts(self, bodies, time_s, reflectivity, water)
             ping = finish(self, *alone(self, pose, where, wanted), seed, velocity)
->>>>>>> work-labels
         self._warn()
         return ping if noise is None else add_noise(ping, noise, seed, ping_number)
 
     def pings(
         self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
-<<<<<<< HEAD
-        reflectivities=None, waters=None,
+        reflectivities=None, waters=None, background=None,
     ) -> Iterator[Ping]:  # fmt: skip
         """Pings from one pose after the other, quicker than one by one: some are drawn as others are summed.
 
         Parameters
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
-        noise, seed, labels : as of `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
-=======
-        background=None,
-    ) -> Iterator[Ping]:  # fmt: skip
-        """Pings from one pose after the other, quicker than alone: some are drawn while others are summed.
-
-        Parameters
-        ----------
-        poses : (4, 4) world_from_sonar each; may be an endless generator
         noise, seed, labels, background : as of `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities : for each pose what `ping` takes; None for none at all
->>>>>>> work-labels
+        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
 
         Yields
         ------
@@ -209,13 +171,9 @@ class Simulator:
         """
         seed = check_seed(seed)
         check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-<<<<<<< HEAD
-        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
-        made = in_batches(self, spots_of(poses, **changes), labels)
-=======
         wanted = labels_of(labels, background, self._open_world().numbers)
-        made = in_batches(self, spots_of(poses, bodies, times_s), wanted)
->>>>>>> work-labels
+        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
+        made = in_batches(self, spots_of(poses, **changes), wanted)
         for number, one, velocity in zip(count(), made, each(velocities, "velocities", poses), strict=False):
             ping = finish(self, *one, seed, check_velocity(velocity))
             self._warn()
@@ -264,11 +222,7 @@ class Simulator:
             yield context
 
     def close(self):
-<<<<<<< HEAD
         """Give back all that it holds, and the OpenGL context if no other uses it; twice does no harm."""
-=======
-        """Give back all that this holds, and the OpenGL context if no other uses it; twice does no harm."""
->>>>>>> work-labels
         world = self._world
         if world is not None:
             world.check_thread()
