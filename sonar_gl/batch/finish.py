@@ -178,7 +178,7 @@ def check(folder: Folder, planned: Planned, progress) -> list[str]:
                     wrong.append(f"{folder.path(record_name(part))}: is missing")
                 continue
             wrong += _compare(folder, record["files"])
-    return wrong + (_compare(folder, done["files"]) if done else [])
+    return [*wrong, *(_compare(folder, done["files"]) if done else ())]
 
 
 def _compare(folder, files):

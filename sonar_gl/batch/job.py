@@ -73,12 +73,13 @@ class LabelsTable(Table):
     """What is kept of where echoes come from.
 
     layers : of LAYERS; classes : names of classes, in their order, and the bodies of each, with * and ?;
-    background : bodies that shadows fall on
+    background : bodies that shadows fall on; height : of the fan image whose pixels boxes are given in
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:6]))
     classes: dict[str, Names] = Field({})
     background: Names = None
+    height: Annotated[int, Field(ge=16, le=8192)] = 512
 
 
 class ArraysTable(Table):

@@ -86,33 +86,16 @@ class Kept:
         kept = layers_of(asked, orders.sonars[sonar], orders.acoustics, self.job.arrays.mantissa_bits, *sizes)
         if "boxes" not in asked:
             return kept, []
-        n = len(self.bodies)
+        n, height = len(self.bodies), self.labels.height
         return kept, [
-            (
-                "body_echo",
-                "float32",
-                (n,),
-                ("body",),
-                0.0,
-                {"long_name": "sum of the body's echo"},
-            ),
-            (
-                "body_bins",
-                "int32",
-                (n,),
-                ("body",),
-                0,
-                {"long_name": "bins where it is the strongest"},
-            ),
-            (
-                "body_box",
-                "int32",
-                (n, 4),
-                ("body", "box"),
-                -1,
-                {"long_name": "first and last beam, first and last bin of these, -1 for none"},
-            ),
-        ]
+            ("body_echo", "float32", (n,), ("body",), 0.0, {"long_name": "sum of the body's echo"}),
+            ("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins where it is the strongest"}),
+            ("body_box", "int32", (n, 4), ("body", "box"), -1, {
+                "long_name": "first and last beam, first and last bin of these, -1 for none"}),
+            ("body_pixels", "int32", (n, 4), ("body", "rectangle"), -1, {
+                "long_name": "left, top, width, height of these in the fan image, -1 for none",
+                "fan_image_height": height}),
+        ]  # fmt: skip
 
     @property
     def bytes_per_ping(self) -> int:

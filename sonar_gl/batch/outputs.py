@@ -8,7 +8,7 @@ from sonar_gl.batch import store
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Order, Orders
-from sonar_gl.boxes import body_boxes, fan_ids
+from sonar_gl.boxes import body_map, boxes_of
 from sonar_gl.camera import Camera
 from sonar_gl.dump import fan_artist
 from sonar_gl.export import npz_bytes, png_bytes
@@ -86,10 +86,12 @@ class Arrays(Output):
         for layer in layers:
             arrays[layer.name][at] = layer.encode(ping, classes, first)
         if per_body:
-            boxes, bins = body_boxes(ping)
-            here = slice(first, first + len(ping.body_echo) - 1)
-            arrays["body_box"][at, here], arrays["body_bins"][at, here] = boxes, bins
-            arrays["body_echo"][at, here] = ping.body_echo[1:]
+            boxes = boxes_of(ping, self.orders.job.labels.height)
+            these = first + boxes.body_id.astype(int) - 1
+            arrays["body_box"][at, these] = np.hstack([boxes.beams, boxes.bins])
+            arrays["body_pixels"][at, these] = boxes.pixels
+            arrays["body_bins"][at, these] = boxes.n_bins
+            arrays["body_echo"][at, first : first + len(ping.body_echo) - 1] = ping.body_echo[1:]
 
     def end(self):
         for name, arrays in self.arrays.items():
@@ -129,10 +131,9 @@ class Coco(Output):
     def take(self, order, sonar, ping):
         from sonar_gl.batch.coco import coco_lines, coco_records, mask_picture
 
-        picture = np.rint(255 * fan_image(ping, self.table.height, "db", self.table.db_range)).astype(
-            np.uint8
-        )
-        ids = np.where(picture > 0, fan_ids(ping, self.table.height), 0)  # what cannot be seen is no instance
+        height = self.table.height
+        picture = np.rint(255 * fan_image(ping, height, "db", self.table.db_range)).astype(np.uint8)
+        ids = np.where(picture > 0, body_map(ping, height), 0)  # what cannot be seen is no instance
         name = numbered(f"coco/{sonar}/images", order.number, "png")
         self.put(name, png_bytes(picture))
         self.put(numbered(f"coco/{sonar}/masks", order.number, "png"), png_bytes(mask_picture(ids)))

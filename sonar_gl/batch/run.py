@@ -17,6 +17,7 @@ from sonar_gl.batch.maker import record_name
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned
 from sonar_gl.batch.pool import Pool
+from sonar_gl.batch.table import Columns
 from sonar_gl.rigid import numbers_of
 from sonar_gl.types import Error
 
@@ -106,9 +107,8 @@ def begin(job: Job, folder: Folder, resume: bool, pool: Pool, tell) -> Planned:
     """
     planned = Planned.load(folder)
     if planned is not None and not resume:
-        raise Error(
-            f"{folder.url}: a batch is there already; go on with it by --resume, or give another folder"
-        )
+        cure = "go on with it by --resume, or give another folder"
+        raise Error(f"{folder.url}: must hold no batch yet ({cure})")
     if planned is not None and planned.digest != job.digest:
         now = job.plain
         changed = [k for k in sorted({*now, *planned.job} - {*PLACES}) if now.get(k) != planned.job.get(k)]
@@ -142,7 +142,7 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
         raise Error(
             f"{job.where}: ros must be written to a folder of this machine (got {url!r}; leave it out)"
         )
-    Kept(orders)  # what is wrong with the job is told before anything is made
+    Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
     with Pool(job.plain, folder.url, devices, tell) as pool:
         planned = begin(job, folder, resume, pool, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()

@@ -100,6 +100,11 @@ class Work:
         folder = Folder(self.url)
         finish(self.orders, Planned.load(folder), folder)
 
+    def close(self) -> None:
+        """Give back what parts were made with."""
+        if self._maker is not None:
+            self._maker.close()
+
     def part(self, part: int, set_aside, one_by_one: bool, tell=lambda *_: None) -> dict:
         """Make a part; its record."""
         if self._maker is None:

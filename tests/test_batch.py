@@ -1,0 +1,416 @@
+"""Batches: what a job asks for, what is kept of its pings, and that users' tools find it there."""
+
+import json
+import math
+import shutil
+from contextlib import nullcontext
+
+import cv2
+import numpy as np
+import pytest
+import xarray as xr
+from batches import LABELS, MORE, files_of, write_job
+from command_line import run
+from pycocotools.coco import COCO
+
+import sonar_gl as sg
+from sonar_gl.batch import layers
+from sonar_gl.batch.files import Folder
+from sonar_gl.batch.finish import check
+from sonar_gl.batch.job import read_job
+from sonar_gl.batch.kept import Kept
+from sonar_gl.batch.orders import Orders
+from sonar_gl.batch.planned import Planned, pings_per_part
+from sonar_gl.batch.work import Work
+from sonar_gl.boxes import body_map, boxes_of
+
+N = 10
+
+
+def make_all(job_file, url, parts=None) -> Planned:
+    """Make a whole batch in this process."""
+    work = Work(read_job(job_file).plain, str(url), None)
+    planned = work.plan()
+    work.create(planned)
+    planned.save(Folder(url))
+    for part in parts or range(planned.n_parts):
+        work.part(part, {}, False)
+    work.finish()
+    work.close()
+    return planned
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A folder with the job's file, and the batch of it in `out`."""
+    folder = tmp_path_factory.mktemp("small")
+    make_all(write_job(folder, N, LABELS + MORE), folder / "out")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def orders(small):
+    return Orders(read_job(small / "job.toml"))
+
+
+@pytest.fixture(scope="module")
+def pings(small, orders):
+    """By sonar, the pings that a simulator makes of the same orders."""
+    planned, out = Planned.load(Folder(small / "out")), {}
+    for name, sonar in orders.sonars.items():
+        sampling = sg.Sampling(**planned.samplings[0][name])
+        with sg.Simulator(orders.scene(0), sonar, orders.acoustics, sampling) as simulator:
+            out[name] = [
+                simulator.ping(
+                    order.pose @ orders.mounts[name], order.noise, orders.noise_seed(name), True,
+                    order.number, order.bodies, order.time_s, None, order.reflectivity, order.water, ["floor", "wall"],
+                )
+                for order in map(orders.__getitem__, range(N))
+            ]  # fmt: skip
+    return out
+
+
+@pytest.mark.parametrize("sonar", ["level", "upright"])
+def test_xarray_finds_the_pings_of_a_simulator_within_the_stated_errors(small, orders, pings, sonar):
+    data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
+    assert data.intensity.dims == ("ping", "beam", "range")
+    assert dict(data.sizes) | {"ping": N} == dict(data.sizes)
+    assert np.array_equal(data.azimuth_rad, orders.sonars[sonar].azimuth_rad)
+    assert np.array_equal(data.range, orders.sonars[sonar].range_m) and data.range.attrs["units"] == "m"
+    n_shadowed = 0
+    for number, ping in enumerate(pings[sonar]):
+        stored = data.isel(ping=number)
+        assert np.array_equal(stored.pose, ping.pose)
+        assert float(stored.time_s) == ping.meta["time_s"]
+        error = np.abs(stored.intensity.values - ping.intensity)
+        assert (error <= stored.intensity.attrs["relative_error_max"] * ping.intensity).all()
+        assert np.array_equal(stored.body_id, ping.body_id)
+        assert np.array_equal(stored.class_id, np.array([0, 1, 2, 1])[ping.body_id])
+        for name, values in (
+            ("elevation_rad", ping.elevation_rad),
+            ("true_range_m", ping.true_range_m),
+            ("incidence_rad", ping.incidence_rad),
+            ("share", ping.share),
+        ):
+            # half a step, and the rounding of float32
+            step = stored[name].encoding["scale_factor"]
+            assert np.array_equal(np.isnan(stored[name]), np.isnan(values))
+            assert np.nanmax(np.abs(stored[name].values - values)) <= step / 2 * (1 + 1e-4) + 1e-6
+        assert np.array_equal(stored.shadow, ping.shadow)
+        n_shadowed += int(ping.shadow.sum())
+        assert np.allclose(stored.body_echo, ping.body_echo[1:], rtol=1e-6)
+        boxes = boxes_of(ping, 512)
+        seen = boxes.body_id.astype(int) - 1
+        assert np.array_equal(np.flatnonzero(stored.body_bins), seen)
+        assert np.array_equal(stored.body_pixels[seen], boxes.pixels)
+        assert np.array_equal(stored.body_box[seen], np.hstack([boxes.beams, boxes.bins]))
+    assert n_shadowed > 0 or sonar == "upright"
+    assert (data.status == 1).all()
+    assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
+
+
+def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
+    write_job(tmp_path)
+    text = (tmp_path / "job.toml").read_text()
+    begin, end = text.index('[[sonars]]\nname = "upright"'), text.index("[[poses]]")
+    (tmp_path / "job.toml").write_text(text[:begin] + text[end:])
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    drawn = xr.open_dataset(tmp_path / "out" / "pings.zarr").intensity[0].plot()
+    assert drawn.get_array().size == 24 * 80
+
+
+def test_what_was_varied_is_stored(small, orders):
+    data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
+    there = 0
+    for number in range(N):
+        order, stored = orders[number], data.isel(ping=number)
+        assert float(stored.water_temperature_c) == order.water["temperature_c"]
+        assert float(stored.noise_electronic_db) == order.noise.electronic_db
+        pose = order.bodies["box_1"]
+        assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
+        if pose is not None:
+            there += 1
+            assert np.array_equal(stored.moved_pose[0], pose)
+            assert float(stored.reflectivity[0]) == order.reflectivity["box_1"]
+    assert 0 < there < N
+    assert data.moved_pose.attrs["bodies"] == ["box_1"]
+
+
+def test_orders_are_drawn_evenly_within_their_bounds_and_by_seed(small, orders):
+    temperatures = [orders[n].water["temperature_c"] for n in range(N)]
+    again = Orders(read_job(small / "job.toml"))
+    assert [again[n].water["temperature_c"] for n in reversed(range(N))] == temperatures[::-1]
+    assert len(set(temperatures)) == N
+    assert all(2 <= t <= 20 for t in temperatures)
+    other = Orders(read_job(small / "job.toml").model_copy(update={"seed": 6}))
+    assert not {other[n].water["temperature_c"] for n in range(N)} & set(temperatures)
+    table = orders.job.vary.bodies[0]
+    job = orders.job.model_copy(update={"poses": [orders.job.poses[0] | {"n_pings": 2000}]})
+    shifts = []
+    for order in map(Orders(job).__getitem__, range(2000)):
+        if order.bodies["box_1"] is not None:
+            shifts.append(order.bodies["box_1"][0, 3] - 3)
+    # 4 standard errors: of a share of 0.8, and of the mean and variance of an even distribution
+    assert len(shifts) / 2000 == pytest.approx(table.there, abs=4 * math.sqrt(0.8 * 0.2 / 2000))
+    assert np.mean(shifts) == pytest.approx(0, abs=4 / math.sqrt(12 * len(shifts)))
+    assert np.var(shifts) == pytest.approx(1 / 12, abs=4 / math.sqrt(180 * len(shifts)))
+    assert min(shifts) >= -0.5 and max(shifts) <= 0.5
+
+
+def test_a_part_by_single_pings_has_the_same_bytes(small, tmp_path):
+    work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
+    planned = work.plan()
+    work.create(planned)
+    planned.save(Folder(tmp_path / "out"))
+    told = []
+    work.part(1, {}, True, lambda *word: told.append(word))
+    work.close()
+    assert told[:2] == [("before", 4), ("after", 4)]
+    before = files_of(small / "out")
+    made = files_of(tmp_path / "out")
+    assert "parts/0000001.json" in made
+    record = json.loads(made["parts/0000001.json"])
+    assert len(record["files"]) > 20
+    names = [name for name, found in record["files"].items() if found]
+    for name in [*names, "parts/0000001.json", "planned.json"]:
+        assert made[name] == before[name]
+
+
+def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
+    """One fails once, as for want of memory on a device; another each time."""
+    from sonar_gl import sequence, simulator
+
+    tries, real = [], sequence.whereabouts
+
+    def failing(simulator, bodies=None, time_s=None, *more):
+        tries.append(time_s)
+        if time_s == 1.0 or (time_s == 1.2 and tries.count(1.2) == 1):
+            raise RuntimeError("out of something")
+        return real(simulator, bodies, time_s, *more)
+
+    work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
+    planned = Planned.load(Folder(small / "out"))
+    work.create(planned)
+    planned.save(Folder(tmp_path / "out"))
+    monkeypatch.setattr(sequence, "whereabouts", failing)
+    monkeypatch.setattr(simulator, "whereabouts", failing)
+    record = work.part(1, {}, False)
+    work.close()
+    assert record["set_aside"] == {"5": "RuntimeError: out of something"}
+    made = xr.open_zarr(tmp_path / "out" / "pings.zarr", group="level", consolidated=False).intensity
+    whole = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
+    assert (made[5] == 0).all()
+    assert np.array_equal(made[[4, 6, 7]], whole[[4, 6, 7]])
+
+
+def test_coco_finds_bodies_where_the_labels_are(small, orders, pings):
+    for sonar in orders.sonars:
+        folder = small / "out" / "coco" / sonar
+        coco = COCO(str(folder / "instances.json"))
+        assert coco.getImgIds() == list(range(N))
+        assert [c["name"] for c in coco.loadCats(coco.getCatIds())] == ["fixed", "target"]
+        for number, ping in enumerate(pings[sonar]):
+            (image,) = coco.loadImgs(number)
+            picture = cv2.imread(str(folder / "images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
+            mask = cv2.imread(str(folder / "masks" / image["file_name"]), cv2.IMREAD_UNCHANGED)
+            assert np.array_equal(mask, np.where(picture > 0, body_map(ping, 100), 0))
+            annotations = coco.loadAnns(coco.getAnnIds(number))
+            assert {a["body_id"] for a in annotations} == set(np.unique(mask)) - {0}
+            for annotation in annotations:
+                assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
+
+
+def test_pictures_and_arrays_are_those_of_a_simulator(small, pings):
+    for number in (0, N - 1):
+        ping = pings["upright"][number]
+        name = f"upright/00000/{number:08d}"
+        loaded = sg.load_npz(small / "out" / "npz" / f"{name}.npz")
+        assert np.array_equal(loaded.intensity, ping.intensity)
+        assert loaded.meta["ping_number"] == number
+        picture = cv2.imread(str(small / "out" / "png" / f"{name}.png"))[..., ::-1]
+        assert np.array_equal(picture, sg.colorize(sg.fan_image(ping, 60), "jet"))
+    film = cv2.VideoCapture(str(small / "out" / "level.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == N
+
+
+def test_the_bag_holds_every_ping_in_order(small, pings):
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([small / "out" / "bag"]) as reader:
+        topics = {c.topic: c.msgcount for c in reader.connections}
+        assert topics["/level/projected_image"] == topics["/upright/projected_image"] == N
+        assert topics["/level/image"] == N
+        times = [t / 1e9 for c, t, _ in reader.messages() if c.topic == "/level/projected_image"]
+    assert times == pytest.approx([p.meta["time_s"] for p in pings["level"]], abs=1e-9)
+
+
+def test_optical_images_lie_beside_the_pings(small, tmp_path):
+    more = "[optical]\nwidth = 40\nheight = 30\n[ros]\n"
+    write_job(tmp_path, 4, more)
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    names = sorted(path.name for path in (tmp_path / "out" / "optical" / "rgb").rglob("*.png"))
+    assert names == [f"{n:08d}.png" for n in range(4)]
+    depth = cv2.imread(str(tmp_path / "out/optical/depth/00000/00000000.png"), cv2.IMREAD_UNCHANGED)
+    assert depth.dtype == np.uint16 and depth.shape == (30, 40)
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([tmp_path / "out" / "bag"]) as reader:
+        topics = {c.topic: c.msgcount for c in reader.connections}
+    assert topics["/camera/image"] == topics["/camera/depth"] == topics["/camera/camera_info"] == 4
+
+
+def test_a_store_may_lie_at_a_url(tmp_path):
+    import fsspec
+
+    write_job(tmp_path, 4, "[pictures]\nheight = 40\n")
+    planned = make_all(tmp_path / "job.toml", "memory://batch")
+    data = xr.open_dataset("memory://batch/pings.zarr", group="level", engine="zarr")
+    assert float(data.intensity.max()) > 0 and (data.status == 1).all()
+    assert fsspec.filesystem("memory").exists("/batch/png/level/00000/00000003.png")
+    assert check(Folder("memory://batch"), planned, nullcontext) == []
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    for name, data in files_of(tmp_path / "out").items():
+        assert fsspec.filesystem("memory").cat_file(f"/batch/{name}") == data
+
+
+@pytest.mark.parametrize("bits", [1, 5, 12])
+def test_mantissas_are_rounded_within_the_stated_error(bits):
+    values = np.exp(np.random.default_rng(0).uniform(-80, 80, 10000)).astype(np.float32)
+    rounded = layers.round_mantissa(values, bits)
+    error = np.abs(rounded.astype(float) - values) / values
+    assert error.max() <= 2.0 ** -(bits + 1)
+    half = 2.0 ** -(bits + 1)  # of the step from 1 on; just there the relative error is largest
+    assert error.max() == pytest.approx(half / (1 + half), rel=0.02)
+    assert (rounded.view(np.uint32) & ((1 << (23 - bits)) - 1) == 0).all()
+    assert layers.round_mantissa(np.zeros(3, np.float32), bits).tolist() == [0, 0, 0]
+    assert layers.round_mantissa(values, 23) is values
+
+
+def test_parts_are_as_large_as_a_file_should_be():
+    assert pings_per_part(1e9) == 8
+    assert pings_per_part(1.0) == 128
+    assert pings_per_part(1e6) == 64
+    planned = Planned({}, "", 10, 4, [], [])
+    assert planned.n_parts == 3 and list(planned.numbers(2)) == [8, 9]
+
+
+def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
+    write_job(tmp_path, 2, "[labels]\n")
+    text = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "other.sdf").write_text(
+        text.replace("box_1", "box_2").replace('world name="tank"', 'world name="o"')
+    )
+    job = read_job(tmp_path / "job.toml")
+    job = job.model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
+    orders = Orders(job)
+    assert len(orders) == 4
+    assert [orders[n].scene for n in range(4)] == [0, 0, 1, 1]
+    # a second between runs, as nothing is made in two scenes at once
+    assert [orders[n].time_s for n in range(4)] == pytest.approx([0, 0.2, 1.2, 1.4])
+    kept = Kept(orders)
+    assert kept.bodies == ["wall", "box_1", "floor", "wall", "box_2", "floor"]
+    assert kept.classes == ["wall", "box", "floor"]
+    assert kept.class_id.tolist() == [0, 1, 2, 3, 1, 2, 3]
+    assert kept.classes_of(1)[:4].tolist() == [0, 1, 2, 3] and kept.first_body == [0, 3]
+
+
+BAD = [
+    ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
+    ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
+    ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
+    ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
+    ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
+    ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
+    ("mount = [0.0,", "mount = [", "sonars[1].mount: list should have at least 6 items"),
+    ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
+    ('name = "upright"', 'name = "level"', "sonars[1].name must be another than those before (got 'level')"),
+    (
+        '"physical"\ntvg',
+        '"fysical"\ntvg',
+        "acoustics: acoustics: unknown profile (got 'fysical'",
+    ),
+    ("tvg_absorption_db_m = 0.3", "tvg = 1", "acoustics: unknown key (got 'tvg'; did you mean 'tvg_k'"),
+    (
+        "temperature_c = [2.0, 20.0]",
+        "temperature_c = [2.0, 90.0]",
+        "temperature_c must lie in -2..40",
+    ),
+    ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
+    (
+        "electronic_db",
+        "electric_db",
+        "vary.noise: unknown key (got 'electric_db'; did you mean",
+    ),
+    (
+        'names = ["box_*"]',
+        'names = ["bax*"]',
+        "vary.bodies[0].names must name bodies",
+    ),
+    ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
+    (
+        'target = ["box*"]',
+        'target = ["bax*"]',
+        "labels.classes.target must name bodies",
+    ),
+    ('"share", "shadow"', '"share", "shade"', "labels.layers[6]: should be 'body', 'class'"),
+    (
+        'preset = "physical"',
+        'preset = "loud"',
+        "noise.preset must be one of none",
+    ),
+    ('scenes = ["tank.sdf"]', 'scenes = ["tonk.sdf"]', "scenes[0]: "),
+    ('scenes = ["tank.sdf"]', "", "scenes must be given"),
+    ("seed = 5", "seed = = 5", "the job file must be TOML ("),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), BAD, ids=[new or sentence for _, new, sentence in BAD])
+def test_errors_of_a_job_name_file_table_and_key(tmp_path, old, new, sentence):
+    path = write_job(tmp_path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    status, out, err = run("batch", path, "--out", tmp_path / "out", "--workers", "1")
+    assert (status, out) == (2, "")
+    assert err.startswith(f"error: {path}: ") and sentence in err
+    assert "Traceback" not in err
+    assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
+
+
+def test_damage_is_found(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    status, out, _ = run("batch", "--check", copy)
+    assert (status, out) == (0, f"{copy}: all files are as they were written\n")
+    one = copy / "pings.zarr" / "level" / "intensity" / "c" / "1" / "0" / "0"
+    data = bytearray(one.read_bytes())
+    data[len(data) // 2] ^= 1
+    one.write_bytes(data)
+    two = next((copy / "png").rglob("*.png"))
+    two.unlink()
+    three = copy / "pings.zarr" / "level" / "time_s" / "c" / "0"
+    three.write_bytes(b"")
+    status, out, _ = run("batch", "--check", copy)
+    assert status == 1
+    assert f"{one}: is not what was written\n" in out and f"{two}: is missing\n" in out
+    assert f"{three}: is not what was written\n" in out
+    assert out.endswith(f"{copy}: 3 files are wrong\n")
+
+
+def test_what_is_there_is_not_overwritten(small, tmp_path):
+    job, out = small / "job.toml", small / "out"
+    before = files_of(out)
+    status, _, err = run("batch", job, "--out", out)
+    assert status == 2 and "must hold no batch yet (go on with it by --resume" in err
+    changed = tmp_path / "job.toml"
+    write_job(tmp_path, N, LABELS + MORE)
+    changed.write_text(changed.read_text().replace("seed = 5", "seed = 6"))
+    status, _, err = run("batch", changed, "--out", out, "--resume")
+    assert status == 2 and "(changed: seed;" in err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("years")
+    status, _, err = run("batch", job, "--out", tmp_path / "full", "--resume")
+    assert status == 2 and "must be an empty folder, or one with a batch to --resume" in err
+    assert files_of(out) == before
+    status, out_, _ = run("batch", job, "--out", out, "--resume")  # nothing is left to do
+    assert (status, out_) == (0, f"{out}: {N} of {N} pings\n")
+    assert files_of(out) == before
