@@ -1,8 +1,9 @@
 """A camera beside the sonar: depth and colour against closed forms, and simulators that do not notice."""
 
+import ctypes
 import gc
 import math
-import tracemalloc
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl import egl
+from sonar_gl import egl, gl
 from sonar_gl.batch.optical import Optical
+from sonar_gl.foreign import CONFIG_ID
 
 WIDTH, HEIGHT = 160, 120
 CAMERA = sg.Camera.of_fov(WIDTH, HEIGHT, fov_x_rad=1.2)
@@ -30,8 +32,8 @@ def coloured(**visual):
     return mesh
 
 
-def textured():
-    """A quad whose picture is red above to port, blue above to starboard, green below."""
+def textured(placed=True):
+    """A quad whose picture is red above to port, blue above to starboard, green below; metal, so its file."""
     from PIL import Image
 
     picture = np.zeros((32, 32, 3), np.uint8)
@@ -39,8 +41,10 @@ def textured():
     picture = Image.fromarray(picture)
     uv = [[1, 0], [0, 0], [0, 1], [1, 1]]
     mesh = QUAD.copy()
-    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
-    mesh.visual = trimesh.visual.TextureVisuals(uv, material=material)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=picture, baseColorFactor=None if placed else [0, 255, 0, 255]
+    )
+    mesh.visual = trimesh.visual.TextureVisuals(uv if placed else None, material=material)
     return mesh
 
 
@@ -51,10 +55,13 @@ SCENE = sg.Scene(
         sg.Body("ball", BALL, FAR, 0.5, np.asarray(BALL.vertices, np.float32)),
         sg.Body("quad", QUAD, FAR, 0.5),
         sg.Body("halves", QUAD, FAR, np.array([0.2, 0.8])),
+        sg.Body("tilted", QUAD, FAR, 0.5, [[0.6, 0, -0.8]] * 4),  # its front looks along x
+        sg.Body("untold", QUAD, FAR, 0.5, np.zeros((4, 3))),
         sg.Body("small", SMALL, FAR, 0.9),
         sg.Body("red", coloured(face_colors=[[255, 0, 0, 255]] * 12), FAR, 0.9),
         sg.Body("green", coloured(vertex_colors=[[0, 255, 0, 255]] * 8), FAR, 0.9),
         sg.Body("picture", textured(), FAR, 0.9),
+        sg.Body("unplaced", textured(placed=False), FAR, 0.9),
         sg.Bubbles("bubbles", sg.pose(4, 0, -1)),
     ]
 )
@@ -194,6 +201,9 @@ def test_gray_by_reflectivity_or_colours_of_its_own(optical):
     assert wall[0] == wall[1] == wall[2]
     # linear light, seen as its 2.2nd root
     assert small[0] / wall[0] == pytest.approx((0.9 / 0.5) ** (1 / 2.2), rel=0.03)
+    # matt: by Lambert 0.96 of the lamp's 2 / π, and 0.15 from everywhere; Fresnel's terms are two grays
+    lit = (0.9 * (0.96 * 2 / math.pi + 0.15)) ** (1 / 2.2) * 255
+    assert abs(small[0] - lit) < 4
     red, green = (colour(optical, **{name: sg.pose(3)}) for name in ("red", "green"))
     assert red[0] > 150 and red[1:].max() < 20
     assert green[1] > 150 and green[[0, 2]].max() < 20
@@ -206,6 +216,8 @@ def test_a_picture_on_a_mesh(optical):
         found = rgb[tuple(middle + offset)].tolist()
         assert found.pop(channel) > 150
         assert max(found) < 40  # a white sheen
+    unplaced = colour(optical, unplaced=sg.pose(5))  # that says nowhere what of its picture is where
+    assert unplaced[1] > 150 and unplaced[[0, 2]].max() < 40
 
 
 def test_a_reflectivity_for_each_face(optical):
@@ -221,6 +233,13 @@ def test_both_sides_of_a_face_are_seen(optical):
     np.testing.assert_array_equal(front[0], back[0])
     np.testing.assert_allclose(front[1], back[1], atol=fine(5))
     assert front[0][HEIGHT // 2, WIDTH // 2].min() > 100
+
+
+def test_shading_normals_where_there_are_some(optical):
+    """Turned up at its back, a face has more of the light from above; where a normal is 0 it is flat."""
+    flat, tilted, untold = (colour(optical, **{name: sg.pose(5)}) for name in ("quad", "tilted", "untold"))
+    assert tilted[0] > flat[0] + 10
+    np.testing.assert_array_equal(untold, flat)
 
 
 # ---- beside simulators ------------------------------------------------------------------------------
@@ -243,13 +262,15 @@ def test_pings_are_the_same_to_the_byte():
             assert ping() == wanted
         assert ping() == wanted
         assert [a.tobytes() for a in again] == [a.tobytes() for a in image]
-        forgotten = Optical(scene, CAMERA)
-        forgotten(HERE)
-        del forgotten
-        gc.collect()
+        forgotten, last = Optical(scene, CAMERA), Optical(scene, CAMERA)
+        forgotten(HERE), last(HERE)
+        with (
+            last._context
+        ):  # in the midst of drawing, with names like its own, the garbage collector comes by
+            del forgotten
+            gc.collect()
         assert ping() == wanted
         assert egl.current() == current
-        last = Optical(scene, CAMERA)
     assert [a.tobytes() for a in last(HERE)] == [a.tobytes() for a in image]  # the simulator is closed
     last.close()
     last.close()
@@ -257,6 +278,26 @@ def test_pings_are_the_same_to_the_byte():
         last(HERE)
     with sg.Simulator(scene, SONAR, sampling=sg.Sampling(2, 20)) as simulator:
         assert simulator.ping(HERE, sg.Noise.physical()).intensity.tobytes() == wanted
+
+
+def is_there(place) -> bool:
+    """Whether EGL knows a context."""
+    display, *_, handle = place
+    found = ctypes.c_int()
+    return bool(egl.library().eglQueryContext(display, handle, CONFIG_ID, ctypes.byref(found)))
+
+
+def test_contexts_are_given_back():
+    scene = sg.Scene([])
+    closed, forgotten = Optical(scene, CAMERA), Optical(scene, CAMERA)
+    places = [one._context.extra._ours for one in (closed, forgotten)]
+    assert [is_there(place) for place in places] == [True, True]
+    closed.close()
+    assert [is_there(place) for place in places] == [False, True]
+    del forgotten
+    gc.collect()
+    gl.release_discarded()  # as the next simulator or ping does
+    assert [is_there(place) for place in places] == [False, False]
 
 
 def resident():
@@ -269,14 +310,11 @@ def test_memory_stays_flat(optical):
     for _ in range(5):
         optical(HERE)
     gc.collect()
-    tracemalloc.start()
-    before, held = resident(), tracemalloc.get_traced_memory()[0]
+    before, held = resident(), sys.getallocatedblocks()
     for n in range(50):
-        optical(sg.pose(0.01 * n), {"small": sg.pose(3, 0.01 * n)})
+        optical(sg.pose(0.01 * n), {"wall": None, "small": sg.pose(3, 0.01 * n)})
     gc.collect()
-    grown = tracemalloc.get_traced_memory()[0] - held
-    tracemalloc.stop()
-    assert grown < 50_000
+    assert sys.getallocatedblocks() - held < 250  # half a block an image was measured
     assert resident() - before < 3_000_000
 
 

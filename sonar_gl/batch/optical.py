@@ -144,17 +144,19 @@ class Optical:
 def _mesh(pyrender, body):
     """Of a body, each face twice, once for each side: pyrender lights fronts alone."""
     mesh, mu = body.mesh, body.reflectivity
-    faces, colours, texture_at = np.asarray(mesh.faces), None, None
+    faces, colours, texture_at, paint = np.asarray(mesh.faces), None, None, {}
     if mesh.visual.defined:
         (own,) = pyrender.Mesh.from_trimesh(mesh, smooth=False).primitives
-        material, colours, texture_at = own.material, own.color_0, own.texcoord_0
+        colours, texture_at = own.color_0, own.texcoord_0
+        paint["baseColorFactor"] = own.material.baseColorFactor
+        if texture_at is not None:
+            paint["baseColorTexture"] = own.material.baseColorTexture
+    elif np.ndim(mu):
+        colours = np.repeat(mu, 3)[:, None] * [1, 1, 1, 0] + [0, 0, 0, 1]
     else:
-        material = pyrender.MetallicRoughnessMaterial(roughnessFactor=0.9)
-        if np.ndim(mu):
-            colours = np.repeat(mu, 3)[:, None] * [1, 1, 1, 0] + [0, 0, 0, 1]
-        else:
-            material.baseColorFactor = [mu, mu, mu, 1.0]
-    material.metallicFactor = 0.0  # metal would be dark: it has no surroundings to mirror
+        paint["baseColorFactor"] = [mu, mu, mu, 1.0]
+    # of what a mesh is painted with the colours alone: metal would be dark, with nothing about to mirror
+    material = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.9, **paint)
     normals = np.repeat(mesh.face_normals, 3, axis=0)
     if body.normals is not None:
         smooth = body.normals[faces].reshape(-1, 3)
