@@ -1,0 +1,28 @@
+"""The command line, for tests of batches in which something goes wrong: pings are slow, and some kill.
+
+SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them. Processes that
+make parts load this file as they start, as they do with any program that begins a batch.
+"""
+
+import os
+import signal
+import time
+
+from sonar_gl import cli, sequence, simulator
+
+real = sequence.whereabouts
+slow_s = float(os.environ.get("SLOW_S", "0"))
+deadly = [float(word) for word in os.environ.get("DEADLY", "").split()]
+
+
+def whereabouts(simulator, bodies=None, time_s=None, *more):
+    if time_s is not None and any(abs(time_s - at) < 1e-6 for at in deadly):
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(slow_s if time_s is not None else 0)
+    return real(simulator, bodies, time_s, *more)
+
+
+sequence.whereabouts = simulator.whereabouts = whereabouts
+
+if __name__ == "__main__":
+    cli.main()

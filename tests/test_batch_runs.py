@@ -1,0 +1,180 @@
+"""Batches in which something goes wrong: nothing is lost, nothing is torn, nothing is made twice."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import xarray as xr
+from batches import LABELS, files_of, write_job
+
+HERE = Path(__file__).parent
+N, PART = 24, 4
+MORE = "[coco]\nheight = 60\n[ros]\n"
+
+
+def start(*arguments, before=(), **environment):
+    """A batch under way in a process of its own."""
+    command = [*before, sys.executable, HERE / "batch_faults.py", "batch", *map(str, arguments)]
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE.parent), *sys.path]), **environment}
+    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": paths}
+    return subprocess.Popen(command, **settings)
+
+
+def finish(process):
+    """(exit status, stdout, stderr)."""
+    out, err = process.communicate(timeout=100)
+    return process.returncode, out, err
+
+
+def workers_of(process) -> list[int]:
+    """Processes that make its parts."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            command = (folder / "cmdline").read_text()
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == process.pid and "spawn_main" in command:
+            found.append(int(folder.name))
+    return found
+
+
+def wait_for_parts(folder: Path, count: int, process):
+    """Until so many parts are done."""
+    deadline = time.monotonic() + 60
+    while len(list((folder / "parts").glob("*.json"))) < count:
+        assert process.poll() is None, finish(process)
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    return write_job(tmp_path_factory.mktemp("job"), N, LABELS + MORE)
+
+
+@pytest.fixture(scope="module")
+def whole(job, tmp_path_factory):
+    """Every file of the batch, made by one process without a fault."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    status, told, err = finish(start(job, "--out", out, "--workers", "1"))
+    assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
+    return files_of(out)
+
+
+def assert_same(found: dict, expected: dict):
+    assert list(found) == list(expected)
+    assert [name for name in found if found[name] != expected[name]] == []
+
+
+def test_a_worker_that_is_killed_is_replaced(job, whole, tmp_path):
+    out = tmp_path / "out"
+    process = start(job, "--out", out, "--workers", "2", SLOW_S="0.05")
+    wait_for_parts(out, 1, process)
+    workers = workers_of(process)
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    status, told, err = finish(process)
+    assert (status, told) == (0, f"{out}: {N} of {N} pings\n")
+    assert len(re.findall(r"^a process died at part \d \(exit code -9\)", err, re.MULTILINE)) == 1
+    assert_same(files_of(out), whole)
+
+
+def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole, tmp_path):
+    out = tmp_path / "out"
+    process = start(job, "--out", out, "--workers", "2", SLOW_S="0.05")
+    wait_for_parts(out, 1, process)
+    process.send_signal(signal.SIGINT)
+    status, told, err = finish(process)
+    assert status == 130
+    assert re.fullmatch(
+        f"{out}: \\d+ of {N} pings; go on with: sonar-gl batch {job} --out {out} --resume\n", told
+    )
+    assert "finishing the pings in hand" in err and "Traceback" not in err
+    first = files_of(out / "parts")
+    assert 0 < len(first) < 2 * N / PART
+
+    process = start(job, "--out", out, "--workers", "2", "--resume", SLOW_S="0.05")
+    wait_for_parts(out, len(first) // 2 + 1, process)
+    workers = workers_of(process)
+    process.kill()
+    process.communicate()
+    assert len(workers) == 2
+    deadline = time.monotonic() + 10
+    while any(Path(f"/proc/{worker}").exists() for worker in workers):  # they do not outlive it
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    second = files_of(out / "parts")
+    assert len(first) < len(second) < 2 * N / PART
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.suffix == ".json"}
+
+    status, told, err = finish(start(job, "--out", out, "--workers", "2", "--resume"))
+    assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
+    assert {name: whole[f"parts/{name}"] for name in second} == second
+    again = [path for path, at in times.items() if "parts" in path.parts and path.stat().st_mtime_ns != at]
+    assert again == []  # nothing that was done is done again
+    assert_same(files_of(out), whole)
+
+
+def test_a_ping_that_kills_twice_is_set_aside(job, whole, tmp_path):
+    out = tmp_path / "out"
+    status, told, err = finish(start(job, "--out", out, "--workers", "2", DEADLY="1.2"))
+    assert status == 3
+    assert told == f"{out}: {N - 1} of {N} pings, 1 set aside\n"
+    (line,) = [line for line in err.splitlines() if line.startswith("set aside")]
+    assert line == (
+        "set aside: ping 6 of seed 5, vehicle at '0 0 0 0 0 0.12' in tank.sdf: "
+        "the process that made it died, 2 times"
+    ) or re.match(r"set aside: ping 6 of seed 5, vehicle at '0 0 0 0 -?0 \S+' in tank.sdf: the process", line)
+    data = xr.open_dataset(out / "pings.zarr", group="level")
+    assert data.status.values.tolist() == [1] * 6 + [2] + [1] * (N - 7)
+    assert (data.intensity[6] == 0).all()
+    found = files_of(out)
+    assert {name for name in whole if "/1/0" not in name and found.get(name) != whole[name]} < {
+        *(f"parts/0000001.{suffix}" for suffix in ("json", "npy")),
+        *(name for name in whole if name.startswith(("bag/", "coco/")) or "status" in name or "echo" in name),
+        "done.json",
+    }
+    record = json.loads(found["parts/0000001.json"])
+    assert record["set_aside"] == {"6": "the process that made it died, 2 times"}
+
+
+def test_a_full_disk_stops_a_batch_that_then_goes_on(job, whole, tmp_path):
+    """On a file system of its own, too small at first."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = f"""
+        mount -t tmpfs -o size=500k tmpfs {disk} || exit 77
+        "$@" --out {disk}/out; echo "status $?"
+        mount -o remount,size=50m {disk}
+        "$@" --out {disk}/out --resume; echo "status $?"
+        cp -r {disk}/out {tmp_path}/out
+    """
+    apart = () if os.geteuid() == 0 and False else ("unshare", "--user", "--map-root-user", "--mount")
+    process = start(job, "--workers", "2", before=(*apart, "sh", "-c", script, "sh"))
+    status, told, err = finish(process)
+    assert status != 77, "a file system must be mounted here, in a namespace of our own"
+    first, _, then = told.partition("status 2\n")
+    assert first == "" and then == f"{disk}/out: {N} of {N} pings\nstatus 0\n", (told, err)
+    assert "No space left on device" in err and "--resume" in err and "Traceback" not in err
+    assert_same(files_of(tmp_path / "out"), whole)
+
+
+def test_a_trial_says_what_a_batch_would_be(job, tmp_path):
+    status, told, err = finish(start(job, "--dry-run", "--workers", "2"))
+    assert status == 0, err
+    assert f"{N} pings in {N // PART} parts of {PART}\n" in told
+    assert re.search(r"^level in tank.sdf: 24 beams x 80 bins, \d+ x \d+ samples, error", told, re.MULTILINE)
+    size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", told, re.MULTILINE)[1])
+    assert 1 < size_kb < 100
+    assert re.search(
+        r"^time: .* in one process \(\S+ ms a ping, on .*\), .* at best in 2$", told, re.MULTILINE
+    )
+    assert list(job.parent.iterdir()) == [p for p in job.parent.iterdir() if p.suffix in (".toml", ".sdf")]
