@@ -16,9 +16,10 @@ deadly = [float(word) for word in os.environ.get("DEADLY", "").split()]
 
 
 def whereabouts(simulator, bodies=None, time_s=None, *more):
-    if time_s is not None and any(abs(time_s - at) < 1e-6 for at in deadly):
-        os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(slow_s if time_s is not None else 0)
+    if simulator._samples.tolerance is None:  # the samples are planned
+        if any(abs(time_s - at) < 1e-6 for at in deadly):
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(slow_s)
     return real(simulator, bodies, time_s, *more)
 
 

@@ -51,26 +51,33 @@ def batch(ctx, **options):
     if (o.job is None) == (o.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     try:
+        from tqdm import tqdm
+
         from sonar_gl.batch import run as batches
         from sonar_gl.batch.job import read_job
+        from sonar_gl.batch.trial import dry_run
     except ModuleNotFoundError as why:
         raise Error(
             f"batch needs more packages ({why.name} is not there; pip install 'sonar_gl[batch]')"
         ) from None
+    tqdm.set_lock(threading.RLock())  # its own is for processes that share a bar, and is left behind
     if o.check is not None:
         ctx.exit(_check(o.check))
     job = read_job(o.job)
     devices = batches.devices_of(o.workers, o.device)
     if o.dry_run:
-        click.echo(batches.dry_run(job, devices, _tell))
+        click.echo(dry_run(job, devices, _tell))
         ctx.exit(0)
     url = o.out or job.name
-    outcome = batches.run(job, url, devices, o.resume, _tell, _progress)
+    outcome = batches.run(job, url, devices, o.resume, _tell, _progress, o.cluster)
     ctx.exit(_say(outcome, url, o))
 
 
 def _tell(text: str):
-    click.echo(text, err=True)
+    """Show a line, above the bar if there is one."""
+    from tqdm import tqdm
+
+    tqdm.write(text, file=sys.stderr)
 
 
 @contextmanager
@@ -78,7 +85,6 @@ def _progress(total: int, there: int):
     """A bar with rate and time left; without a terminal a line every half minute."""
     from tqdm import tqdm
 
-    tqdm.set_lock(threading.RLock())  # its own is for processes that share a bar, and is left behind
     is_terminal = sys.stderr.isatty()
     settings = {} if is_terminal else {"mininterval": 30.0, "maxinterval": 60.0, "ascii": True, "ncols": 90}
     with tqdm(total=total, initial=there, unit=" pings", smoothing=0.05, **settings) as bar:

@@ -22,13 +22,16 @@ PATIENCE_S = 10.0  # for a process to end by itself
 GIVE_UP = 5  # deaths at one part that no ping is to blame for
 # Of a process: the software driver would take all cores for each, and so would libraries.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# Of a process that was killed: what it holds is taken back, and there is nothing to be told.
+QUIET = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resource_tracker"}
 
 
 @contextmanager
 def _inherited():
     """What a process that starts here finds: one thread for libraries, and no Ctrl-C, which is the pool's."""
-    before = {key: os.environ.get(key) for key in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    settings = dict.fromkeys(ONE_THREAD, "1") | QUIET
+    before = {key: os.environ.get(key) for key in settings}
+    os.environ.update(settings)
     interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
@@ -161,7 +164,7 @@ class Pool:
                     "'sonar-gl doctor' may say why)"
                 )
 
-    def run(self, parts, numbers, done) -> None:
+    def run(self, parts, numbers, done, one_by_one: bool = False) -> None:
         """Make parts.
 
         Parameters
@@ -169,13 +172,14 @@ class Pool:
         parts : which, rising
         numbers : function (part) -> range of its pings
         done : function (record), called as each is done
+        one_by_one : at once, not only after a death
 
         Raises
         ------
         Error
             for a user's mistake, or when files cannot be written; parts in hand are finished first.
         """
-        fresh, again, refused = (Task(part) for part in parts), deque(), None
+        fresh, again, refused = (Task(part, one_by_one) for part in parts), deque(), None
         while True:
             for place in range(len(self._made_of)):
                 self._employ(place, again, fresh)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
-import tempfile
 import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
+from sonar_gl.batch.cluster import run_on_cluster
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.finish import DONE
 from sonar_gl.batch.job import PLACES, Job
@@ -18,6 +20,7 @@ from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.table import Columns
+from sonar_gl.batch.work import on_cluster
 from sonar_gl.rigid import numbers_of
 from sonar_gl.types import Error
 
@@ -70,8 +73,8 @@ def devices_of(workers: int | None, devices) -> list:
 
 
 @contextmanager
-def _stopped_by_ctrl_c(pool: Pool, tell):
-    """The first Ctrl-C has the pool begin nothing more; the second ends it at once."""
+def _stopped_by_signals(pool: Pool, tell):
+    """The first Ctrl-C, or SIGTERM of a queue, has the pool begin nothing more; the second ends it."""
 
     def stop(_signal, _frame):
         if pool.stopping:
@@ -82,11 +85,12 @@ def _stopped_by_ctrl_c(pool: Pool, tell):
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def records(folder: Folder, planned: Planned):
@@ -97,8 +101,10 @@ def records(folder: Folder, planned: Planned):
             yield part, folder.get_json(record_name(part))
 
 
-def begin(job: Job, folder: Folder, resume: bool, pool: Pool, tell) -> Planned:
+def begin(job: Job, folder: Folder, resume: bool, ask, tell) -> Planned:
     """The plan of a job: a new one, or that which is there.
+
+    ask : function (command, *arguments) that has a process do it, see `Work`
 
     Raises
     ------
@@ -121,13 +127,13 @@ def begin(job: Job, folder: Folder, resume: bool, pool: Pool, tell) -> Planned:
         if folder.names(""):
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
         tell("choosing the samples")
-        planned = pool.ask("plan")
-        pool.ask("create", planned)
+        planned = ask("plan")
+        ask("create", planned)
         planned.save(folder)  # last: from here on there is something to go on with
     return planned
 
 
-def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
+def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str | None = None) -> Outcome:
     """Make all pings of a job that are not there yet, and join what is joined of them.
 
     Parameters
@@ -135,72 +141,80 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress) -> Outcome:
     devices : of each process, of `devices_of`
     tell : function (text) that shows a line
     progress : function (pings, pings that are there) -> context manager of a function (pings more)
+    cluster : address of a Dask scheduler, whose workers make the parts; None has processes here do so
     """
-
     orders, folder = Orders(job), Folder(url)
     if job.ros is not None and not folder.is_local:
-        raise Error(
-            f"{job.where}: ros must be written to a folder of this machine (got {url!r}; leave it out)"
-        )
+        raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
     with Pool(job.plain, folder.url, devices, tell) as pool:
-        planned = begin(job, folder, resume, pool, tell)
+        away = None if cluster is None else Away(cluster, job, folder.url)
+        planned = begin(job, folder, resume, pool.ask if away is None else away.ask, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()
         for part, record in records(folder, planned):
             outcome.add(record)
             there.add(part)
         missing = [part for part in range(planned.n_parts) if part not in there]
         if missing:
-            with progress(planned.n_pings, outcome.done) as more, _stopped_by_ctrl_c(pool, tell):
+            with progress(planned.n_pings, outcome.done) as more:
 
                 def done(record):
                     outcome.add(record)
                     more(record["pings"])
 
-                pool.run(missing, planned.numbers, done)
+                if away is not None:
+                    missing = away.run(missing, done, tell)
+                with _stopped_by_signals(pool, tell):
+                    pool.run(missing, planned.numbers, done, one_by_one=away is not None)
         if outcome.is_whole and folder.get(DONE) is None:
             pool.ask("finish")
     return outcome
 
 
-def dry_run(job: Job, devices, tell) -> str:
-    """What a job would make, its size and the time that it takes, by a short trial."""
-    orders = Orders(job)
-    with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, tell) as pool:
-        planned = pool.ask("plan")
-        pool.ask("create", planned)
-        trial = pool.ask("probe", planned)
-    n, lines = planned.n_pings, []
-    for scene, run in orders.runs():
-        start_s, end_s = orders[run[0]].time_s, orders[run[-1]].time_s
-        lines.append(f"pings {run[0]}..{run[-1]}: scene {job.scenes[scene]}, {start_s:g} to {end_s:g} s")
-    for scene, (samplings, estimates) in enumerate(zip(planned.samplings, planned.estimates, strict=True)):
-        for name, sampling in samplings.items():
-            sonar = orders.sonars[name]
-            size = f"{sonar.n_beams} beams x {sonar.n_bins} bins"
-            samples = f"{sampling['columns_per_beam'] * sonar.n_beams:.0f} x {sampling['rows']} samples"
-            error = f"error thought to be below {estimates[name]:.2g}"
-            lines.append(f"{name} in {job.scenes[scene]}: {size}, {samples}, {error}")
-    lines.append(f"{n} pings in {planned.n_parts} parts of {planned.pings_per_part}")
-    lines.append(f"size: {_amount(n * trial['ping_bytes'])} ({trial['ping_bytes'] / 1e3:.0f} kB a ping)")
-    alone_s = n * trial["ping_s"]
-    lines.append(
-        f"time: {_duration(alone_s)} in one process ({1e3 * trial['ping_s']:.1f} ms a ping, on "
-        f"{planned.gl_renderer}), {_duration(alone_s / len(devices))} at best in {len(devices)}"
-    )
-    return "\n".join(lines)
+class Away:
+    """The workers of a cluster, which do what a pool's processes do.
 
+    Parameters
+    ----------
+    address : of a Dask scheduler
+    """
 
-def _amount(size: float) -> str:
-    for unit in ("kB", "MB", "GB"):
-        size /= 1000
-        if size < 1000:
-            return f"{size:.3g} {unit}"
-    return f"{size / 1000:.3g} TB"
+    def __init__(self, address: str, job: Job, url: str):
+        self.address, self._made_of = address, (json.dumps(job.plain, sort_keys=True), url)
 
+    def ask(self, command: str, *_):
+        """What a worker makes of a command of `Work` that takes nothing but the plan."""
+        found = []
+        run_on_cluster(
+            self.address,
+            partial(on_cluster, *self._made_of, command),
+            [0],
+            lambda _part, result: found.append(result),
+            lambda _part, why: found.append(Error(f"workers must live (at {command!r} {why})")),
+        )
+        if isinstance(found[0], Error):
+            raise found[0]
+        return found[0]
 
-def _duration(seconds: float) -> str:
-    for unit, length in (("days", 86400), ("hours", 3600), ("minutes", 60)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.3g} {unit}"
-    return f"{seconds:.3g} seconds"
+    def run(self, parts, done, tell) -> list[int]:
+        """Have parts made; those that workers died of, or all that are left after Ctrl-C none."""
+        died = []
+
+        def killed(part, why):
+            tell(f"part {part}: {why}; it is made here, ping by ping")
+            died.append(part)
+
+        made = {}
+
+        def made_once(part, record):  # after a death a part may be told of twice
+            if part not in made:
+                made[part] = True
+                done(record)
+
+        try:
+            run_on_cluster(
+                self.address, partial(on_cluster, *self._made_of, "part"), parts, made_once, killed
+            )
+        except KeyboardInterrupt:
+            return []
+        return died

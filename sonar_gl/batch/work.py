@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
 import time
 import warnings
 from dataclasses import asdict
+from functools import lru_cache
 
 import numpy as np
 
@@ -111,6 +114,23 @@ class Work:
             folder = Folder(self.url)
             self._maker = Maker(self.orders, Planned.load(folder), folder, self.device)
         return self._maker.make(part, set_aside, one_by_one, tell)
+
+
+@lru_cache(1)
+def _of_worker(job: str, url: str) -> Work:
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # of the software driver, which would take all cores
+    return Work(json.loads(job), url, None)
+
+
+def on_cluster(job: str, url: str, command: str, part: int):
+    """What a worker of a cluster does: "plan", "create", or the "part" of a number.
+
+    job : plain values as JSON, which stays the same from part to part
+    """
+    work = _of_worker(job, url)
+    if command == "part":
+        return work.part(part, {}, False)
+    return work.plan() if command == "plan" else work.create(Planned.load(Folder(url)))
 
 
 def _nth(runs, k: int) -> int:
