@@ -69,13 +69,12 @@ class Simulator:
         world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device, context)
         world.users += 1
         self._world, self.gl_info = world, world.gl_info
-        self._passes = Passes(world.gpu, sonar, self.acoustics)
+        passes = self._passes = Passes(world.gpu, sonar, self.acoustics)
         self._multipath, self._record = None, Record(sonar, self.acoustics)
         with self._drawing():
             if self.acoustics.multipath != "none":
                 self._multipath = Multipath(self._passes, world.scene, tolerance)
-            planned = sampling is None
-            self._samples = Planner(self._passes, tolerance) if planned else Fixed(self._passes, sampling)
+            self._samples = Planner(passes, tolerance) if sampling is None else Fixed(passes, sampling)
             self._passes.warm()
 
     def _open_world(self) -> World:

@@ -10,8 +10,9 @@ from test_footprint import fan_and_views, only
 
 import sonar_gl as sg
 from sonar_gl.fan import beam_weights
-from sonar_gl.moments import acos, middle_of
+from sonar_gl.moments import acos
 from sonar_gl.reduce import Reducer
+from sonar_gl.scatter import middle_of
 
 IDEAL, HERE = sg.Acoustics.ideal(), np.eye(4)
 SONAR = sg.Sonar("test", 900e3, 48, 240, 40.0, 40.0, 2.0, 0.5, 24.5)
