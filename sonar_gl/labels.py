@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.given import Given
-from sonar_gl.moments import BODY, CELL, COLUMN, PLACE, gather, middle_of
+from sonar_gl.moments import BODY, COLUMN, PLACE, gather
+from sonar_gl.scatter import CELL, middle_of
 from sonar_gl.strongest import choose, tiles_of
 
 # A bin is in shadow where less than this is left of what the background alone would echo: nine tenths of the

@@ -7,40 +7,40 @@ import math
 import numpy as np
 from numba import uint64
 
-from sonar_gl import footprint
+from sonar_gl import footprint, scatter
 from sonar_gl.compiled import compiled, compiled_with
 from sonar_gl.footprint import (
     ALONG_U,
     ALONG_V,
     BORDER,
     ENERGY,
-    FAR,
     FAR_FACTOR,
-    HALF_HEIGHT,
-    LAST,
-    NEAR,
     REST,
-    V_RAY,
-    A,
-    B,
-    Q,
     S,
-    _below,
     _find_borders,
     _find_boxes,
     _find_shapes,
     _look,
 )
+from sonar_gl.scatter import (
+    CELL,
+    COUNT,
+    ECHO,
+    ECHO_ELEVATION,
+    ECHO_INCIDENCE,
+    ECHO_RANGE,
+    ELEVATION,
+    HEIGHT,
+    HEIGHT_ELEVATION,
+    HEIGHT_INCIDENCE,
+    INCIDENCE,
+    MOMENTS,
+    ROWS,
+    drop_body,
+    middle_of,
+    spread_body,
+)
 
-# Beside what `footprint` finds of a sample: its elevation and its incidence, radians.
-ELEVATION, INCIDENCE = LAST + 1, LAST + 2
-ROWS = LAST + 3
-# Of a cell, one body's in one bin: what begins or ends there of samples that fill bins (their height, that
-# times elevation and incidence, how many), and what lies in it of those that do not (echo, that times
-# elevation, incidence, and range less `middle_m`). What fills a bin has its `middle_m` for its mean range.
-HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT, ECHO, ECHO_ELEVATION, ECHO_INCIDENCE, ECHO_RANGE = range(8)
-CELL, MOMENTS = 8, 4  # of which the last four are what is handed on
-NEAR_BIN, FAR_BIN = footprint.FIRST, LAST
 BODY, COLUMN, FIRST, PAST, PLACE = range(5)  # of a run, its bins, and where in the pool it begins
 
 
@@ -56,13 +56,7 @@ def acos(c):
     return math.sqrt(max(1.0 - c, 0.0)) * p
 
 
-@compiled
-def middle_of(bin_edges_s):
-    """(K,) mean range of what fills a bin, whose density is s = 1/r: ∫ ds / ∫ s ds."""
-    return 2.0 / (bin_edges_s[:-1] + bin_edges_s[1:])
-
-
-@compiled
+@compiled_with(footprint, scatter)
 def _find_angles(work, first, last, uc, v_limit, arcs, elevation):
     """Elevation and incidence of a strip's samples from `first` to before `last`."""
     rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
@@ -80,115 +74,7 @@ def _find_angles(work, first, last, uc, v_limit, arcs, elevation):
             work[ELEVATION, m] /= elevation[i] + (place - i) * (elevation[i + 1] - elevation[i])
 
 
-@compiled
-def _ramp_range(s, start):
-    """As `footprint._ramp`, of (s - start) ds."""
-    t = max(s - start, 0.0)
-    return t * t / 2
-
-
-@compiled
-def _below_range(s, middle, wide, thin):
-    """As `footprint._below`, of range times energy."""
-    rise = _ramp_range(s, middle - wide - thin) - _ramp_range(s, middle - wide + thin)
-    return rise - (_ramp_range(s, middle + wide - thin) - _ramp_range(s, middle + wide + thin))
-
-
-@compiled_with(footprint)
-def _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre):
-    """As `footprint._spread_trapezoid`; the first bin and past the last."""
-    K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
-    wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
-    low, high = max(s - wide - thin, edges[K]), min(s + wide + thin, edges[0])
-    if high <= low:
-        return K, 0
-    scale = energy / (4 * wide * thin)
-    if s < wide + thin:
-        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    first, last = int((1.0 / high - r_first) * per_metre), int((1.0 / low - r_first) * per_metre)
-    last = min(last, K - 1)
-    nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
-    for k in range(uint64(first), uint64(last + 1)):
-        edge = edges[k + uint64(1)] if k < last else low
-        further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-        echo = scale * (nearer - further)
-        cells[k, ECHO] += echo
-        cells[k, ECHO_ELEVATION] += echo * work[ELEVATION, m]
-        cells[k, ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
-        cells[k, ECHO_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
-        nearer, range_nearer = further, range_further
-    return first, last + 1
-
-
-@compiled_with(footprint)
-def _spread(work, start, stop, cells, edges, middle_m, r_first, per_metre):
-    """As `footprint.spread_footprints`, into one body's cells; the first bin and past the last."""
-    K = middle_m.shape[0]
-    lowest, highest = K, 0
-    for m in range(uint64(start), uint64(stop)):
-        energy, s = work[ENERGY, m], work[S, m]
-        if energy == 0.0 or s <= 0.0:
-            continue
-        if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
-            first, past = _spread_trapezoid(work, m, cells, edges, middle_m, r_first, per_metre)
-            lowest, highest = min(lowest, first), max(highest, past)
-            continue
-        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
-        if near <= far:
-            continue
-        elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
-        first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
-        lowest, highest = min(lowest, int(first)), max(highest, int(last) + 1)
-        after = first + uint64(1)
-        inner = edges[after] if first < last else far
-        part = half_height * (near - inner)
-        echo = part * (near + inner)
-        cells[first, ECHO] += echo
-        cells[first, ECHO_ELEVATION] += echo * elevation
-        cells[first, ECHO_INCIDENCE] += echo * incidence
-        cells[first, ECHO_RANGE] += 2 * part - echo * middle_m[first]
-        if first >= last:
-            continue
-        outer, height = edges[last], 2 * half_height
-        part = half_height * (outer - far)
-        echo = part * (outer + far)
-        cells[last, ECHO] += echo
-        cells[last, ECHO_ELEVATION] += echo * elevation
-        cells[last, ECHO_INCIDENCE] += echo * incidence
-        cells[last, ECHO_RANGE] += 2 * part - echo * middle_m[last]
-        if after < last:
-            cells[after, HEIGHT] += height
-            cells[after, HEIGHT_ELEVATION] += height * elevation
-            cells[after, HEIGHT_INCIDENCE] += height * incidence
-            cells[after, COUNT] += 1.0
-            cells[last, HEIGHT] -= height
-            cells[last, HEIGHT_ELEVATION] -= height * elevation
-            cells[last, HEIGHT_INCIDENCE] -= height * incidence
-            cells[last, COUNT] -= 1.0
-    return lowest, highest
-
-
-@compiled
-def _drop(work, start, stop, cells, middle_m, u, nearest, step, bottom_row, r_first, per_metre):
-    """As `footprint._drop`, into one body's cells; the first bin and past the last."""
-    K = middle_m.shape[0]
-    lowest, highest = K, 0
-    for m in range(start, stop):
-        j = bottom_row + m
-        u_ray, v_ray = u[0] + u[1] * int(nearest - step * j) + u[2] * j, work[V_RAY, m]
-        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
-        k = (1.0 / s - r_first) * per_metre
-        if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
-            cell, echo = cells[int(k)], work[ENERGY, m] * s
-            cell[ECHO] += echo
-            cell[ECHO_ELEVATION] += echo * work[ELEVATION, m]
-            cell[ECHO_INCIDENCE] += echo * work[INCIDENCE, m]
-            cell[ECHO_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]
-            lowest, highest = min(lowest, int(k)), max(highest, int(k) + 1)
-    return lowest, highest
-
-
-@compiled
+@compiled_with(scatter)
 def _slot_of(body, slots, n_slots, cells):
     """The place of a body's cells in a column, a new one at first; and the rest, larger if it was full."""
     slot = 0
@@ -204,7 +90,7 @@ def _slot_of(body, slots, n_slots, cells):
     return slot, slots, n_slots + 1, cells
 
 
-@compiled
+@compiled_with(scatter)
 def _close(cells, slot, first, past, flat, pool, place):
     """Lay a body's cells of one column in the pool, MOMENTS rows one after the other, and clear them."""
     n = past - first
@@ -224,7 +110,7 @@ def _close(cells, slot, first, past, flat, pool, place):
         cell[:] = 0.0
 
 
-@compiled
+@compiled_with(scatter)
 def _close_all(cells, slots, n_slots, column, flat, runs, pool, n_runs, used):
     """Hand a column's cells on; runs and pool, larger ones where they were full, and how much is used."""
     for slot in range(n_slots):
@@ -247,7 +133,7 @@ def _close_all(cells, slots, n_slots, column, flat, runs, pool, n_runs, used):
     return runs, pool, n_runs, used
 
 
-@compiled_with(footprint)
+@compiled_with(footprint, scatter)
 def gather(
     plane_echo, body_id, u, v, tan_elevation, part_column, part_u, part_width, bin_edges_m, tables, spread,
     elevation, arcs, cells, runs, pool, n_runs, used,
@@ -263,7 +149,7 @@ def gather(
     cells : (slots, K, CELL) float64, zeros before and after
     runs : (n, 5) int64, BODY .. PLACE, in use up to n_runs
     pool : (n,) float32, in use up to used: of each run MOMENTS rows, of its bins' echo, and that times
-        elevation, incidence, and range less `middle_of` the bin
+        elevation, incidence, and range less `scatter.middle_of` the bin
 
     Returns
     -------
@@ -308,10 +194,10 @@ def gather(
                 stop += 1
             slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
             if spread:
-                found = _spread(work, start, stop, cells[slot], edges, middle_m, r_first, per_metre)
+                found = spread_body(work, start, stop, cells[slot], edges, middle_m, r_first, per_metre)
             else:
                 lattice = u, nearest, step, bottom_row
-                found = _drop(work, start, stop, cells[slot], middle_m, *lattice, r_first, per_metre)
+                found = drop_body(work, start, stop, cells[slot], middle_m, *lattice, r_first, per_metre)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], found[0]), max(slots[slot, 2], found[1])
             start = stop
     if part_u.shape[0]:

@@ -33,7 +33,7 @@ HELP = {
     "seed": "Of the noise.",
     "formats": "What to write; may be repeated. gif and mp4 are for sequences.",
     "fps": "Frames a second of gif and mp4.",
-    "labels": "Add body_id and elevation_rad to the NPZ.",
+    "labels": "Add to the NPZ the strongest body of each bin, and what is known of its echo.",
     "resource_path": "Folder that model:// means; may be repeated.",
     "skip_missing": "Carry on without models that are not found.",
     "json": "Print one JSON object instead of text.",

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import uint64
 
-from sonar_gl import moments
+from sonar_gl import moments, scatter
 from sonar_gl.compiled import compiled, compiled_with
-from sonar_gl.moments import COLUMN, FIRST, MOMENTS, PAST, PLACE
+from sonar_gl.moments import COLUMN, FIRST, PAST, PLACE
+from sonar_gl.scatter import MOMENTS
 
 # Beams at a time, so that what is read of columns serves several; bins at a time, so that what several beams
 # hear stays in fast memory; and what is known of these bins, one row after the other.
@@ -122,7 +123,7 @@ def _finish(strongest, share, means, middle_m):
         range_m[k] = range_m[k] * over + middle_m[k] if heard else np.float32(np.nan)
 
 
-@compiled_with(moments)
+@compiled_with(moments, scatter)
 def choose(
     bodies, begins, runs, owner, pools, n_columns, tile_starts, tile_weights, tiles, gain, middle_m,
     background, body_echo, strongest, share, body_id, left, means,
@@ -135,7 +136,7 @@ def choose(
     runs, owner : (n, 5) of `moments.gather`, by body and column, and (n,) in which of the pools they are
     pools : two, of `moments.gather`
     tile_starts, tile_weights : of `tiles_of`; tiles : (2,) first and past the last of them that are done
-    gain : (K,); middle_m : (K,) float32, of `moments.middle_of`
+    gain : (K,); middle_m : (K,) float32, of `scatter.middle_of`
     background : (numbers,) bool
     body_echo : (numbers,) float64, added to: the echo with the gain
     strongest, share : (B, K) float32, zeros: that body's echo, and its share of all

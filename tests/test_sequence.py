@@ -20,6 +20,7 @@ BODIES = (
     sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2), 0.8),
     sg.Body("ball", BALL, sg.pose(8, -1), 0.6, np.asarray(BALL.vertices, np.float32) * 2),
 )
+LABELS = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "body_echo", "shadow"
 POSES = [sg.pose(0.1 * k, 0.05 * k, 0, 0, 0.01 * k, 0.02 * k) for k in range(11)]
 MOVED = [
     None if k % 3 == 0 else {"box": sg.pose(6, 2 - 0.3 * k), "ball": None if k % 2 else sg.pose(9, 0.1 * k)}
@@ -41,7 +42,7 @@ def check_same(one, other):
     """Equal to the bit in all that a ping holds."""
     for name in ("intensity", "azimuth_rad", "range_m", "pose"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    for name in ("body_id", "elevation_rad", "body_echo"):
+    for name in LABELS:
         a, b = getattr(one, name), getattr(other, name)
         assert (a is None) == (b is None)
         if a is not None:
@@ -77,6 +78,14 @@ def test_with_bodies_of_each_pose(it, labels):
         check_same(ping, it.ping(pose, labels=labels, bodies=moved))
     before = it.ping(POSES[1]).intensity
     assert (before != together[1].intensity).any()
+
+
+def test_shadows_with_bodies_of_each_pose(it):
+    """The background is drawn beside each pose of a batch, without what moves before it."""
+    together = list(it.pings(POSES, labels=True, bodies=MOVED, background=["wall"]))
+    for pose, moved, ping in zip(POSES, MOVED, together, strict=True):
+        check_same(ping, it.ping(pose, labels=True, bodies=moved, background=["wall"]))
+    assert len({ping.shadow.tobytes() for ping in together}) == len(POSES)
 
 
 def test_pings_from_one_pose_with_bodies_that_move(it):
