@@ -1,7 +1,7 @@
 """The command line, for tests of batches in which something goes wrong: pings are slow, and some kill.
 
-SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them. Processes that
-make parts load this file as they start, as they do with any program that begins a batch.
+SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them. Processes
+that make parts load this file as they start, as they do with any program that begins a batch.
 """
 
 import os

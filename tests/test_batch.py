@@ -63,7 +63,8 @@ def pings(small, orders):
             out[name] = [
                 simulator.ping(
                     order.pose @ orders.mounts[name], order.noise, orders.noise_seed(name), True,
-                    order.number, order.bodies, order.time_s, None, order.reflectivity, order.water, ["floor", "wall"],
+                    order.number, order.bodies, order.time_s, None, order.reflectivity, order.water,
+                    ["floor", "wall"],
                 )
                 for order in map(orders.__getitem__, range(N))
             ]  # fmt: skip

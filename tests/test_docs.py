@@ -17,11 +17,15 @@ from click.testing import CliRunner
 
 import sonar_gl as sg
 from sonar_gl import cli
+from sonar_gl.batch.job import Job, read_job
+from sonar_gl.batch.orders import Orders
+from sonar_gl.batch.paths import KINDS
 from sonar_gl.switches import TERMS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 MAX_PICTURE_BYTES = 120_000
+BATCHES = ROOT / "docs" / "batch.md"  # whose blocks build on one another
 POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
 
 
@@ -29,9 +33,9 @@ def text_of(page):
     return page.read_text(encoding="utf-8")
 
 
-def blocks(language):
-    """Every fenced block of a language, with its page and line."""
-    for page in PAGES:
+def blocks(language, pages=None):
+    """Every fenced block of a language, with its page and line; not of the page of batches, unless named."""
+    for page in pages or [page for page in PAGES if page != BATCHES]:
         for match in re.finditer(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE):
             line = text_of(page)[: match.start()].count("\n") + 1
             yield pytest.param(match[1], id=f"{page.name}:{line}")
@@ -39,14 +43,14 @@ def blocks(language):
 
 def shell_lines():
     """Every line of the pages' shell blocks, without its comment."""
-    for block in blocks("sh"):
+    for block in [*blocks("sh"), *blocks("sh", [BATCHES])]:
         for line in block.values[0].splitlines():
             if words := shlex.split(line, comments=True):
                 yield pytest.param(words, id=" ".join(words))
 
 
 def commands():
-    return [p for p in shell_lines() if p.values[0][0] == "sonar-gl"]
+    return [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
 
 
 @pytest.fixture(autouse=True)
@@ -308,6 +312,38 @@ def test_sonars_load(text):
     assert sg.load_sonar("mine.toml").name == "mine"
 
 
+def test_the_page_of_batches_runs(folder):
+    job, rig = (block.values[0] for block in blocks("toml", [BATCHES]))
+    Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
+    told = [p.values[0] for p in shell_lines() if p.values[0][:2] == ["sonar-gl", "batch"]]
+    told = list(dict.fromkeys(map(tuple, told)))  # README has some of them, too
+    assert [words[-1] for words in told] == ["--dry-run", "pylons", "--resume", "pylons"]
+    for words in told:
+        result = run(*words[1:])
+        assert result.exit_code == 0, result.output
+        assert "warning" not in result.output
+    assert result.stdout == "pylons: all files are as they were written\n"
+    for block in blocks("python", [BATCHES]):
+        exec(compile(block.values[0], "example", "exec"), {"__name__": "__main__"})
+    assert Path("ping.png").stat().st_size > 10_000
+    shown = Path("rig.toml")
+    shown.write_text(job[: job.index("[[sonars]]")] + rig + job[job.index("[[poses]]") :])
+    orders = Orders(read_job(shown))
+    assert np.allclose(orders.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
+    # the page's tables know every key, and no other
+    page = text_of(BATCHES)
+    keys = {
+        key
+        for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+        for key in re.findall(r"`\[*(\w+)", row)
+    }
+    assert set(Job.model_fields) - {"where", "folder", "vary"} <= keys
+    for kind, settings in re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE):
+        if kind in KINDS:
+            told = set(re.findall(r"`(\w+)`", settings))
+            assert told == {field.name for field in dataclasses.fields(KINDS[kind])} - {"seed"}, kind
+
+
 @pytest.mark.parametrize(
     "message", re.findall(r"^\| `([^`]+)` \|", text_of(ROOT / "README.md"), re.MULTILINE)
 )
@@ -323,7 +359,7 @@ def test_names_and_shapes_of_an_npz_are_those_of_the_page():
     told = dict(re.findall(r"^\| `(\w+)` \| (\([^)]*\) \w+|JSON text)", page, re.MULTILINE))
     scene, sonar = sg.load_scene("diver"), sg.load_sonar("demarco-2015")
     with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
-        ping = simulator.ping(scene.sonar_pose, noise=sg.Noise.physical(), labels=True)
+        ping = simulator.ping(scene.sonar_pose, sg.Noise.physical(), labels=True, background=["floor"])
     sg.save_npz("diver.npz", ping)
     letters = {sonar.n_beams: "B", sonar.n_bins: "K", len(scene.bodies) + 1: "M"}
 
