@@ -4,6 +4,11 @@ from pathlib import Path
 
 from command_line import BODY, SONAR, WALL
 
+from sonar_gl.batch.files import Folder
+from sonar_gl.batch.job import read_job
+from sonar_gl.batch.planned import Planned
+from sonar_gl.batch.work import Work
+
 BOX = BODY.format("box_1", "3 0.3 -0.3", "0.2 0.2 0.2")
 FLOOR = """<model name="floor"><static>true</static><pose>0 0 -0.4 0 0 0</pose><link name="link">
 <collision name="c"><geometry><plane><normal>0 0 1</normal><size>40 40</size></plane></geometry>
@@ -93,3 +98,16 @@ def files_of(folder: Path) -> dict[str, bytes]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+def make_all(job_file, url, parts=None) -> Planned:
+    """Make a whole batch in this process."""
+    work = Work(read_job(job_file).plain, str(url), None)
+    planned = work.plan()
+    work.create(planned)
+    planned.save(Folder(url))
+    for part in parts or range(planned.n_parts):
+        work.part(part, {}, False)
+    work.finish()
+    work.close()
+    return planned

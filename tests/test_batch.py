@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import xarray as xr
-from batches import LABELS, MORE, files_of, write_job
+from batches import LABELS, MORE, files_of, make_all, write_job
 from command_line import run
 from pycocotools.coco import COCO
 
@@ -25,19 +25,6 @@ from sonar_gl.batch.work import Work
 from sonar_gl.boxes import body_map, boxes_of
 
 N = 10
-
-
-def make_all(job_file, url, parts=None) -> Planned:
-    """Make a whole batch in this process."""
-    work = Work(read_job(job_file).plain, str(url), None)
-    planned = work.plan()
-    work.create(planned)
-    planned.save(Folder(url))
-    for part in parts or range(planned.n_parts):
-        work.part(part, {}, False)
-    work.finish()
-    work.close()
-    return planned
 
 
 @pytest.fixture(scope="module")
@@ -397,6 +384,14 @@ def test_damage_is_found(small, tmp_path):
     assert out.endswith(f"{copy}: 3 files are wrong\n")
 
 
+def test_two_batches_keep_out_of_each_others_way(small, tmp_path):
+    with Folder(tmp_path / "out").locked():
+        status, _, err = run("batch", small / "job.toml", "--out", tmp_path / "out")
+        expected = f"error: {tmp_path / 'out'}: must be one batch's at a time (another is at work there)\n"
+        assert (status, err) == (2, expected)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 def test_what_is_there_is_not_overwritten(small, tmp_path):
     job, out = small / "job.toml", small / "out"
     before = files_of(out)
@@ -415,3 +410,10 @@ def test_what_is_there_is_not_overwritten(small, tmp_path):
     status, out_, _ = run("batch", job, "--out", out, "--resume")  # nothing is left to do
     assert (status, out_) == (0, f"{out}: {N} of {N} pings\n")
     assert files_of(out) == before
+
+
+def test_a_process_is_told_apart_from_pings_that_it_cannot_be_at():
+    from sonar_gl.batch.pool import IN_HAND
+    from sonar_gl.sequence import BATCH
+
+    assert IN_HAND == 2 * BATCH + 1

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cluster_parts
 import pytest
+from batches import files_of, make_all, write_job
 from distributed import Client, LocalCluster
 
 from sonar_gl import Error
@@ -121,6 +122,24 @@ def test_a_part_kills_workers(address, tmp_path):
     assert told.done == dict.fromkeys({*range(8)} - {3}, 1)
     assert set(told.killed) == {3} and told.killed[3].startswith("2 workers died of it")
     assert len(set(tries(tmp_path)[3])) == 2
+
+
+def test_a_batch_has_the_same_bytes_where_a_worker_dies(address, tmp_path):
+    """By the command line, with workers that write into the folder themselves."""
+    job, out = write_job(tmp_path, 48), tmp_path / "out"
+    with Client(address, set_as_default=False) as client:
+        workers = list(client.run(os.getpid).values())
+    command = "batch", job, "--out", out, "--cluster", address
+    batch = subprocess.Popen([sys.executable, "-m", "sonar_gl", *command], stdout=subprocess.PIPE)
+    while len(list((out / "parts").glob("*.json"))) < 2:
+        assert batch.poll() is None
+        time.sleep(0.005)
+    os.kill(workers[0], signal.SIGKILL)
+    assert len(list((out / "parts").glob("*.json"))) < 12
+    told, _ = batch.communicate(timeout=100)
+    assert (batch.returncode, told.decode()) == (0, f"{out}: 48 of 48 pings\n")
+    make_all(job, tmp_path / "here")
+    assert files_of(out) == files_of(tmp_path / "here")
 
 
 def test_memory_is_kept(address):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import click
 
+from sonar_gl.commands import load_numba
 from sonar_gl.options import option
 
 EPILOG = """\b
@@ -48,6 +49,7 @@ def batch(ctx, **options):
     o = SimpleNamespace(**options)
     from sonar_gl.types import Error
 
+    load_numba()
     if (o.job is None) == (o.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
@@ -14,6 +15,9 @@ from fsspec.implementations.local import LocalFileSystem
 
 from sonar_gl.types import Error
 from sonar_gl.whole import name_beside
+
+
+LOCK = ".lock"
 
 
 class Folder:
@@ -38,6 +42,21 @@ class Folder:
     def path(self, name: str) -> str:
         """Where a file is, for `fs`."""
         return f"{self.root}/{name}"
+
+    @contextmanager
+    def locked(self):
+        """Nobody else's for the time of the block, on this machine; an Error if it is somebody's."""
+        if not self.is_local:
+            yield
+            return
+        place = Path(self.path(LOCK))
+        with place.open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel's, so it ends with the process
+            except BlockingIOError:
+                raise Error(f"{self.root}: must be one batch's at a time (another is at work there)") from None
+            yield
+            place.unlink(missing_ok=True)
 
     def open(self, name: str):
         """A file, to read its bytes."""
@@ -95,7 +114,7 @@ class Folder:
             found = self.fs.ls(self.path(folder), detail=False)
         except FileNotFoundError:
             return []
-        return sorted(PurePosixPath(name).name for name in found)
+        return sorted({PurePosixPath(name).name for name in found} - {LOCK})
 
     def remove(self, folder: str) -> None:
         """Take a folder or file away, if it is there."""

@@ -11,15 +11,12 @@ from sonar_gl.batch import store
 from sonar_gl.batch import table as table_of
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.kept import Kept
-from sonar_gl.batch.maker import record_name, table_name
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.outputs import bag_name, coco_name
-from sonar_gl.batch.planned import Planned
+from sonar_gl.batch.planned import DONE, Planned, record_name, table_name
 from sonar_gl.dump import fan_artist
 from sonar_gl.export import save_animation
 from sonar_gl.types import Ping
-
-DONE = "done.json"  # the last file of a batch
 
 
 def _blocks(folder: Folder, planned: Planned) -> Iterator[tuple[int, np.ndarray]]:

@@ -12,24 +12,13 @@ from sonar_gl.batch import outputs, table
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Orders
-from sonar_gl.batch.planned import Planned
+from sonar_gl.batch.planned import Planned, record_name, table_name
 from sonar_gl.fan import Sampling
 from sonar_gl.noise import add_noise
 from sonar_gl.simulator import Simulator
 from sonar_gl.types import Error
 
-PARTS = "parts"
 TRIES = 2  # of a ping that fails, before it is set aside
-
-
-def record_name(part: int) -> str:
-    """File that says that a part is done."""
-    return f"{PARTS}/{part:07d}.json"
-
-
-def table_name(part: int) -> str:
-    """File of a part's rows of the table."""
-    return f"{PARTS}/{part:07d}.npy"
 
 
 class Maker:

@@ -9,9 +9,20 @@ from sonar_gl.batch.files import Folder
 from sonar_gl.types import Error
 
 NAME = "planned.json"
+DONE = "done.json"  # the last file of a batch
 PART_BYTES = 64e6  # of a part's arrays, before they are packed
 CHUNK = 8  # pings; parts hold whole ones
 MOST = 128  # pings of a part: no more are lost or made again
+
+
+def record_name(part: int) -> str:
+    """File that says that a part is done."""
+    return f"parts/{part:07d}.json"
+
+
+def table_name(part: int) -> str:
+    """File of a part's rows of the table."""
+    return f"parts/{part:07d}.npy"
 
 
 @dataclass(frozen=True)

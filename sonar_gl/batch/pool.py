@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 
 from sonar_gl.batch.worker import serve
-from sonar_gl.sequence import BATCH
 from sonar_gl.types import Error
 
-IN_HAND = 2 * BATCH + 1  # pings that a sequence may be at, after the last that it gave
+IN_HAND = 9  # pings that a sequence may be at after the last that it gave, two batches and one
 STALL_S = 900.0  # without a word, after which a process is taken for hung
 DEATHS = 2  # at a ping, after which it is set aside
 PATIENCE_S = 10.0  # for a process to end by itself

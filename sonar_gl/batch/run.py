@@ -12,15 +12,12 @@ from functools import partial
 
 from sonar_gl.batch.cluster import run_on_cluster
 from sonar_gl.batch.files import Folder
-from sonar_gl.batch.finish import DONE
 from sonar_gl.batch.job import PLACES, Job
 from sonar_gl.batch.kept import Kept
-from sonar_gl.batch.maker import record_name
 from sonar_gl.batch.orders import Orders
-from sonar_gl.batch.planned import Planned
+from sonar_gl.batch.planned import DONE, Planned, record_name
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.table import Columns
-from sonar_gl.batch.work import on_cluster
 from sonar_gl.rigid import numbers_of
 from sonar_gl.types import Error
 
@@ -147,7 +144,7 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str 
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
-    with Pool(job.plain, folder.url, devices, tell) as pool:
+    with folder.locked(), Pool(job.plain, folder.url, devices, tell) as pool:
         away = None if cluster is None else Away(cluster, job, folder.url)
         planned = begin(job, folder, resume, pool.ask if away is None else away.ask, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()
@@ -182,12 +179,17 @@ class Away:
     def __init__(self, address: str, job: Job, url: str):
         self.address, self._made_of = address, (json.dumps(job.plain, sort_keys=True), url)
 
-    def ask(self, command: str, *_):
-        """What a worker makes of a command of `Work` that takes nothing but the plan."""
+    def _work(self, command: str, *arguments):
+        from sonar_gl.batch.work import on_cluster  # with all that makes pings: workers need it
+
+        return partial(on_cluster, *self._made_of, command, arguments)
+
+    def ask(self, command: str, *arguments):
+        """What a worker makes of a method of `Work`."""
         found = []
         run_on_cluster(
             self.address,
-            partial(on_cluster, *self._made_of, command),
+            self._work(command, *arguments),
             [0],
             lambda _part, result: found.append(result),
             lambda _part, why: found.append(Error(f"workers must live (at {command!r} {why})")),
@@ -212,9 +214,7 @@ class Away:
                 done(record)
 
         try:
-            run_on_cluster(
-                self.address, partial(on_cluster, *self._made_of, "part"), parts, made_once, killed
-            )
+            run_on_cluster(self.address, self._work("part"), parts, made_once, killed)
         except KeyboardInterrupt:
             return []
         return died

@@ -122,15 +122,13 @@ def _of_worker(job: str, url: str) -> Work:
     return Work(json.loads(job), url, None)
 
 
-def on_cluster(job: str, url: str, command: str, part: int):
-    """What a worker of a cluster does: "plan", "create", or the "part" of a number.
+def on_cluster(job: str, url: str, command: str, arguments: tuple, part: int):
+    """What a worker of a cluster does: a part, or another method of `Work`.
 
-    job : plain values as JSON, which stays the same from part to part
+    job : plain values as JSON, the same from part to part
     """
     work = _of_worker(job, url)
-    if command == "part":
-        return work.part(part, {}, False)
-    return work.plan() if command == "plan" else work.create(Planned.load(Folder(url)))
+    return work.part(part, {}, False) if command == "part" else getattr(work, command)(*arguments)
 
 
 def _nth(runs, k: int) -> int:

@@ -8,6 +8,7 @@ import threading
 import traceback
 from multiprocessing import parent_process
 
+from sonar_gl.commands import load_numba
 from sonar_gl.types import Error
 
 
@@ -38,6 +39,7 @@ def serve(pipe, job: dict, url: str, device: int | None) -> None:
     while (command := _next(pipe)) is not None:
         try:
             if made is None:
+                load_numba()
                 from sonar_gl.batch.work import Work
 
                 made = Work(job, url, device)
