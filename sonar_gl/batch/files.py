@@ -55,8 +55,10 @@ class Folder:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel's, so it ends with the process
             except BlockingIOError:
                 raise Error(f"{self.root}: must be one batch's at a time (another is at work there)") from None
-            yield
-            place.unlink(missing_ok=True)
+            try:
+                yield
+            finally:
+                place.unlink(missing_ok=True)
 
     def open(self, name: str):
         """A file, to read its bytes."""
