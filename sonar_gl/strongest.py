@@ -87,8 +87,22 @@ def _pack(runs, owner, pools, k0, n_columns, origin, end, panel):
 
 
 @compiled
-def _compare(rows, at, body, gain, b, k0, n, strongest, total, body_id, sums):
-    """Have a beam's bins know a body's echo, which begins at `at`; its sum with the gain."""
+def _place(rows, at, body, b, k0, n, strongest, total, body_id, sums):
+    """Have a beam's bins know the echo of the first body there, which begins at `at`."""
+    at, b, k0 = uint64(at), uint64(b), uint64(k0)
+    for moment in range(uint64(1), uint64(MOMENTS)):
+        for k in range(uint64(n)):
+            sums[moment - uint64(1), b, k0 + k] = rows[at + moment * uint64(BINS) + k]
+    for k in range(uint64(n)):
+        total[b, k0 + k] = rows[at + k]
+        strongest[b, k0 + k] = max(rows[at + k], np.float32(0.0))
+    for k in range(uint64(n)):
+        body_id[b, k0 + k] = body if rows[at + k] > np.float32(0.0) else 0
+
+
+@compiled
+def _compare(rows, at, body, b, k0, n, strongest, total, body_id, sums):
+    """Have a beam's bins know another body's echo."""
     at, b, k0 = uint64(at), uint64(b), uint64(k0)
     for moment in range(uint64(1), uint64(MOMENTS)):
         mine, which = at + moment * uint64(BINS), moment - uint64(1)
@@ -101,8 +115,13 @@ def _compare(rows, at, body, gain, b, k0, n, strongest, total, body_id, sums):
     for k in range(uint64(n)):
         total[b, k0 + k] += rows[at + k]
         strongest[b, k0 + k] = max(rows[at + k], strongest[b, k0 + k])
-    first = second = 0.0  # two sums: each addition waits for the one before
-    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):
+
+
+@compiled
+def _sum(rows, at, gain, k0, n):
+    """The sum of a beam's echo times the gain."""
+    at, k0, first, second = uint64(at), uint64(k0), 0.0, 0.0
+    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):  # two: each addition waits for the one before
         first += np.float64(rows[at + k]) * gain[k0 + k]
         second += np.float64(rows[at + k + uint64(1)]) * gain[k0 + k + uint64(1)]
     if n % 2:
@@ -111,16 +130,16 @@ def _compare(rows, at, body, gain, b, k0, n, strongest, total, body_id, sums):
 
 
 @compiled
-def _finish(strongest, share, means, middle_m):
+def _finish(b, k0, n, strongest, share, means, middle_m):
     """Of a beam's sums the share and the means."""
-    elevation, incidence, range_m = means
-    for k in range(uint64(strongest.shape[0])):
-        heard = strongest[k] > 0.0
-        over = np.float32(1.0) / strongest[k]
-        share[k] = min(strongest[k] / share[k], np.float32(1.0)) if heard else np.float32(0.0)
-        elevation[k] = elevation[k] * over if heard else np.float32(np.nan)
-        incidence[k] = incidence[k] * over if heard else np.float32(np.nan)
-        range_m[k] = range_m[k] * over + middle_m[k] if heard else np.float32(np.nan)
+    b, k0 = uint64(b), uint64(k0)
+    for k in range(k0, k0 + uint64(n)):
+        echo = strongest[b, k]
+        heard, over = echo > np.float32(0.0), np.float32(1.0) / echo
+        share[b, k] = min(echo / share[b, k], np.float32(1.0)) if heard else np.float32(0.0)
+        means[0, b, k] = means[0, b, k] * over if heard else np.float32(np.nan)
+        means[1, b, k] = means[1, b, k] * over if heard else np.float32(np.nan)
+        means[2, b, k] = means[2, b, k] * over + middle_m[k] if heard else np.float32(np.nan)
 
 
 @compiled_with(moments, scatter)
@@ -139,8 +158,8 @@ def choose(
     gain : (K,); middle_m : (K,) float32, of `scatter.middle_of`
     background : (numbers,) bool
     body_echo : (numbers,) float64, added to: the echo with the gain
-    strongest, share : (B, K) float32, zeros: that body's echo, and its share of all
-    body_id : (B, K) uint16, zeros
+    strongest, share : (B, K) float32: that body's echo, and its share of all
+    body_id : (B, K) uint16
     left : (B, K) float32, zeros: the echo of background; only where there is any
     means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
     """
@@ -150,6 +169,7 @@ def choose(
     for t in range(t0, t1):
         origin, end = min(origin, tile_starts[t]), max(end, tile_starts[t] + tile_weights.shape[1])
     panel, rows = np.zeros((end - origin + BEAMS) * ROW, np.float32), np.empty(BEAMS * ROW, np.float32)
+    has_echo = np.zeros((B, K // BINS + 1), np.bool_)
     for m in range(bodies.shape[0]):
         body, mine = bodies[m], slice(begins[m], begins[m + 1])
         k_first, k_past = K, 0
@@ -163,9 +183,19 @@ def choose(
                     continue
                 for b in range(BEAMS * t, min(BEAMS * (t + 1), B)):
                     at, known = (b - BEAMS * t) * ROW, (strongest, share, body_id, means)
-                    body_echo[body] += _compare(rows, at, body, gain, b, k0, n_bins, *known)
+                    if has_echo[b, k0 // BINS]:
+                        _compare(rows, at, body, b, k0, n_bins, *known)
+                    else:
+                        _place(rows, at, body, b, k0, n_bins, *known)
+                        has_echo[b, k0 // BINS] = True
+                    body_echo[body] += _sum(rows, at, gain, k0, n_bins)
                     if background[body]:
                         for k in range(n_bins):
                             left[b, k0 + k] += rows[at + k]
     for b in range(BEAMS * t0, min(BEAMS * t1, B)):
-        _finish(strongest[b], share[b], means[:, b], middle_m)
+        for k0 in range(0, K, BINS):
+            k1 = min(k0 + BINS, K)
+            if has_echo[b, k0 // BINS]:
+                _finish(b, k0, k1 - k0, strongest, share, means, middle_m)
+            else:
+                share[b, k0:k1], body_id[b, k0:k1], means[:, b, k0:k1] = 0.0, 0, np.nan
