@@ -87,33 +87,45 @@ def _pack(runs, owner, pools, k0, n_columns, origin, end, panel):
 
 
 @compiled
-def _place(rows, at, body, b, k0, n, strongest, total, body_id, sums):
-    """Have a beam's bins know the echo of the first body there, which begins at `at`."""
+def _divide(rows, at, middle_m, k0, n):
+    """Make means of a beam's sums, which begin at `at`, in place."""
+    at, k0 = uint64(at), uint64(k0)
+    for k in range(uint64(n)):
+        over = np.float32(1.0) / rows[at + k]
+        rows[at + uint64(BINS) + k] *= over
+        rows[at + uint64(2 * BINS) + k] *= over
+        rows[at + uint64(3 * BINS) + k] = rows[at + uint64(3 * BINS) + k] * over + middle_m[k0 + k]
+
+
+@compiled
+def _place(rows, at, body, b, k0, n, strongest, share, body_id, means):
+    """Have a beam's bins know the echo and means of the first body there, which begin at `at`."""
     at, b, k0 = uint64(at), uint64(b), uint64(k0)
     for moment in range(uint64(1), uint64(MOMENTS)):
+        mine, which = at + moment * uint64(BINS), moment - uint64(1)
         for k in range(uint64(n)):
-            sums[moment - uint64(1), b, k0 + k] = rows[at + moment * uint64(BINS) + k]
+            means[which, b, k0 + k] = rows[mine + k] if rows[at + k] > np.float32(0.0) else np.float32(np.nan)
     for k in range(uint64(n)):
-        total[b, k0 + k] = rows[at + k]
         strongest[b, k0 + k] = max(rows[at + k], np.float32(0.0))
+        share[b, k0 + k] = np.float32(1.0) if rows[at + k] > np.float32(0.0) else np.float32(0.0)
     for k in range(uint64(n)):
         body_id[b, k0 + k] = body if rows[at + k] > np.float32(0.0) else 0
 
 
 @compiled
-def _compare(rows, at, body, b, k0, n, strongest, total, body_id, sums):
-    """Have a beam's bins know another body's echo."""
+def _compare(rows, at, body, b, k0, n, is_second, strongest, total, body_id, means):
+    """Have a beam's bins know another body's echo; from the second one on there is a total."""
     at, b, k0 = uint64(at), uint64(b), uint64(k0)
     for moment in range(uint64(1), uint64(MOMENTS)):
         mine, which = at + moment * uint64(BINS), moment - uint64(1)
         for k in range(uint64(n)):
             stronger = rows[at + k] > strongest[b, k0 + k]
-            sums[which, b, k0 + k] = rows[mine + k] if stronger else sums[which, b, k0 + k]
+            means[which, b, k0 + k] = rows[mine + k] if stronger else means[which, b, k0 + k]
     for k in range(uint64(n)):
         stronger = rows[at + k] > strongest[b, k0 + k]
         body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]
     for k in range(uint64(n)):
-        total[b, k0 + k] += rows[at + k]
+        total[b, k0 + k] = rows[at + k] + (strongest[b, k0 + k] if is_second else total[b, k0 + k])
         strongest[b, k0 + k] = max(rows[at + k], strongest[b, k0 + k])
 
 
@@ -127,19 +139,6 @@ def _sum(rows, at, gain, k0, n):
     if n % 2:
         first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
     return first + second
-
-
-@compiled
-def _finish(b, k0, n, strongest, share, means, middle_m):
-    """Of a beam's sums the share and the means."""
-    b, k0 = uint64(b), uint64(k0)
-    for k in range(k0, k0 + uint64(n)):
-        echo = strongest[b, k]
-        heard, over = echo > np.float32(0.0), np.float32(1.0) / echo
-        share[b, k] = min(echo / share[b, k], np.float32(1.0)) if heard else np.float32(0.0)
-        means[0, b, k] = means[0, b, k] * over if heard else np.float32(np.nan)
-        means[1, b, k] = means[1, b, k] * over if heard else np.float32(np.nan)
-        means[2, b, k] = means[2, b, k] * over + middle_m[k] if heard else np.float32(np.nan)
 
 
 @compiled_with(moments, scatter)
@@ -169,7 +168,7 @@ def choose(
     for t in range(t0, t1):
         origin, end = min(origin, tile_starts[t]), max(end, tile_starts[t] + tile_weights.shape[1])
     panel, rows = np.zeros((end - origin + BEAMS) * ROW, np.float32), np.empty(BEAMS * ROW, np.float32)
-    has_echo = np.zeros((B, K // BINS + 1), np.bool_)
+    n_heard = np.zeros((B, K // BINS + 1), np.int64)
     for m in range(bodies.shape[0]):
         body, mine = bodies[m], slice(begins[m], begins[m + 1])
         k_first, k_past = K, 0
@@ -183,19 +182,23 @@ def choose(
                     continue
                 for b in range(BEAMS * t, min(BEAMS * (t + 1), B)):
                     at, known = (b - BEAMS * t) * ROW, (strongest, share, body_id, means)
-                    if has_echo[b, k0 // BINS]:
-                        _compare(rows, at, body, b, k0, n_bins, *known)
-                    else:
-                        _place(rows, at, body, b, k0, n_bins, *known)
-                        has_echo[b, k0 // BINS] = True
+                    count = n_heard[b, k0 // BINS]
                     body_echo[body] += _sum(rows, at, gain, k0, n_bins)
+                    _divide(rows, at, middle_m, k0, n_bins)
+                    if count == 0:
+                        _place(rows, at, body, b, k0, n_bins, *known)
+                    else:
+                        _compare(rows, at, body, b, k0, n_bins, count == 1, *known)
+                    n_heard[b, k0 // BINS] = min(count + 1, 2)
                     if background[body]:
                         for k in range(n_bins):
                             left[b, k0 + k] += rows[at + k]
     for b in range(BEAMS * t0, min(BEAMS * t1, B)):
         for k0 in range(0, K, BINS):
             k1 = min(k0 + BINS, K)
-            if has_echo[b, k0 // BINS]:
-                _finish(b, k0, k1 - k0, strongest, share, means, middle_m)
-            else:
+            if n_heard[b, k0 // BINS] == 0:
                 share[b, k0:k1], body_id[b, k0:k1], means[:, b, k0:k1] = 0.0, 0, np.nan
+            elif n_heard[b, k0 // BINS] > 1:
+                for k in range(uint64(k0), uint64(k1)):
+                    part = min(strongest[b, k] / share[b, k], np.float32(1.0))
+                    share[b, k] = part if strongest[b, k] > 0.0 else np.float32(0.0)
