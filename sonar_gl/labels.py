@@ -76,8 +76,8 @@ class Labeller:
         runs, owner = runs[order], owner[order]
         bodies, begins = np.unique(runs[:, BODY], return_index=True)
         begins = np.append(begins, len(runs))
-        strongest, share, means = self._floats.zeros(), self._floats.zeros(), self._means.any()
-        body_id, body_echo = self._numbers.zeros(), np.zeros((2, n_bodies + 1))
+        strongest, share, means = self._floats.any(), self._floats.any(), self._means.any()
+        body_id, body_echo = self._numbers.any(), np.zeros((2, n_bodies + 1))
         left = np.empty((0, 0), np.float32) if background is None else self._floats.zeros()
         is_background = np.zeros(n_bodies + 1, bool) if background is None else background
         pools = tuple(kept[2] for kept in self._kept)

@@ -93,21 +93,20 @@ def _slot_of(body, slots, n_slots, cells):
 @compiled_with(scatter)
 def _close(cells, slot, first, past, flat, pool, place):
     """Lay a body's cells of one column in the pool, MOMENTS rows one after the other, and clear them."""
-    n = past - first
+    n, slot, first, place = uint64(past - first), uint64(slot), uint64(first), uint64(place)
     height = by_elevation = by_incidence = count = 0.0
-    for i in range(uint64(n)):
-        cell, at = cells[slot, uint64(first + i)], uint64(place + i)
-        count += cell[COUNT]
-        height += cell[HEIGHT]
-        by_elevation += cell[HEIGHT_ELEVATION]
-        by_incidence += cell[HEIGHT_INCIDENCE]
-        if count == 0.0:  # what is left of the sums is rounding
-            height = by_elevation = by_incidence = 0.0
-        pool[at] = cell[ECHO] + height * flat[uint64(first + i)]
-        pool[uint64(at + n)] = cell[ECHO_ELEVATION] + by_elevation * flat[uint64(first + i)]
-        pool[uint64(at + 2 * n)] = cell[ECHO_INCIDENCE] + by_incidence * flat[uint64(first + i)]
-        pool[uint64(at + 3 * n)] = cell[ECHO_RANGE]
-        cell[:] = 0.0
+    for i in range(n):
+        k, at = first + i, place + i
+        count += cells[slot, k, COUNT]
+        # where none is left over what remains of the sums is rounding
+        height = height + cells[slot, k, HEIGHT] if count > 0.0 else 0.0
+        by_elevation = by_elevation + cells[slot, k, HEIGHT_ELEVATION] if count > 0.0 else 0.0
+        by_incidence = by_incidence + cells[slot, k, HEIGHT_INCIDENCE] if count > 0.0 else 0.0
+        pool[at] = cells[slot, k, ECHO] + height * flat[k]
+        pool[at + n] = cells[slot, k, ECHO_ELEVATION] + by_elevation * flat[k]
+        pool[at + uint64(2) * n] = cells[slot, k, ECHO_INCIDENCE] + by_incidence * flat[k]
+        pool[at + uint64(3) * n] = cells[slot, k, ECHO_RANGE]
+    cells[slot, first : first + n] = 0.0
 
 
 @compiled_with(scatter)

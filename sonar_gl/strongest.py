@@ -87,40 +87,58 @@ def _pack(runs, owner, pools, k0, n_columns, origin, end, panel):
 
 
 @compiled
-def _compare(rows, at, body, gain, b, k0, n, strongest, total, body_id, sums):
-    """Have a beam's bins know a body's echo, which begins at `at`; its sum with the gain."""
+def _divide(rows, at, middle_m, k0, n):
+    """Make means of a beam's sums, which begin at `at`, in place."""
+    at, k0 = uint64(at), uint64(k0)
+    for k in range(uint64(n)):
+        over = np.float32(1.0) / rows[at + k]
+        rows[at + uint64(BINS) + k] *= over
+        rows[at + uint64(2 * BINS) + k] *= over
+        rows[at + uint64(3 * BINS) + k] = rows[at + uint64(3 * BINS) + k] * over + middle_m[k0 + k]
+
+
+@compiled
+def _place(rows, at, body, b, k0, n, strongest, share, body_id, means):
+    """Have a beam's bins know the echo and means of the first body there, which begin at `at`."""
+    at, b, k0 = uint64(at), uint64(b), uint64(k0)
+    for moment in range(uint64(1), uint64(MOMENTS)):
+        mine, which = at + moment * uint64(BINS), moment - uint64(1)
+        for k in range(uint64(n)):
+            means[which, b, k0 + k] = rows[mine + k] if rows[at + k] > np.float32(0.0) else np.float32(np.nan)
+    for k in range(uint64(n)):
+        strongest[b, k0 + k] = max(rows[at + k], np.float32(0.0))
+        share[b, k0 + k] = np.float32(1.0) if rows[at + k] > np.float32(0.0) else np.float32(0.0)
+    for k in range(uint64(n)):
+        body_id[b, k0 + k] = body if rows[at + k] > np.float32(0.0) else 0
+
+
+@compiled
+def _compare(rows, at, body, b, k0, n, is_second, strongest, total, body_id, means):
+    """Have a beam's bins know another body's echo; from the second one on there is a total."""
     at, b, k0 = uint64(at), uint64(b), uint64(k0)
     for moment in range(uint64(1), uint64(MOMENTS)):
         mine, which = at + moment * uint64(BINS), moment - uint64(1)
         for k in range(uint64(n)):
             stronger = rows[at + k] > strongest[b, k0 + k]
-            sums[which, b, k0 + k] = rows[mine + k] if stronger else sums[which, b, k0 + k]
+            means[which, b, k0 + k] = rows[mine + k] if stronger else means[which, b, k0 + k]
     for k in range(uint64(n)):
         stronger = rows[at + k] > strongest[b, k0 + k]
         body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]
     for k in range(uint64(n)):
-        total[b, k0 + k] += rows[at + k]
+        total[b, k0 + k] = rows[at + k] + (strongest[b, k0 + k] if is_second else total[b, k0 + k])
         strongest[b, k0 + k] = max(rows[at + k], strongest[b, k0 + k])
-    first = second = 0.0  # two sums: each addition waits for the one before
-    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):
+
+
+@compiled
+def _sum(rows, at, gain, k0, n):
+    """The sum of a beam's echo times the gain."""
+    at, k0, first, second = uint64(at), uint64(k0), 0.0, 0.0
+    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):  # two: each addition waits for the one before
         first += np.float64(rows[at + k]) * gain[k0 + k]
         second += np.float64(rows[at + k + uint64(1)]) * gain[k0 + k + uint64(1)]
     if n % 2:
         first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
     return first + second
-
-
-@compiled
-def _finish(strongest, share, means, middle_m):
-    """Of a beam's sums the share and the means."""
-    elevation, incidence, range_m = means
-    for k in range(uint64(strongest.shape[0])):
-        heard = strongest[k] > 0.0
-        over = np.float32(1.0) / strongest[k]
-        share[k] = min(strongest[k] / share[k], np.float32(1.0)) if heard else np.float32(0.0)
-        elevation[k] = elevation[k] * over if heard else np.float32(np.nan)
-        incidence[k] = incidence[k] * over if heard else np.float32(np.nan)
-        range_m[k] = range_m[k] * over + middle_m[k] if heard else np.float32(np.nan)
 
 
 @compiled_with(moments, scatter)
@@ -139,8 +157,8 @@ def choose(
     gain : (K,); middle_m : (K,) float32, of `scatter.middle_of`
     background : (numbers,) bool
     body_echo : (numbers,) float64, added to: the echo with the gain
-    strongest, share : (B, K) float32, zeros: that body's echo, and its share of all
-    body_id : (B, K) uint16, zeros
+    strongest, share : (B, K) float32: that body's echo, and its share of all
+    body_id : (B, K) uint16
     left : (B, K) float32, zeros: the echo of background; only where there is any
     means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
     """
@@ -150,6 +168,7 @@ def choose(
     for t in range(t0, t1):
         origin, end = min(origin, tile_starts[t]), max(end, tile_starts[t] + tile_weights.shape[1])
     panel, rows = np.zeros((end - origin + BEAMS) * ROW, np.float32), np.empty(BEAMS * ROW, np.float32)
+    n_heard = np.zeros((B, K // BINS + 1), np.int64)
     for m in range(bodies.shape[0]):
         body, mine = bodies[m], slice(begins[m], begins[m + 1])
         k_first, k_past = K, 0
@@ -163,9 +182,23 @@ def choose(
                     continue
                 for b in range(BEAMS * t, min(BEAMS * (t + 1), B)):
                     at, known = (b - BEAMS * t) * ROW, (strongest, share, body_id, means)
-                    body_echo[body] += _compare(rows, at, body, gain, b, k0, n_bins, *known)
+                    count = n_heard[b, k0 // BINS]
+                    body_echo[body] += _sum(rows, at, gain, k0, n_bins)
+                    _divide(rows, at, middle_m, k0, n_bins)
+                    if count == 0:
+                        _place(rows, at, body, b, k0, n_bins, *known)
+                    else:
+                        _compare(rows, at, body, b, k0, n_bins, count == 1, *known)
+                    n_heard[b, k0 // BINS] = min(count + 1, 2)
                     if background[body]:
                         for k in range(n_bins):
                             left[b, k0 + k] += rows[at + k]
     for b in range(BEAMS * t0, min(BEAMS * t1, B)):
-        _finish(strongest[b], share[b], means[:, b], middle_m)
+        for k0 in range(0, K, BINS):
+            k1 = min(k0 + BINS, K)
+            if n_heard[b, k0 // BINS] == 0:
+                share[b, k0:k1], body_id[b, k0:k1], means[:, b, k0:k1] = 0.0, 0, np.nan
+            elif n_heard[b, k0 // BINS] > 1:
+                for k in range(uint64(k0), uint64(k1)):
+                    part = min(strongest[b, k] / share[b, k], np.float32(1.0))
+                    share[b, k] = part if strongest[b, k] > 0.0 else np.float32(0.0)

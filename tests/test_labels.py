@@ -93,6 +93,18 @@ def test_incidence_and_elevation_of_a_floor_and_a_wall(walled):
     assert not any(array.flags.writeable for array in (walled.incidence_rad, walled.share))
 
 
+def test_incidence_of_a_wall_aslant():
+    """10 m away to port of the fan, so that its 1/x slopes along both axes of the view."""
+    yaw = 0.9
+    wall = trimesh.creation.box((0.002, 200, 200))
+    where = sg.pose(10.001 * math.cos(yaw), 10.001 * math.sin(yaw), 0, yaw=yaw)
+    got = ping([sg.Body("wall", wall, where, 0.8)])
+    lone = (got.share == 1) & (got.true_range_m < 20)
+    assert lone.sum() > 500
+    # a sample is 0.42° wide and 0.25° high; far off boresight angles change by as much as rays do
+    np.testing.assert_allclose(got.incidence_rad[lone], np.arccos(10 / got.true_range_m[lone]), atol=0.005)
+
+
 @pytest.mark.parametrize("reducer", ["footprint", "point"])
 def test_true_range_is_the_mean_within_the_bin(reducer):
     """As of bins forty times as fine; far from the middle where a bin is partly filled."""
