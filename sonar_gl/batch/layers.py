@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.compiled import compiled
+
 ELEVATION_STEP_RAD, ELEVATION_NONE = 1e-4, -32768
 INCIDENCE_STEP_RAD, INCIDENCE_NONE = math.pi / 2 / 254, 255
 
@@ -47,8 +49,31 @@ def round_mantissa(values: np.ndarray, bits: int) -> np.ndarray:
 
 def _codes(values, step, none, dtype):
     """Values by their nearest steps, and `none` for NaN."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isnan(values), none, np.rint(values / step)).astype(dtype)
+    out = np.empty(values.shape, dtype)
+    _count_steps(values.ravel(), np.float32(1 / step), none, out.ravel())
+    return out
+
+
+@compiled
+def _count_steps(values, per_step, none, out):
+    """`_codes` in one go; NumPy would go over the values five times."""
+    for k in range(values.size):
+        value = values[k]
+        out[k] = none if value != value else np.int32(np.rint(value * per_step))
+
+
+def _looked_up(table, numbers):
+    """table[numbers]."""
+    out = np.empty(numbers.shape, table.dtype)
+    _look_up(table, numbers.ravel(), out.ravel())
+    return out
+
+
+@compiled
+def _look_up(table, numbers, out):
+    """In one go; NumPy would make 64-bit indices first."""
+    for k in range(numbers.size):
+        out[k] = table[numbers[k]]
 
 
 def layers_of(names, sonar, acoustics, mantissa_bits: int, n_bodies: int, n_classes: int) -> list[Layer]:
@@ -89,7 +114,7 @@ def layers_of(names, sonar, acoustics, mantissa_bits: int, n_bodies: int, n_clas
             np.dtype(of_classes).name,
             0,
             {"long_name": "class of the body of the strongest echo, 0 for none"},
-            lambda ping, classes, first: classes[ping.body_id],
+            lambda ping, classes, first: _looked_up(classes, ping.body_id),
         ),
         Layer(
             "elevation_rad",
@@ -132,7 +157,7 @@ def layers_of(names, sonar, acoustics, mantissa_bits: int, n_bodies: int, n_clas
             "uint8",
             0,
             {"long_name": "share of the strongest body in the echo", "units": "1", "scale_factor": 1 / 255},
-            lambda ping, *_: np.rint(ping.share * 255).astype(np.uint8),
+            lambda ping, *_: _codes(ping.share, 1 / 255, 0, np.uint8),
         ),
         Layer(
             "shadow",

@@ -12,9 +12,9 @@ from sonar_gl.batch.files import Folder
 
 NAME = "pings.zarr"
 CHUNK = 8  # pings that are packed together; whole parts are files
-# Bits of one weight side by side: what is rounded away packs to nothing. LZ4 takes half of Zstandard's time
-# and gives a tenth away.
-CODEC = BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle")
+# LZ4 takes half of Zstandard's time and gives a tenth away. Of floats, bits of one weight lie side by side:
+# what is rounded away packs to nothing. Labels come in runs of one number, which whole bytes keep.
+FLOATS, LABELS = (BloscCodec(cname="lz4", clevel=5, shuffle=how) for how in ("bitshuffle", "shuffle"))
 TABLE_CHUNK = 16384  # pings, of what has one number a ping
 
 
@@ -49,7 +49,7 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
                 dtype=dtype,
                 chunks=(int(chunk), *size),
                 shards=(part, *size),
-                compressors=CODEC,
+                compressors=FLOATS if np.dtype(dtype).kind == "f" else LABELS,
                 fill_value=fill,
                 dimension_names=("ping", *dims),
                 attributes={**attrs, **({"coordinates": "azimuth_rad"} if "beam" in dims else {})},
@@ -86,11 +86,11 @@ class Writer:
 
         Returns
         -------
-        names of the files, in the folder; one that holds nothing but what stands for nothing is not written
+        names of the files, in the folder
         """
         group, names = self.group(sonar), []
         for name, values in arrays.items():
-            array = group[name]
+            array = group[name].with_config({"write_empty_chunks": True})  # to look for these takes as long
             array[first : first + len(values)] = values
             place = [first // array.shards[0], *[0] * (values.ndim - 1)]
             names.append("/".join([NAME, array.path, "c", *map(str, place)]))
