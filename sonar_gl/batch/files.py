@@ -16,7 +16,6 @@ from fsspec.implementations.local import LocalFileSystem
 from sonar_gl.types import Error
 from sonar_gl.whole import name_beside
 
-
 LOCK = ".lock"
 
 
@@ -54,7 +53,8 @@ class Folder:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel's, so it ends with the process
             except BlockingIOError:
-                raise Error(f"{self.root}: must be one batch's at a time (another is at work there)") from None
+                text = "must be one batch's at a time (another is at work there)"
+                raise Error(f"{self.root}: {text}") from None
             try:
                 yield
             finally:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sonar_gl.batch import store
@@ -86,7 +88,9 @@ class Arrays(Output):
         for layer in layers:
             arrays[layer.name][at] = layer.encode(ping, classes, first)
         if per_body:
-            boxes = boxes_of(ping, self.orders.job.labels.height)
+            table = self.orders.job.labels
+            bright = np.where(ping.intensity >= 10 ** (table.level_db / 10), ping.body_id, np.uint16(0))
+            boxes = boxes_of(replace(ping, body_id=bright), table.height)
             these = first + boxes.body_id.astype(int) - 1
             arrays["body_box"][at, these] = np.hstack([boxes.beams, boxes.bins])
             arrays["body_pixels"][at, these] = boxes.pixels
