@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
-from batches import LABELS, files_of, write_job
+from batches import LABELS, files_of, make_all, write_job
 
 HERE = Path(__file__).parent
 N, PART = 24, 4
@@ -62,10 +63,9 @@ def job(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(job, tmp_path_factory):
-    """Every file of the batch, made by one process without a fault."""
+    """Every file of the batch, made in one process without a fault."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    status, told, err = finish(start(job, "--out", out, "--workers", "1"))
-    assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
+    make_all(job, out)
     return files_of(out)
 
 
@@ -115,7 +115,7 @@ def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole
     assert len(first) < len(second) < 2 * N / PART
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.suffix == ".json"}
 
-    status, told, err = finish(start(job, "--out", out, "--workers", "2", "--resume"))
+    status, told, err = finish(start(job, "--out", out, "--workers", "1", "--resume"))
     assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
     assert {name: whole[f"parts/{name}"] for name in second} == second
     again = [path for path, at in times.items() if "parts" in path.parts and path.stat().st_mtime_ns != at]
@@ -125,7 +125,7 @@ def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole
 
 def test_a_ping_that_kills_twice_is_set_aside(job, whole, tmp_path):
     out = tmp_path / "out"
-    status, told, err = finish(start(job, "--out", out, "--workers", "2", DEADLY="1.2"))
+    status, told, err = finish(start(job, "--out", out, "--workers", "1", DEADLY="1.2"))
     assert status == 3
     assert told == f"{out}: {N - 1} of {N} pings, 1 set aside\n"
     (line,) = [line for line in err.splitlines() if line.startswith("set aside")]
@@ -151,16 +151,19 @@ def test_a_full_disk_stops_a_batch_that_then_goes_on(job, whole, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     script = f"""
-        mount -t tmpfs -o size=500k tmpfs {disk} || exit 77
+        mount -t tmpfs -o size=500k tmpfs {disk}
         "$@" --out {disk}/out; echo "status $?"
         mount -o remount,size=50m {disk}
         "$@" --out {disk}/out --resume; echo "status $?"
         cp -r {disk}/out {tmp_path}/out
     """
-    apart = () if os.geteuid() == 0 and False else ("unshare", "--user", "--map-root-user", "--mount")
-    process = start(job, "--workers", "2", before=(*apart, "sh", "-c", script, "sh"))
-    status, told, err = finish(process)
-    assert status != 77, "a file system must be mounted here, in a namespace of our own"
+    apart = "unshare", "--user", "--map-root-user", "--mount", "sh", "-c"
+    if shutil.which("unshare") is None or subprocess.run([*apart, f"mount -t tmpfs tmpfs {disk}"]).returncode:
+        why = (
+            "a full disk is a file system that is mounted in a namespace of one's own, which must be allowed"
+        )
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
+    _, told, err = finish(start(job, "--workers", "1", before=(*apart, script, "sh")))
     first, _, then = told.partition("status 2\n")
     assert first == "" and then == f"{disk}/out: {N} of {N} pings\nstatus 0\n", (told, err)
     assert "No space left on device" in err and "--resume" in err and "Traceback" not in err
