@@ -68,18 +68,22 @@ class Arrays(Output):
     def __init__(self, *made_of):
         super().__init__(*made_of)
         self.layers = {name: self.kept.layers(name) for name in self.orders.sonars}
-        self.writer = store.Writer(self.folder, len(self.layers))
+        self.writer, self.arrays = store.Writer(self.folder, len(self.layers)), {}
 
     def begin(self, part, numbers):
         super().begin(part, numbers)
-        self.arrays = {}
         for name, (layers, per_body) in self.layers.items():
             sonar = self.orders.sonars[name]
-            shape = len(numbers), sonar.n_beams, sonar.n_bins
-            arrays = {layer.name: np.full(shape, layer.fill, layer.dtype) for layer in layers}
-            for entry in per_body:
-                arrays[entry[0]] = np.full((len(numbers), *entry[2]), entry[4], entry[1])
-            self.arrays[name] = arrays
+            entries = [
+                (layer.name, layer.dtype, (sonar.n_beams, sonar.n_bins), layer.fill) for layer in layers
+            ]
+            entries += [(key, dtype, shape, fill) for key, dtype, shape, _, fill, _ in per_body]
+            before = self.arrays.get(name, {})
+            for key, dtype, shape, fill in entries:
+                if len(before.get(key, ())) != len(numbers):  # of the same pages again, where one can
+                    before[key] = np.empty((len(numbers), *shape), dtype)
+                before[key][...] = fill
+            self.arrays[name] = before
 
     def take(self, order, sonar, ping):
         at, arrays = order.number - self.numbers[0], self.arrays[sonar]
@@ -100,7 +104,6 @@ class Arrays(Output):
     def end(self):
         for name, arrays in self.arrays.items():
             self.names += self.writer.write(name, self.numbers[0], arrays)
-        self.arrays = {}
         return self.names
 
 
