@@ -72,13 +72,13 @@ def in_use():
 
 
 def check_growth(before, resident, n_pings):
-    """Less of either is left than any object or array kept of every other ping would be, and no pages.
+    """Less is left than if one object, however small, were kept of each ping; caches still fill a little.
 
     before : of `in_use`; resident : of `resident_bytes`, both taken n_pings before
     """
     kept_bytes, blocks = in_use() - before
-    assert kept_bytes < 64 * n_pings, f"{kept_bytes} bytes of malloc are left of {n_pings} pings"
-    assert blocks < 0.5 * n_pings, f"{blocks} blocks of Python's memory are left of {n_pings} pings"
+    assert kept_bytes < 256 * n_pings, f"{kept_bytes} bytes of malloc are left of {n_pings} pings"
+    assert blocks < 0.9 * n_pings, f"{blocks} blocks of Python's memory are left of {n_pings} pings"
     # what comes by pages, of 4 kB at least, is not malloc's
     assert resident_bytes() - resident < 4e6
 

@@ -14,7 +14,7 @@ import sonar_gl as sg
 
 pytestmark = pytest.mark.filterwarnings("ignore:no echo came back")  # what is measured
 
-PINGS, WARM_UP = 500, 200
+PINGS, WARM_UP = 800, 200
 PROGRAM = """
 import hashlib, sys
 sys.path.insert(0, sys.argv[1])
