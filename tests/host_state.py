@@ -229,6 +229,8 @@ class GL:
 
 
 def _given(value):
+    if type(value) is int:  # nearly always
+        return value
     if isinstance(value, np.ndarray):
         return ctypes.c_void_p(value.ctypes.data)
     return ctypes.c_float(value) if isinstance(value, float) else value
@@ -263,13 +265,14 @@ def snapshot(gl: GL, platform=tuple) -> dict:
         if what not in gl.has:
             continue
         ask, room = getattr(gl, f"Get{how}"), np.zeros(8, KINDS[how])
+        room_at = ctypes.c_void_p(room.ctypes.data)
         several = (
             [names.format(part) for part in ("BINDING", "START", "SIZE")] if "{" in names else names.split()
         )
         for name in several:
             for k in range(gl.integer(limit)):
                 room[:] = 0
-                ask(enum(name), k, room)
+                ask(enum(name), k, room_at)
                 out[f"{name}[{k}]"] = tuple(room.tolist())
     for what, limit, name in INDEXED_ENABLES:
         for k in range(gl.integer(limit) if what in gl.has else 0):

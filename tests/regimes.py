@@ -190,7 +190,7 @@ def sheet_from_behind():
 def silhouette():
     """(naive, ours): a ball of 1 m at 6 m, echo in wrong bins by its closed form, at the same samples."""
     sonar = sg.Sonar("ball", 900e3, 40, 512, 20.0, 20.0, 0.5, 0.5, 15.0)
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(1.0, count=[360, 720]), sg.pose(6.0), 1.0)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(1.0, count=[180, 360]), sg.pose(6.0), 1.0)
     edges, top = sonar.bin_edges_m, math.radians(10.0)
     exact = box_beams(sonar, lambda azimuth: sphere_echo(1.0, 6.0, azimuth, top, edges))
     ours = ping([ball], sonar).intensity

@@ -1,6 +1,6 @@
 """Runs an example as its readers do, then pings what it pinged without its host: for test_examples.py.
 
-python tests/run_example.py NAME FOLDER [KEYWORD=NUMBER ...]
+python tests/run_example.py NAME FOLDER [KEYWORD=NUMBER ...]    # in CAPITALS: a constant of the example
 """
 
 import sys
@@ -23,7 +23,11 @@ def main(name, folder, *options):
         clock, held = count(), example.glfw.KEY_UP
         example.glfw.get_time = lambda: next(clock) / 60
         example.glfw.get_key = lambda window, key: int(key == held)
-    found = example.main(folder, **{key: int(value) for key, value in keywords.items()})
+    numbers = {key: int(value) for key, value in keywords.items()}
+    for key in filter(str.isupper, numbers):
+        assert hasattr(example, key), key
+        setattr(example, key, numbers[key])
+    found = example.main(folder, **{key: value for key, value in numbers.items() if key.islower()})
 
     pings = {key: found[key] for key in PINGS if key in found}
     # the samples are those of the host's last ping, which hung on those before

@@ -1,7 +1,9 @@
 """Many pings of a small scene, and what is left of them: memory and GL objects."""
 
 import ctypes
+import gc
 import os
+import sys
 
 import numpy as np
 import trimesh
@@ -46,6 +48,37 @@ def resident_bytes():
     """Memory of this process that is in use now (Linux)."""
     with open("/proc/self/statm") as numbers:
         return int(numbers.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+class _Mallinfo2(ctypes.Structure):
+    _names = ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks")
+    _fields_ = [(name, ctypes.c_size_t) for name in (*_names, "keepcost")]
+
+
+def in_use():
+    """What stays the same to some kilobytes where resident memory plays by a MB or two.
+
+    Returns
+    -------
+    (2,) : bytes that malloc has given out (glibc 2.33 or newer), memory blocks of Python's objects
+    """
+    gc.collect()
+    ask = ctypes.CDLL(None).mallinfo2
+    ask.restype = _Mallinfo2
+    told = ask()
+    return np.array([told.uordblks + told.hblkhd, sys.getallocatedblocks()])
+
+
+def check_growth(before, resident, n_pings):
+    """Less is left than if one object, however small, were kept of each ping; caches still fill a little.
+
+    before : of `in_use`; resident : of `resident_bytes`, both taken n_pings before
+    """
+    kept_bytes, blocks = in_use() - before
+    assert kept_bytes < 256 * n_pings, f"{kept_bytes} bytes of malloc are left of {n_pings} pings"
+    assert blocks < 0.9 * n_pings, f"{blocks} blocks of Python's memory are left of {n_pings} pings"
+    # what comes by pages, of 4 kB at least, is not malloc's
+    assert resident_bytes() - resident < 4e6
 
 
 def gl_objects(simulator):

@@ -96,6 +96,9 @@ def test_xarray_finds_the_pings_of_a_simulator_within_the_stated_errors(small, o
         assert np.array_equal(stored.body_box[seen], np.hstack([boxes.beams, boxes.bins]))
     assert n_shadowed > 0 or sonar == "upright"
     assert (data.status == 1).all()
+    assert data.attrs["noise_seed"] == orders.noise_seed(sonar) and data.attrs["seed"] == 5
+    assert sg.Sonar(**data.attrs["specification"]) == orders.sonars[sonar]
+    assert sg.Acoustics(**data.attrs["acoustics"]) == orders.acoustics
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 

@@ -11,8 +11,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import promise
 
 # Of a hundred worlds ninety-five keep the promise or more; that of sixteen fewer than fourteen do is then a
-# chance of one in twenty. The worlds are the same in every run.
-WORLDS, LEAST = range(700, 708), 14
+# chance of one in twenty. The worlds are the same in every run: the first from 700 on whose truths take fewer
+# than 20 million rays, for 704 and 708 take 60 million, half of all the time.
+WORLDS, LEAST = (*range(700, 704), 705, 706, 707, 709), 14
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,12 @@ NAMES = [term.name for term in TERMS]
 ACOUSTIC = [term.name for term in TERMS if not term.of_noise]
 
 
+@pytest.fixture(autouse=True)
+def timed_once(monkeypatch):
+    """What a term costs is a median of many turns, of which no test here asks how exact it is."""
+    monkeypatch.setattr(terms, "TURNS", 1)
+
+
 def room(pitch=0.15, **more):
     """A sphere above a level floor, and a water's surface if one is named."""
     floor = trimesh.Trimesh([(-30, -30, 0), (30, -30, 0), (30, 30, 0), (-30, 30, 0)], [(0, 1, 2), (0, 2, 3)])

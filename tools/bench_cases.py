@@ -42,7 +42,7 @@ class Sizes:
 
 QUICK = Sizes(
     rounds=2,
-    triangles=(30_000, 120_000),
+    triangles=(10_000, 40_000),
     beams=(64, 256),
     bins=(128, 512),
     fields_deg=(45, 360),

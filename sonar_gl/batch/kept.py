@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 
 import numpy as np
 
@@ -106,6 +107,19 @@ class Kept:
             total += sonar.n_beams * sonar.n_bins * sum(np.dtype(layer.dtype).itemsize for layer in kept)
             total += sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for _, dtype, shape, *_ in per_body)
         return total
+
+    def about(self, planned, sonar: str) -> dict:
+        """What the store says of a sonar."""
+        orders = self.orders
+        return {
+            "sonar": sonar,
+            "specification": asdict(orders.sonars[sonar]),
+            "mount": orders.mounts[sonar].tolist(),
+            "acoustics": orders.acoustics.meta(),
+            "noise": asdict(orders.noise),
+            "noise_seed": orders.noise_seed(sonar),
+            "samplings": [of_scene[sonar] for of_scene in planned.samplings],
+        }
 
     def attributes(self, planned) -> dict:
         """What the store says of all pings."""

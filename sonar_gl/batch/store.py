@@ -28,14 +28,15 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
     Parameters
     ----------
     part : pings of a part, each of which is one file of each array
-    sonars : by name, (Sonar, layers, per-body layers (name, dtype, shape of a ping, dims, fill, attributes))
+    sonars : by name, (Sonar, layers, per-body layers (name, dtype, shape of a ping, dims, fill, attributes),
+        attributes)
     attributes : of the data set
     """
     root = _group(folder, "w")
     root.attrs.update(attributes)
-    for name, (sonar, layers, per_body) in sonars.items():
+    for name, (sonar, layers, per_body, about_sonar) in sonars.items():
         group = root if len(sonars) == 1 else root.create_group(name)
-        group.attrs.update({**attributes, "sonar": name})
+        group.attrs.update({**attributes, **about_sonar})
         shape = sonar.n_beams, sonar.n_bins
         chunk = np.gcd(CHUNK, part)
         about = [

@@ -76,7 +76,9 @@ class Work:
     def create(self, found: Planned, tell=lambda *_: None) -> None:
         """Make the store, empty."""
         kept = Kept(self.orders)
-        sonars = {name: (sonar, *kept.layers(name)) for name, sonar in self.orders.sonars.items()}
+        sonars = {}
+        for name, sonar in self.orders.sonars.items():
+            sonars[name] = sonar, *kept.layers(name), kept.about(found, name)
         attributes = kept.attributes(found)
         store.create(Folder(self.url), found.n_pings, found.pings_per_part, sonars, attributes)
 
