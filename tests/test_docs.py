@@ -16,14 +16,10 @@ import pytest
 from click.testing import CliRunner
 
 import sonar_gl as sg
-<<<<<<< HEAD
-from sonar_gl import cli
+from sonar_gl import cli, costs, terms
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.paths import KINDS
-=======
-from sonar_gl import cli, costs, terms
->>>>>>> work-suite
 from sonar_gl.switches import TERMS
 
 ROOT = Path(__file__).resolve().parent.parent
