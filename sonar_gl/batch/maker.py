@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from sonar_gl.batch import outputs, table
+from sonar_gl.batch import formats, table
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Orders
@@ -34,7 +34,7 @@ class Maker:
     def __init__(self, orders: Orders, planned: Planned, folder: Folder, device: int | None = None):
         self.orders, self.planned, self.folder, self.device = orders, planned, folder, device
         self.columns, self.kept = table.Columns(orders), Kept(orders)
-        self.outputs = outputs.of(orders, self.kept, folder)
+        self.outputs = formats.outputs_of(orders, self.kept, folder)
         self._open, self._scene, self._simulators = ExitStack(), None, {}
 
     def simulators(self, scene: int) -> dict[str, Simulator]:
