@@ -164,6 +164,8 @@ def choose(
     """
     B, K = strongest.shape
     t0, t1 = tiles
+    if t0 >= t1:  # of few beams the other half has all
+        return
     origin, end = tile_starts[t0], 0
     for t in range(t0, t1):
         origin, end = min(origin, tile_starts[t]), max(end, tile_starts[t] + tile_weights.shape[1])

@@ -239,3 +239,14 @@ def test_files_keep_them(tmp_path):
     read = sg.load_npz(tmp_path / "a.npz")
     for name in ("incidence_rad", "true_range_m", "share", "shadow"):
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+
+
+@pytest.mark.parametrize("n_beams, n_bins", [(1, 1), (1, 65), (4, 64), (5, 63)])
+def test_few_beams_and_bins(n_beams, n_bins):
+    """Beams are taken by fours and bins by sixty-fours, in two threads; here one may have nothing to do."""
+    sonar = replace(SONAR, n_beams=n_beams, n_bins=n_bins)
+    found = ping([FLOOR, plate("wall", 9.0, -3.0, 3.0)], sonar)
+    assert found.intensity.any()
+    np.testing.assert_array_equal(found.body_id > 0, found.intensity > 0)
+    np.testing.assert_allclose(found.body_echo.sum(), found.intensity.sum(dtype=float), rtol=1e-5)
+    assert np.isfinite(found.true_range_m[found.body_id > 0]).all()
