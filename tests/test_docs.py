@@ -122,6 +122,7 @@ def test_other_commands_name_files_that_exist(words):
         ["bench_scaling.py", "--quick", "--out", "scaled"],
         ["bench_embed.py", "--only", "pylon", "--quick"],
         ["bench_host.py", "egl_host", "pictures"],
+        ["bench_batch.py", "--quick"],
     ],
     ids=lambda words: words[0],
 )
@@ -193,9 +194,34 @@ def test_tools_run(words, folder):
         told = re.findall(r"^door (\d)((?: [\d.]+){3})$", done.stdout, re.MULTILINE)
         assert [door for door, _ in told] == ["1", "2"]
         assert all(float(value) > 0 for _, numbers in told for value in numbers.split())
+    elif words[0] == "bench_batch.py":
+        check_batches(done.stdout)
     else:
         made, kept = Path("pictures"), ROOT / "docs" / "pictures"
         assert {path.name for path in made.iterdir()} == {path.name for path in kept.glob("diver_vertical*")}
+
+
+def check_batches(said):
+    """What the tool tells agrees with itself, and with what stores are known to do."""
+    told = dict(re.findall(r"^  ([a-z].*?)  +([\d.]+)", said, re.MULTILINE))
+    told = {name: float(value) for name, value in told.items()}
+    rates = {name[0]: value for name, value in told.items() if re.match(r"[abc] (one|batch)", name)}
+    for ratio in ("b / a", "c / a", "c / b"):  # of one round; rates are told to 0.1
+        assert told[ratio] == pytest.approx(rates[ratio[0]] / rates[ratio[-1]], rel=0.05)
+    stages = re.findall(r"^  ([a-z ]+?) +([\d.]+) +([\d.]+)$", said, re.MULTILINE)
+    *parts, whole = [float(busy) for _, _, busy in stages[-6:]]
+    assert stages[-1][0] == "all" and 0 < sum(parts) < whole
+    assert told["share, busy"] == pytest.approx(sum(parts) / whole, abs=0.01)
+    stores = re.findall(
+        r"^  (Zarr|HDF5)(.*?)  +(\d+ bits|exact|float16) +([\d.]+) +([\d.]+)", said, re.MULTILINE
+    )
+    sizes = {(kind + way, kept): float(size) for kind, way, kept, _, size in stores}
+    shards = {kept: size for (way, kept), size in sizes.items() if way == "Zarr shards, as a batch"}
+    assert shards["5 bits"] < 0.8 * shards["exact"]
+    assert shards["5 bits"] == pytest.approx(told["kB a ping"], rel=0.2)  # a batch writes a few records more
+    hours = [float(h) for h in re.findall(r"workers? +([\d.]+) hours", said)]
+    assert hours[0] == pytest.approx(1e7 / (rates["c"] / 2) / 3600, rel=0.01)
+    assert hours[0] == pytest.approx(10 * hours[2], rel=0.02)
 
 
 def check_scaling(said, folder):
