@@ -282,7 +282,8 @@ def test_mantissas_are_rounded_within_the_stated_error(bits):
 def test_parts_are_as_large_as_a_file_should_be():
     assert pings_per_part(1e9) == 8
     assert pings_per_part(1.0) == 128
-    assert pings_per_part(1e6) == 64
+    assert pings_per_part(1e6) == 128
+    assert pings_per_part(4e6) == 32
     planned = Planned({}, "", 10, 4, [], [])
     assert planned.n_parts == 3 and list(planned.numbers(2)) == [8, 9]
 
@@ -387,6 +388,19 @@ def test_damage_is_found(small, tmp_path):
     assert f"{one}: is not what was written\n" in out and f"{two}: is missing\n" in out
     assert f"{three}: is not what was written\n" in out
     assert out.endswith(f"{copy}: 3 files are wrong\n")
+
+
+def test_what_was_left_half_written_is_swept_away(small, tmp_path):
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    for name in (
+        "bag/..part_0000001.0a1b.mcap",
+        "pings.zarr/level/intensity/c/1/0/0.0a1b.partial",
+        "parts/.x.npy",
+    ):
+        (out / name).write_bytes(b"half")
+    assert run("batch", small / "job.toml", "--out", out, "--resume")[0] == 0
+    assert files_of(out) == before
 
 
 def test_two_batches_keep_out_of_each_others_way(small, tmp_path):

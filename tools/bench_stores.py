@@ -119,7 +119,7 @@ def ways(job: Job, planned, arrays: dict) -> dict:
         """As a batch does."""
         kept = [replace(layer, dtype=arrays[layer.name].dtype.name) for layer in Kept(orders).layers(name)[0]]
         where, n_pings = Folder(folder), len(arrays["intensity"])
-        store.create(where, n_pings, part, {name: (sonar, kept, [])}, {})
+        store.create(where, n_pings, part, {name: (sonar, kept, [], {})}, {})
         writer = store.Writer(where, 1)
         yield
         for first in range(0, n_pings, part):

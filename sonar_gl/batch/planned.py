@@ -10,7 +10,7 @@ from sonar_gl.types import Error
 
 NAME = "planned.json"
 DONE = "done.json"  # the last file of a batch
-PART_BYTES = 64e6  # of a part's arrays, before they are packed
+PART_BYTES = 128e6  # of a part's arrays, before they are packed
 CHUNK = 8  # pings; parts hold whole ones
 MOST = 128  # pings of a part: no more are lost or made again
 
