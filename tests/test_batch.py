@@ -153,8 +153,8 @@ def test_orders_are_drawn_evenly_within_their_bounds_and_by_seed(small, orders):
 def test_a_part_by_single_pings_has_the_same_bytes(small, tmp_path):
     work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
     planned = work.plan()
-    work.create(planned)
     planned.save(Folder(tmp_path / "out"))
+    work.create()
     told = []
     work.part(1, {}, True, lambda *word: told.append(word))
     work.close()
@@ -183,8 +183,8 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
 
     work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
     planned = Planned.load(Folder(small / "out"))
-    work.create(planned)
     planned.save(Folder(tmp_path / "out"))
+    work.create()
     monkeypatch.setattr(sequence, "whereabouts", failing)
     monkeypatch.setattr(simulator, "whereabouts", failing)
     record = work.part(1, {}, False)

@@ -123,6 +123,24 @@ def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole
     assert_same(files_of(out), whole)
 
 
+def test_a_batch_goes_on_that_was_stopped_before_its_first_part(job, whole, tmp_path):
+    """While the plan was written nothing is there but what was torn; then the store is half made."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".planned.0123.json").write_text("{")
+    process = start(job, "--out", out, "--workers", "1")
+    while not (out / "pings.zarr" / "level" / "zarr.json").exists():
+        assert process.poll() is None, finish(process)
+    process.kill()
+    process.communicate()
+    (out / ".planned.0123.json").unlink()
+    assert (out / "planned.json").read_bytes() == whole["planned.json"]
+    assert not (out / "parts").exists()
+    status, told, err = finish(start(job, "--out", out, "--workers", "2", "--resume"))
+    assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
+    assert_same(files_of(out), whole)
+
+
 def test_a_ping_that_kills_twice_is_set_aside(job, whole, tmp_path):
     out = tmp_path / "out"
     status, told, err = finish(start(job, "--out", out, "--workers", "1", DEADLY="1.2"))
