@@ -118,7 +118,7 @@ def test_a_worker_that_hangs_is_replaced(job, whole, tmp_path, monkeypatch):
 
 
 def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole, tmp_path):
-    out = tmp_path / "out"
+    out = tmp_path / "out and on"
     process = start(job, "--out", out, "--workers", "2", SLOW_S="0.05")
     wait_for_parts(out, 1, process)
     for receiver in (process.pid, *workers_of(process)):  # as a queue does, to all of a step
@@ -126,7 +126,7 @@ def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole
     status, told, err = finish(process)
     assert status == 130
     assert re.fullmatch(
-        f"{out}: \\d+ of {N} pings; go on with: sonar-gl batch {job} --out {out} --resume\n", told
+        f"{out}: \\d+ of {N} pings; go on with: sonar-gl batch {job} --out '{out}' --resume\n", told
     )
     assert "finishing the pings in hand" in err and "Traceback" not in err and "died" not in err
     first = files_of(out / "parts")
