@@ -1,7 +1,8 @@
 """The command line, for tests of batches in which something goes wrong: pings are slow, and some kill.
 
-SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them. Processes
-that make parts load this file as they start, as they do with any program that begins a batch.
+SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them; STALL_S : of
+`pool`. Processes that make parts load this file as they start, as they do with any program that begins a
+batch.
 """
 
 import os
@@ -9,6 +10,7 @@ import signal
 import time
 
 from sonar_gl import cli, sequence, simulator
+from sonar_gl.batch import pool
 
 real = sequence.whereabouts
 slow_s = float(os.environ.get("SLOW_S", "0"))
@@ -24,6 +26,8 @@ def whereabouts(simulator, bodies=None, time_s=None, *more):
 
 
 sequence.whereabouts = simulator.whereabouts = whereabouts
+
+pool.STALL_S = float(os.environ.get("STALL_S", pool.STALL_S))
 
 if __name__ == "__main__":
     cli.main()

@@ -104,8 +104,8 @@ def make_all(job_file, url, parts=None) -> Planned:
     """Make a whole batch in this process."""
     work = Work(read_job(job_file).plain, str(url), None)
     planned = work.plan()
-    work.create(planned)
     planned.save(Folder(url))
+    work.create()
     for part in parts or range(planned.n_parts):
         work.part(part, {}, False)
     work.finish()

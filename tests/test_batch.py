@@ -153,8 +153,8 @@ def test_orders_are_drawn_evenly_within_their_bounds_and_by_seed(small, orders):
 def test_a_part_by_single_pings_has_the_same_bytes(small, tmp_path):
     work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
     planned = work.plan()
-    work.create(planned)
     planned.save(Folder(tmp_path / "out"))
+    work.create()
     told = []
     work.part(1, {}, True, lambda *word: told.append(word))
     work.close()
@@ -183,8 +183,8 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
 
     work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
     planned = Planned.load(Folder(small / "out"))
-    work.create(planned)
     planned.save(Folder(tmp_path / "out"))
+    work.create()
     monkeypatch.setattr(sequence, "whereabouts", failing)
     monkeypatch.setattr(simulator, "whereabouts", failing)
     record = work.part(1, {}, False)
@@ -371,6 +371,30 @@ def test_errors_of_a_job_name_file_table_and_key(tmp_path, old, new, sentence):
     assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
 
 
+def test_what_an_output_needs_is_told_before_anything_is_made(tmp_path):
+    path = write_job(tmp_path, 10, "[coco]\n")
+    with pytest.raises(sg.Error, match=f"^{path}: coco must stand with labels .got none; add a line"):
+        read_job(path)
+    write_job(tmp_path, 10, '[ros]\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n')
+    text = path.read_text()
+    path.write_text(text[: text.index("[[poses]]")] + text[text.index("[[vary.bodies]]") :])
+    for times, told in (
+        ([0, 1, 1, 0.5, 2], "got 0.5 s after 1 s"),
+        ([-1, 0], "got -1 s after 0 s"),
+        ([2, 2, 3], None),
+    ):
+        lines = [f"{t},0,0,0,0,0,0" for t in times]
+        (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *lines]))
+        if told is None:
+            assert len(Orders(read_job(path))) == 3
+        else:
+            with pytest.raises(sg.Error, match=rf"^{path}: poses\[0\].file must hold times .*{told}"):
+                Orders(read_job(path))
+    path.write_text(path.read_text().replace("tank.sdf", "~nobody-of-that-name/tank.sdf"))
+    with pytest.raises(sg.Error, match=r"scenes\[0\]: ~nobody-of-that-name/tank.sdf: there is no such file"):
+        Kept(Orders(read_job(path)))
+
+
 def test_damage_is_found(small, tmp_path):
     copy = shutil.copytree(small / "out", tmp_path / "copy")
     status, out, _ = run("batch", "--check", copy)
@@ -388,6 +412,8 @@ def test_damage_is_found(small, tmp_path):
     assert f"{one}: is not what was written\n" in out and f"{two}: is missing\n" in out
     assert f"{three}: is not what was written\n" in out
     assert out.endswith(f"{copy}: 3 files are wrong\n")
+    status, _, err = run("batch", "--check", tmp_path / "nowhere")
+    assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
 
 
 def test_what_was_left_half_written_is_swept_away(small, tmp_path):

@@ -14,6 +14,12 @@ import pytest
 import xarray as xr
 from batches import LABELS, files_of, make_all, write_job
 
+from sonar_gl.batch import pool as pools
+from sonar_gl.batch.files import Folder
+from sonar_gl.batch.job import read_job
+from sonar_gl.batch.planned import Planned
+from sonar_gl.batch.pool import Pool
+
 HERE = Path(__file__).parent
 N, PART = 24, 4
 MORE = "[coco]\nheight = 60\n[ros]\n"
@@ -87,17 +93,42 @@ def test_a_worker_that_is_killed_is_replaced(job, whole, tmp_path):
     assert_same(files_of(out), whole)
 
 
+def test_a_worker_that_hangs_is_replaced(job, whole, tmp_path, monkeypatch):
+    out, told, records = tmp_path / "out", [], []
+    out.mkdir()
+    (out / "planned.json").write_bytes(whole["planned.json"])
+
+    def tell(text):
+        told.append(text)
+        monkeypatch.undo()
+
+    def done(record):
+        records.append(record["part"])
+        if len(records) == 1:  # it stops, and is waited for no longer
+            os.kill(pool._processes[0].process.pid, signal.SIGSTOP)
+            monkeypatch.setattr(pools, "STALL_S", 0.1)
+
+    with Pool(read_job(job).plain, str(out), [None], tell) as pool:
+        pool.ask("create")
+        pool.run(range(3), Planned.load(Folder(out)).numbers, done)
+    assert records == [0, 1, 2]
+    assert told == ["a process died at part 1 (exit code -9); another takes its place"]
+    parts = files_of(out / "parts")
+    assert parts == {name: whole[f"parts/{name}"] for name in parts} and len(parts) == 6
+
+
 def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole, tmp_path):
-    out = tmp_path / "out"
+    out = tmp_path / "out and on"
     process = start(job, "--out", out, "--workers", "2", SLOW_S="0.05")
     wait_for_parts(out, 1, process)
-    process.send_signal(signal.SIGINT)
+    for receiver in (process.pid, *workers_of(process)):  # as a queue does, to all of a step
+        os.kill(receiver, signal.SIGTERM)
     status, told, err = finish(process)
     assert status == 130
     assert re.fullmatch(
-        f"{out}: \\d+ of {N} pings; go on with: sonar-gl batch {job} --out {out} --resume\n", told
+        f"{out}: \\d+ of {N} pings; go on with: sonar-gl batch {job} --out '{out}' --resume\n", told
     )
-    assert "finishing the pings in hand" in err and "Traceback" not in err
+    assert "finishing the pings in hand" in err and "Traceback" not in err and "died" not in err
     first = files_of(out / "parts")
     assert 0 < len(first) < 2 * N / PART
 
@@ -120,6 +151,24 @@ def test_a_batch_goes_on_after_ctrl_c_and_after_its_process_is_killed(job, whole
     assert {name: whole[f"parts/{name}"] for name in second} == second
     again = [path for path, at in times.items() if "parts" in path.parts and path.stat().st_mtime_ns != at]
     assert again == []  # nothing that was done is done again
+    assert_same(files_of(out), whole)
+
+
+def test_a_batch_goes_on_that_was_stopped_before_its_first_part(job, whole, tmp_path):
+    """While the plan was written nothing is there but what was torn; then the store is half made."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".planned.0123.json").write_text("{")
+    process = start(job, "--out", out, "--workers", "1")
+    while not (out / "pings.zarr" / "level" / "zarr.json").exists():
+        assert process.poll() is None, finish(process)
+    process.kill()
+    process.communicate()
+    (out / ".planned.0123.json").unlink()
+    assert (out / "planned.json").read_bytes() == whole["planned.json"]
+    assert not (out / "parts").exists()
+    status, told, err = finish(start(job, "--out", out, "--workers", "2", "--resume"))
+    assert (status, told) == (0, f"{out}: {N} of {N} pings\n"), err
     assert_same(files_of(out), whole)
 
 
@@ -171,7 +220,8 @@ def test_a_full_disk_stops_a_batch_that_then_goes_on(job, whole, tmp_path):
 
 
 def test_a_trial_says_what_a_batch_would_be(job, tmp_path):
-    status, told, err = finish(start(job, "--dry-run", "--workers", "2"))
+    # nothing but parts must be heard of within a time: joining millions of pings takes hours
+    status, told, err = finish(start(job, "--dry-run", "--workers", "2", STALL_S="-1"))
     assert status == 0, err
     assert f"{N} pings in {N // PART} parts of {PART}\n" in told
     assert re.search(r"^level in tank.sdf: 24 beams x 80 bins, \d+ x \d+ samples, error", told, re.MULTILINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import threading
 from contextlib import contextmanager
@@ -101,7 +102,7 @@ def _say(outcome, url, o) -> int:
     if outcome.without_echo:
         text += f", {outcome.without_echo} of them without an echo"
     if not outcome.is_whole:
-        again = f"sonar-gl batch {o.job} --out {url} --resume"
+        again = shlex.join(["sonar-gl", "batch", o.job, "--out", url, "--resume"])
         click.echo(f"{text}; go on with: {again}")
         return 130
     click.echo(text + (f", {len(outcome.set_aside)} set aside" if outcome.set_aside else ""))
@@ -116,7 +117,7 @@ def _check(url: str) -> int:
     from sonar_gl.commands import progress
     from sonar_gl.types import Error
 
-    folder = Folder(url)
+    folder = Folder(url, make=False)
     planned = Planned.load(folder)
     if planned is None:
         raise Error(f"{url}: must be the folder of a batch (there is no planned.json in it)")

@@ -20,7 +20,11 @@ LOCK = ".lock"
 
 
 class Folder:
-    """A folder at a path or URL, made if it is not there.
+    """A folder at a path or URL.
+
+    Parameters
+    ----------
+    make : make it if it is not there
 
     Raises
     ------
@@ -28,11 +32,12 @@ class Folder:
         if it cannot be reached or written to, with the reason.
     """
 
-    def __init__(self, url: str):
+    def __init__(self, url: str, make: bool = True):
         try:
             self.fs, self.root = url_to_fs(str(url))
             self.is_local = isinstance(self.fs, LocalFileSystem)
-            self.fs.makedirs(self.root, exist_ok=True)
+            if make:
+                self.fs.makedirs(self.root, exist_ok=True)
         except Exception as why:  # of as many kinds as there are file systems
             reason = getattr(why, "strerror", None) or " ".join(str(why).split())
             raise Error(f"the folder {str(url)!r} must be one that can be written to ({reason})") from None

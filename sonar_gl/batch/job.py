@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
@@ -168,7 +169,7 @@ class Job(Table):
 
     def path(self, name: str) -> Path:
         """A file that the job names, beside the job's own file unless it is absolute."""
-        return Path(self.folder, Path(name).expanduser())
+        return Path(self.folder, os.path.expanduser(name))
 
     def files(self) -> list[Path]:
         """Scene, sonar and pose files that the job names."""
@@ -196,4 +197,7 @@ def read_job(path) -> Job:
         if key in data:
             raise Error(f"{path}: the job: unknown key (got {key!r})")
     data = {"name": path.stem} | data
-    return read(Job, data | {"where": str(path), "folder": str(path.resolve().parent)}, str(path))
+    job = read(Job, data | {"where": str(path), "folder": str(path.resolve().parent)}, str(path))
+    if job.coco is not None and job.labels is None:
+        raise Error(f"{path}: coco must stand with labels (got none; add a line [labels])")
+    return job

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.acoustics import WATER, Acoustics
 from sonar_gl.batch.job import Job
-from sonar_gl.batch.paths import KINDS
+from sonar_gl.batch.paths import KINDS, Trajectory
 from sonar_gl.batch.tables import made
 from sonar_gl.load import load_scene
 from sonar_gl.noise import Noise
@@ -104,6 +104,8 @@ class Orders:
         for (_, path), (_, following) in zip(self._runs, self._runs[1:], strict=False):
             ended_s = path[len(path) - 1][0] + self._later_s[-1]
             self._later_s.append(ended_s + BETWEEN_S - following[0][0])
+        if job.ros is not None:
+            self._check_times()
         self._scenes, self._names = {}, {}
 
     def _sonar(self, table, where):
@@ -154,6 +156,16 @@ class Orders:
                 f"{where}: vary.water must stand without acoustics.sonar_sound_speed_m_s "
                 "(got both; ranges would be other ones in each ping)"
             )
+
+    def _check_times(self):
+        """That a bag can hold them: those of a file may be anything."""
+        for k, path in enumerate(self.paths):
+            if isinstance(path, Trajectory):
+                times_s = path.times_s if k else np.append(0.0, path.times_s)  # paths follow one another
+                if (falls := np.flatnonzero(np.diff(times_s) < 0)).size:
+                    former, latter = times_s[falls[0] : falls[0] + 2]
+                    where, got = f"{self.job.where}: poses[{k}].file", f"{latter:g} s after {former:g} s"
+                    raise Error(f"{where} must hold times from 0 on that never fall, for a bag (got {got})")
 
     def __len__(self) -> int:
         return self._starts[-1]

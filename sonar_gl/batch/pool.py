@@ -143,16 +143,20 @@ class Pool:
         return self
 
     def __exit__(self, kind, *_):
-        for process in self._processes.values():
-            process.end(kind is None)
+        try:
+            for process in self._processes.values():
+                process.end(kind is None)
+        finally:  # if it was interrupted
+            for process in self._processes.values():
+                process.process.kill()
 
     def ask(self, *command):
-        """What a process makes of one of the commands of `worker.serve`."""
+        """What a process makes of one of the commands of `worker.serve`, however long that takes."""
         process = self._at(0)
         process.send(None, *command)
         while True:
             wait([process.pipe, process.process.sentinel], timeout=1.0)
-            died = process.has_died()  # before the last it said is heard
+            died = not process.process.is_alive()  # before the last it said is heard
             for word, value in process.heard():
                 if word == "done":
                     return value

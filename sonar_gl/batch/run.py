@@ -121,12 +121,11 @@ def begin(job: Job, folder: Folder, resume: bool, ask, tell) -> Planned:
             "back, or give another folder)"
         )
     if planned is None:
-        if folder.names(""):
+        if any(not name.startswith(".") for name in folder.names("")):  # such as what was torn
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
         tell("choosing the samples")
         planned = ask("plan")
-        ask("create", planned)
-        planned.save(folder)  # last: from here on there is something to go on with
+        planned.save(folder)  # from here on there is something to go on with
     return planned
 
 
@@ -148,11 +147,14 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str 
         if resume:
             folder.sweep()
         away = None if cluster is None else Away(cluster, job, folder.url)
-        planned = begin(job, folder, resume, pool.ask if away is None else away.ask, tell)
+        ask = pool.ask if away is None else away.ask
+        planned = begin(job, folder, resume, ask, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()
         for part, record in records(folder, planned):
             outcome.add(record)
             there.add(part)
+        if not there:
+            ask("create")  # again, if it was not done when the batch was stopped
         missing = [part for part in range(planned.n_parts) if part not in there]
         if missing:
             with progress(planned.n_pings, outcome.done) as more:

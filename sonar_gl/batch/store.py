@@ -23,7 +23,7 @@ def _group(folder: Folder, mode: str):
 
 
 def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: dict) -> None:
-    """Make the arrays, empty.
+    """Make the arrays, empty; those that are there stay as they are, for others may write into them.
 
     Parameters
     ----------
@@ -32,10 +32,10 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
         attributes)
     attributes : of the data set
     """
-    root = _group(folder, "w")
+    root = _group(folder, "a")
     root.attrs.update(attributes)
     for name, (sonar, layers, per_body, about_sonar) in sonars.items():
-        group = root if len(sonars) == 1 else root.create_group(name)
+        group = root if len(sonars) == 1 else root.require_group(name)
         group.attrs.update({**attributes, **about_sonar})
         shape = sonar.n_beams, sonar.n_bins
         chunk = np.gcd(CHUNK, part)
@@ -44,6 +44,8 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
             for layer in layers
         ]
         for layer, dtype, size, dims, fill, attrs in [*about, *per_body]:
+            if layer in group:
+                continue
             group.create_array(
                 layer,
                 shape=(n_pings, *size),
@@ -68,6 +70,7 @@ def axis(group, name, dims, values, long_name, units) -> None:
         chunks=values.shape,
         dimension_names=dims,
         attributes={"long_name": long_name, "units": units},
+        overwrite=True,
     )
     array[:] = values
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 
+from sonar_gl.batch.files import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.pool import Pool
@@ -14,7 +15,8 @@ def dry_run(job: Job, devices, tell) -> str:
     orders = Orders(job)
     with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, tell) as pool:
         planned = pool.ask("plan")
-        pool.ask("create", planned)
+        planned.save(Folder(url))
+        pool.ask("create")
         trial = pool.ask("probe", planned)
     n, lines = planned.n_pings, []
     for scene, run in orders.runs():

@@ -73,9 +73,9 @@ class Work:
         part = orders.job.pings_per_part or planned.pings_per_part(Kept(orders).bytes_per_ping)
         return Planned(job, orders.job.digest, len(orders), part, samplings, estimates, gl_renderer=renderer)
 
-    def create(self, found: Planned, tell=lambda *_: None) -> None:
-        """Make the store, empty."""
-        kept = Kept(self.orders)
+    def create(self, tell=lambda *_: None) -> None:
+        """Make the store, empty, as far as it is not there."""
+        kept, found = Kept(self.orders), Planned.load(Folder(self.url))
         sonars = {}
         for name, sonar in self.orders.sonars.items():
             sonars[name] = sonar, *kept.layers(name), kept.about(found, name)

@@ -29,7 +29,8 @@ def serve(pipe, job: dict, url: str, device: int | None) -> None:
     In: the name of a method of `Work`, and what it takes. Out: what `Maker.make` tells, and at the end
     ("done", result), or ("refused", sentence) for a user's mistake, full disks, and all else.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the pool says when to end
+    for number in (signal.SIGINT, signal.SIGTERM):  # the pool says when to end; queues tell all processes
+        signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
     made = None
 
