@@ -196,6 +196,37 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     assert np.array_equal(made[[4, 6, 7]], whole[[4, 6, 7]])
 
 
+def test_a_part_of_which_no_ping_can_be_made_ends_the_batch(small, tmp_path, monkeypatch):
+    from sonar_gl import sequence, simulator
+
+    def failing(*_):
+        raise sg.Error("nothing works")
+
+    work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
+    Planned.load(Folder(small / "out")).save(Folder(tmp_path / "out"))
+    work.create()
+    monkeypatch.setattr(sequence, "whereabouts", failing)
+    monkeypatch.setattr(simulator, "whereabouts", failing)
+    with pytest.raises(sg.Error, match=r"^no ping of part 1 could be made \(nothing works\)$"):
+        work.part(1, {}, False)
+    work.close()
+    assert not list((tmp_path / "out").glob("parts/*"))
+
+
+def test_a_part_is_made_again_over_what_is_damaged(small, tmp_path):
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    for name in (
+        "pings.zarr/level/intensity/c/2/0/0",
+        "pings.zarr/upright/share/c/2/0/0",
+    ):  # of the last part
+        (out / name).write_bytes(before[name][:100])
+    work = Work(read_job(small / "job.toml").plain, str(out), None)
+    work.part(2, {}, False)
+    work.close()
+    assert files_of(out) == before
+
+
 def test_coco_finds_bodies_where_the_labels_are(small, orders, pings):
     for sonar in orders.sonars:
         folder = small / "out" / "coco" / sonar
@@ -340,6 +371,18 @@ BAD = [
         'names = ["bax*"]',
         "vary.bodies[0].names must name bodies",
     ),
+    (
+        "x_m = [-0.5, 0.5]",
+        "x_m = [0.5, -0.5]",
+        "vary.bodies[0].x_m: should be a number, or [low, high] (got [0.5,",
+    ),
+    (
+        "reflectivity = [0.2, 0.9]",
+        "reflectivity = [0.2, 9]",
+        "vary.bodies[0].reflectivity: should lie in 0..1 (got [0.2, 9])",
+    ),
+    ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
+    ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (
         'target = ["box*"]',

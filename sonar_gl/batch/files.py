@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from fsspec.core import url_to_fs
@@ -130,10 +130,10 @@ class Folder:
             return []
         return sorted({PurePosixPath(name).name for name in found} - {LOCK})
 
-    def remove(self, folder: str) -> None:
-        """Take a folder or file away, if it is there."""
-        if self.fs.exists(self.path(folder)):
-            self.fs.rm(self.path(folder), recursive=True)
+    def forget(self, name: str) -> None:
+        """Take a file away, if it is there."""
+        with suppress(FileNotFoundError):
+            self.fs.rm_file(self.path(name))
 
     def checksum(self, name: str) -> str | None:
         """SHA-256 of a file as hexadecimal digits, or None if it is not there."""

@@ -9,9 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+import numpy as np
+from pydantic import AfterValidator, Field
 
-from sonar_gl.batch.tables import Pair, Table, read
+from sonar_gl.batch.tables import Decibels, Table, Varied, VariedShare, read
+from sonar_gl.image import colorize
 from sonar_gl.types import Error
 
 try:
@@ -48,14 +50,14 @@ class MovedTable(Table):
 
     names: Names
     apart: bool = False
-    x_m: Pair | float = 0.0
-    y_m: Pair | float = 0.0
-    z_m: Pair | float = 0.0
-    roll_rad: Pair | float = 0.0
-    pitch_rad: Pair | float = 0.0
-    yaw_rad: Pair | float = 0.0
+    x_m: Varied = 0.0
+    y_m: Varied = 0.0
+    z_m: Varied = 0.0
+    roll_rad: Varied = 0.0
+    pitch_rad: Varied = 0.0
+    yaw_rad: Varied = 0.0
     there: Annotated[float, Field(ge=0, le=1)] = 1.0
-    reflectivity: Pair | float = None
+    reflectivity: VariedShare = None
 
 
 class VaryTable(Table):
@@ -66,8 +68,8 @@ class VaryTable(Table):
     """
 
     bodies: list[MovedTable] = Field([])
-    water: dict[str, Pair | float] = Field({})
-    noise: dict[str, Pair | float] = Field({})
+    water: dict[str, Varied] = Field({})
+    noise: dict[str, Varied] = Field({})
 
 
 class LabelsTable(Table):
@@ -91,14 +93,19 @@ class ArraysTable(Table):
     mantissa_bits: Annotated[int, Field(ge=1, le=23)] = 5
 
 
+def _known_map(name: str) -> str:
+    colorize(np.zeros((1, 1), np.float32), name)
+    return name
+
+
 class PicturesTable(Table):
     """Fan images, NPZ files and films, as of `sonar-gl render`."""
 
     formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     scale: Literal["db", "linear"] = "db"
-    db_range: Pair = Field([-60.0, 0.0])
-    colormap: str = "jet"
+    db_range: Decibels = Field([-60.0, 0.0])
+    colormap: Annotated[str, AfterValidator(_known_map)] = "jet"
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
 
@@ -107,7 +114,7 @@ class CocoTable(Table):
     """Instances in gray fan images: COCO JSON, PNG masks."""
 
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    db_range: Pair = Field([-60.0, 0.0])
+    db_range: Decibels = Field([-60.0, 0.0])
 
 
 class RosTable(Table):
@@ -117,7 +124,7 @@ class RosTable(Table):
     y_sign: Literal["port", "starboard"] = "port"
     bits: Literal[8, 16, 32] = 8
     scale: Literal["db", "linear"] = "db"
-    db_range: Pair = Field([-60.0, 0.0])
+    db_range: Decibels = Field([-60.0, 0.0])
 
 
 class OpticalTable(Table):
@@ -162,7 +169,8 @@ class Job(Table):
     def digest(self) -> str:
         """Of all that decides what the pings are, contents of files that it names included."""
         plain = {key: value for key, value in self.plain.items() if key not in PLACES}
-        parts = [json.dumps(plain, sort_keys=True)]
+        classes = list(self.labels.classes) if self.labels else []  # their order is that of their numbers
+        parts = [json.dumps(plain, sort_keys=True), json.dumps(classes)]
         for path in sorted(self.files()):
             parts.append(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
@@ -196,7 +204,6 @@ def read_job(path) -> Job:
     for key in PLACES:
         if key in data:
             raise Error(f"{path}: the job: unknown key (got {key!r})")
-    data = {"name": path.stem} | data
     job = read(Job, data | {"where": str(path), "folder": str(path.resolve().parent)}, str(path))
     if job.coco is not None and job.labels is None:
         raise Error(f"{path}: coco must stand with labels (got none; add a line [labels])")

@@ -84,6 +84,8 @@ class Maker:
                     noisy = add_noise(ping, order.noise, self.orders.noise_seed(name), order.number)
                     for output in self.outputs:
                         output.take(order, name, noisy)
+        if len(failed) == len(numbers) > 1 and not set_aside:
+            raise Error(f"no ping of part {part} could be made ({failed[numbers[0]]})")
         for n in failed:
             self.columns.of(rows[n - numbers[0]], "status")[:] = table.SET_ASIDE
         files = [name for output in self.outputs for name in output.end()]
@@ -124,7 +126,7 @@ class Maker:
                     yield order, ping
                     run.pop(0)
                     tell("after", order.number)
-            except (Error, OSError, MemoryError, GeneratorExit):
+            except (OSError, MemoryError, GeneratorExit):
                 raise
             except Exception:  # of whichever ping; by themselves they tell
                 several.close()
@@ -145,11 +147,12 @@ class Maker:
                         order,
                         tell,
                     )
-                except (Error, OSError, MemoryError):
+                except (OSError, MemoryError):
                     raise
                 except Exception as why:
                     if attempt == TRIES - 1:
-                        failed[order.number] = f"{type(why).__name__}: {why}"
+                        name = "" if isinstance(why, Error) else f"{type(why).__name__}: "
+                        failed[order.number] = f"{name}{why}"
                 else:
                     yield order, ping
                     tell("after", order.number)

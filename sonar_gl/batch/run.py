@@ -181,7 +181,7 @@ class Away:
     """
 
     def __init__(self, address: str, job: Job, url: str):
-        self.address, self._made_of = address, (json.dumps(job.plain, sort_keys=True), url)
+        self.address, self._made_of = address, (json.dumps(job.plain), url)
 
     def _work(self, command: str, *arguments):
         from sonar_gl.batch.work import on_cluster  # with all that makes pings: workers need it

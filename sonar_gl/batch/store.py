@@ -79,7 +79,7 @@ class Writer:
     """Writes into a store that is there."""
 
     def __init__(self, folder: Folder, n_sonars: int):
-        self._root, self._n_sonars = _group(folder, "r+"), n_sonars
+        self._root, self._n_sonars, self._folder = _group(folder, "r+"), n_sonars, folder
 
     def group(self, sonar: str):
         """The arrays of a sonar."""
@@ -94,10 +94,11 @@ class Writer:
         """
         group, names = self.group(sonar), []
         for name, values in arrays.items():
+            place = [first // group[name].shards[0], *[0] * (values.ndim - 1)]
+            names.append("/".join([NAME, group[name].path, "c", *map(str, place)]))
+            self._folder.forget(names[-1])  # what is there may be damaged, and would be read
             array = group[name].with_config({"write_empty_chunks": True})  # to look for these takes as long
             array[first : first + len(values)] = values
-            place = [first // array.shards[0], *[0] * (values.ndim - 1)]
-            names.append("/".join([NAME, array.path, "c", *map(str, place)]))
         return names
 
     def add(self, sonar: str, name: str, dtype: str, dims, shape, attributes) -> None:

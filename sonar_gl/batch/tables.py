@@ -2,15 +2,42 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
-from typing import Annotated
+from functools import partial
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from sonar_gl.types import Error, nearest_names
 
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+def _is_number(value) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _varied(value, low: float = -math.inf, high: float = math.inf):
+    pair = value if isinstance(value, list) else [value, value]
+    if len(pair) != 2 or not all(map(_is_number, pair)) or pair[0] > pair[1]:
+        raise ValueError("should be a number, or [low, high]")
+    if not low <= pair[0] <= pair[1] <= high:
+        raise ValueError(f"should lie in {low:g}..{high:g}")
+    return value
+
+
+def _range(value):
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_number, value)):
+        raise ValueError("should be [darkest, brightest]")
+    if value[0] >= value[1]:
+        raise ValueError("should be [darkest, brightest], which rise")
+    return value
+
+
+# what is drawn evenly between two numbers, or is one; likewise within 0..1; dB of dark and bright
+Varied = Annotated[Any, BeforeValidator(_varied)]
+VariedShare = Annotated[Any, BeforeValidator(partial(_varied, low=0.0, high=1.0))]
+Decibels = Annotated[Any, BeforeValidator(_range)]
 
 
 class Table(BaseModel):
