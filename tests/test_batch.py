@@ -394,6 +394,21 @@ def test_what_an_output_needs_is_told_before_anything_is_made(tmp_path):
         Kept(Orders(read_job(path)))
 
 
+def test_what_is_half_written_is_in_nobodys_way(tmp_path):
+    folder = Folder(tmp_path)
+    with folder.writing("png/1.png") as path:
+        path.write_bytes(b"half")
+        assert not list((tmp_path / "png").iterdir())
+    assert folder.get("png/1.png") == b"half"
+    with folder.writing("png/2.png") as path:  # as a process that is killed leaves it
+        path.write_bytes(b"half")
+        with folder.locked():
+            assert not path.exists()
+        path.parent.mkdir()
+        path.touch()
+    assert files_of(tmp_path).keys() == {"png/1.png", "png/2.png"}
+
+
 def test_damage_is_found(small, tmp_path):
     copy = shutil.copytree(small / "out", tmp_path / "copy")
     status, out, _ = run("batch", "--check", copy)

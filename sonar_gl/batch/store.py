@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import zarr
@@ -79,7 +80,7 @@ class Writer:
     """Writes into a store that is there."""
 
     def __init__(self, folder: Folder, n_sonars: int):
-        self._root, self._n_sonars = _group(folder, "r+"), n_sonars
+        self._root, self._n_sonars, self._folder = _group(folder, "r+"), n_sonars, folder
 
     def group(self, sonar: str):
         """The arrays of a sonar."""
@@ -98,6 +99,9 @@ class Writer:
             array[first : first + len(values)] = values
             place = [first // array.shards[0], *[0] * (values.ndim - 1)]
             names.append("/".join([NAME, array.path, "c", *map(str, place)]))
+            if self._folder.is_local:  # what a process that was killed has left
+                for torn in Path(self._folder.path(names[-1])).parent.glob("*.partial"):
+                    torn.unlink(missing_ok=True)
         return names
 
     def add(self, sonar: str, name: str, dtype: str, dims, shape, attributes) -> None:
