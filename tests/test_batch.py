@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 import xarray as xr
 from batches import LABELS, MORE, files_of, make_all, write_job
 from command_line import run
@@ -22,6 +23,7 @@ from sonar_gl.batch.job import read_job
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned, pings_per_part
+from sonar_gl.batch.table import Columns
 from sonar_gl.batch.work import Work
 from sonar_gl.boxes import body_map, boxes_of
 
@@ -305,6 +307,43 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     assert kept.classes == ["wall", "box", "floor"]
     assert kept.class_id.tolist() == [0, 1, 2, 3, 1, 2, 3]
     assert kept.classes_of(1)[:4].tolist() == [0, 1, 2, 3] and kept.first_body == [0, 3]
+
+
+def test_what_is_moved_or_background_may_be_of_some_scenes_alone(tmp_path):
+    more = '[[vary.bodies]]\nnames = ["rock_?"]\nz_m = [1.0, 2.0]\n'
+    path = write_job(tmp_path, 2, more + '[labels]\nlayers = ["shadow"]\nbackground = ["floor", "sand"]\n')
+    text = (tmp_path / "tank.sdf").read_text().replace('world name="tank"', 'world name="o"')
+    (tmp_path / "other.sdf").write_text(text.replace("box_1", "rock_1").replace("floor", "sand"))
+    job = read_job(path).model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
+    orders = Orders(job)
+    assert Columns(orders).moved == [(0, "box_1"), (1, "rock_1")]
+    assert [set(orders[n].bodies) for n in range(4)] == [{"box_1"}] * 2 + [{"rock_1"}] * 2
+    rows = np.array([Columns(orders).row(orders[n]) for n in range(4)])
+    places = Columns(orders).of(rows, "moved").reshape(4, 2, 12)
+    rising = places[2:, 1, 11] + 0.3  # of z; from where the rock lay
+    assert np.isnan(places[:2, 1]).all() and np.isnan(places[2:, 0]).all()
+    assert ((rising >= 1) & (rising <= 2)).all()
+    assert [Kept(orders).background(scene) for scene in (0, 1)] == [["floor"], ["sand"]]
+    for kind, place, name in (
+        (Columns, "vary.bodies[1].names", "rock_?"),
+        (Kept, "labels.background", "sand"),
+    ):
+        with pytest.raises(sg.Error) as caught:
+            kind(Orders(read_job(path)))
+        assert str(caught.value).startswith(f"{path}: {place} must name bodies of the scene (got {name!r};")
+
+
+def test_a_mesh_that_has_changed_is_another_batch(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    wall = "<box><size>1 20 20</size></box>"
+    text = (tmp_path / "tank.sdf").read_text()
+    assert wall in text
+    (tmp_path / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.stl</uri></mesh>"))
+    digests = set()
+    for size in (1, 1, 1.01):
+        trimesh.creation.box((size, 20, 20)).export(tmp_path / "wall.stl")
+        digests.add(Kept(Orders(read_job(path))).digest())
+    assert len(digests) == 2
 
 
 BAD = [

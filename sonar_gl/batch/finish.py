@@ -67,11 +67,13 @@ def _variables(orders: Orders, columns: table_of.Columns, planned: Planned, sona
     if n:
         names = [name for _, name in columns.moved]
         out.append(("moved_pose", "float64", ("moved", "row", "column"), (n, 4, 4), {
-            "long_name": "world_from_body, NaN for what is not there", "bodies": names}, places))  # fmt: skip
+            "long_name": "world_from_body, NaN for what is not there", "bodies": names,
+            "scenes": [scene for scene, _ in columns.moved]}, places))  # fmt: skip
     if columns.coloured:
         names = [name for _, name in columns.coloured]
         out.append(("reflectivity", "float64", ("coloured",), (len(names),), {
-            "long_name": "μ of bodies that differ", "bodies": names},
+            "long_name": "μ of bodies that differ", "bodies": names,
+            "scenes": [scene for scene, _ in columns.coloured]},
             lambda rows: of(rows, "coloured")))  # fmt: skip
     return out
 
