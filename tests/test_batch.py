@@ -477,6 +477,24 @@ def test_two_batches_keep_out_of_each_others_way(small, tmp_path):
     assert list((tmp_path / "out").iterdir()) == []
 
 
+def test_a_damaged_part_is_told_by_what_makes_it_again(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    (copy / "done.json").unlink()
+    table, record = copy / "parts" / "0000001.npy", copy / "parts" / "0000001.json"
+    for damage in (b"", b"half"):
+        table.write_bytes(damage)
+        status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+        assert status == 2
+        assert f"error: {table}: must be the table of a part (it is damaged; delete parts/0000001.json" in err
+    record.write_text("{}")
+    status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert status == 2 and f"error: {record}: must tell of a part (it is damaged; delete it)" in err
+    record.unlink()
+    status, told, _ = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert (status, told) == (0, f"{copy}: {N} of {N} pings\n")
+    assert files_of(copy) == files_of(small / "out")
+
+
 def test_what_is_there_is_not_overwritten(small, tmp_path):
     job, out = small / "job.toml", small / "out"
     before = files_of(out)

@@ -16,14 +16,18 @@ from sonar_gl.batch.outputs import bag_name, coco_name
 from sonar_gl.batch.planned import DONE, Planned, record_name, table_name
 from sonar_gl.dump import fan_artist
 from sonar_gl.export import save_animation
-from sonar_gl.types import Ping
+from sonar_gl.types import Error, Ping
 
 
 def _blocks(folder: Folder, planned: Planned) -> Iterator[tuple[int, np.ndarray]]:
     """(number of the first ping, rows of the table), some thousand pings at a time."""
     first, rows, some = 0, [], 0
     for part in range(planned.n_parts):
-        rows.append(table_of.from_bytes(folder.get(table_name(part))))
+        try:
+            rows.append(table_of.from_bytes(folder.get(table_name(part))))
+        except (ValueError, EOFError):
+            cure = f"it is damaged; delete {record_name(part)}, and --resume makes the part again"
+            raise Error(f"{folder.path(table_name(part))}: must be the table of a part ({cure})") from None
         some += len(rows[-1])
         if some >= store.TABLE_CHUNK or part == planned.n_parts - 1:
             whole = np.concatenate(rows)

@@ -91,11 +91,16 @@ def _stopped_by_signals(pool: Pool, tell):
 
 
 def records(folder: Folder, planned: Planned):
-    """(part, record) of each part that is done."""
+    """(part, record) of each part that is done; an Error for what is no record."""
     there = set(folder.names("parts"))
     for part in range(planned.n_parts):
         if record_name(part).partition("/")[2] in there:
-            yield part, folder.get_json(record_name(part))
+            record = folder.get_json(record_name(part))
+            if not isinstance(record, dict) or not {"pings", "set_aside", "without_echo"} <= record.keys():
+                raise Error(
+                    f"{folder.path(record_name(part))}: must tell of a part (it is damaged; delete it)"
+                )
+            yield part, record
 
 
 def begin(job: Job, digest: str, folder: Folder, resume: bool, ask, tell) -> Planned:
