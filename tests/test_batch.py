@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 import xarray as xr
 from batches import LABELS, MORE, files_of, make_all, write_job
 from command_line import run
@@ -22,6 +23,7 @@ from sonar_gl.batch.job import read_job
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned, pings_per_part
+from sonar_gl.batch.table import Columns
 from sonar_gl.batch.work import Work
 from sonar_gl.boxes import body_map, boxes_of
 
@@ -339,6 +341,43 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     assert kept.classes_of(1)[:4].tolist() == [0, 1, 2, 3] and kept.first_body == [0, 3]
 
 
+def test_what_is_moved_or_background_may_be_of_some_scenes_alone(tmp_path):
+    more = '[[vary.bodies]]\nnames = ["rock_?"]\nz_m = [1.0, 2.0]\n'
+    path = write_job(tmp_path, 2, more + '[labels]\nlayers = ["shadow"]\nbackground = ["floor", "sand"]\n')
+    text = (tmp_path / "tank.sdf").read_text().replace('world name="tank"', 'world name="o"')
+    (tmp_path / "other.sdf").write_text(text.replace("box_1", "rock_1").replace("floor", "sand"))
+    job = read_job(path).model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
+    orders = Orders(job)
+    assert Columns(orders).moved == [(0, "box_1"), (1, "rock_1")]
+    assert [set(orders[n].bodies) for n in range(4)] == [{"box_1"}] * 2 + [{"rock_1"}] * 2
+    rows = np.array([Columns(orders).row(orders[n]) for n in range(4)])
+    places = Columns(orders).of(rows, "moved").reshape(4, 2, 12)
+    rising = places[2:, 1, 11] + 0.3  # of z; from where the rock lay
+    assert np.isnan(places[:2, 1]).all() and np.isnan(places[2:, 0]).all()
+    assert ((rising >= 1) & (rising <= 2)).all()
+    assert [Kept(orders).background(scene) for scene in (0, 1)] == [["floor"], ["sand"]]
+    for kind, place, name in (
+        (Columns, "vary.bodies[1].names", "rock_?"),
+        (Kept, "labels.background", "sand"),
+    ):
+        with pytest.raises(sg.Error) as caught:
+            kind(Orders(read_job(path)))
+        assert str(caught.value).startswith(f"{path}: {place} must name bodies of the scene (got {name!r};")
+
+
+def test_a_mesh_that_has_changed_is_another_batch(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    wall = "<box><size>1 20 20</size></box>"
+    text = (tmp_path / "tank.sdf").read_text()
+    assert wall in text
+    (tmp_path / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.stl</uri></mesh>"))
+    digests = set()
+    for size in (1, 1, 1.01):
+        trimesh.creation.box((size, 20, 20)).export(tmp_path / "wall.stl")
+        digests.add(Kept(Orders(read_job(path))).digest())
+    assert len(digests) == 2
+
+
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
@@ -379,7 +418,7 @@ BAD = [
     (
         "reflectivity = [0.2, 0.9]",
         "reflectivity = [0.2, 9]",
-        "vary.bodies[0].reflectivity: should lie in 0..1 (got [0.2, 9])",
+        "bodies[0].reflectivity: should lie in 0..1",
     ),
     ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
@@ -438,6 +477,21 @@ def test_what_an_output_needs_is_told_before_anything_is_made(tmp_path):
         Kept(Orders(read_job(path)))
 
 
+def test_what_is_half_written_is_in_nobodys_way(tmp_path):
+    folder = Folder(tmp_path)
+    with folder.writing("png/1.png") as path:
+        path.write_bytes(b"half")
+        assert not list((tmp_path / "png").iterdir())
+    assert folder.get("png/1.png") == b"half"
+    with folder.writing("png/2.png") as path:  # as a process that is killed leaves it
+        path.write_bytes(b"half")
+        with folder.locked():
+            assert not path.exists()
+        path.parent.mkdir()
+        path.touch()
+    assert files_of(tmp_path).keys() == {"png/1.png", "png/2.png"}
+
+
 def test_damage_is_found(small, tmp_path):
     copy = shutil.copytree(small / "out", tmp_path / "copy")
     status, out, _ = run("batch", "--check", copy)
@@ -478,6 +532,24 @@ def test_two_batches_keep_out_of_each_others_way(small, tmp_path):
         expected = f"error: {tmp_path / 'out'}: must be one batch's at a time (another is at work there)\n"
         assert (status, err) == (2, expected)
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_damaged_part_is_told_by_what_makes_it_again(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    (copy / "done.json").unlink()
+    table, record = copy / "parts" / "0000001.npy", copy / "parts" / "0000001.json"
+    for damage in (b"", b"half"):
+        table.write_bytes(damage)
+        status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+        assert status == 2
+        assert f"error: {table}: must be the table of a part (it is damaged; delete parts/0000001.json" in err
+    record.write_text("{}")
+    status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert status == 2 and f"error: {record}: must tell of a part (it is damaged; delete it)" in err
+    record.unlink()
+    status, told, _ = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert (status, told) == (0, f"{copy}: {N} of {N} pings\n")
+    assert files_of(copy) == files_of(small / "out")
 
 
 def test_what_is_there_is_not_overwritten(small, tmp_path):

@@ -13,7 +13,7 @@ import pytest
 from command_line import BOX, SENSOR, SONAR, WALL, run
 
 import sonar_gl as sg
-from sonar_gl import dump, export
+from sonar_gl import dump, whole
 from sonar_gl.dump import WRITERS, Behind
 
 FRAMES = 8
@@ -118,7 +118,7 @@ def test_disk_that_fills_in_a_sequence(monkeypatch, slow_s):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replace(source, target)
 
-    monkeypatch.setattr(export.os, "replace", fills)
+    monkeypatch.setattr(whole.os, "replace", fills)
     status, out, err = run("render", *SEQUENCE, "--out", "out")
     assert (status, out) == (2, "")
     assert err == "error: cannot write 'out/tank_0002.png': no space left on device\n"

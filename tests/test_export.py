@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sonar_gl import export
+from sonar_gl import whole
 from sonar_gl.export import load_npz, output_folder, save_animation, save_npz, save_png
 from sonar_gl.types import Error, Ping
 
@@ -222,7 +222,7 @@ def test_failure_leaves_the_old_file_alone(tmp_path, monkeypatch, name, number, 
     def fail(*_):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(export.os, "replace", fail)
+    monkeypatch.setattr(whole.os, "replace", fail)
     save = {
         "a.png": lambda: save_png(path, np.zeros((4, 4), np.uint8)),
         "a.npz": lambda: save_npz(path, make_ping()),

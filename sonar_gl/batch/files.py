@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -16,7 +17,7 @@ from fsspec.implementations.local import LocalFileSystem
 from sonar_gl.types import Error
 from sonar_gl.whole import name_beside
 
-LOCK = ".lock"
+LOCK, BEGUN = ".lock", ".begun"  # the latter a folder of files that are being written
 
 
 class Folder:
@@ -60,9 +61,11 @@ class Folder:
             except BlockingIOError:
                 text = "must be one batch's at a time (another is at work there)"
                 raise Error(f"{self.root}: {text}") from None
+            shutil.rmtree(self.path(BEGUN), ignore_errors=True)  # of processes that were killed
             try:
                 yield
             finally:
+                shutil.rmtree(self.path(BEGUN), ignore_errors=True)
                 place.unlink(missing_ok=True)
 
     def open(self, name: str):
@@ -80,7 +83,8 @@ class Folder:
                 self.fs.put_file(str(Path(here, place.name)), str(place))
             return
         Path(place.parent).mkdir(parents=True, exist_ok=True)
-        beside = name_beside(Path(place))
+        beside = name_beside(Path(self.path(BEGUN), place.name))
+        beside.parent.mkdir(exist_ok=True)
         try:
             yield beside
             os.replace(beside, place)

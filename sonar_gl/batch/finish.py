@@ -16,14 +16,18 @@ from sonar_gl.batch.outputs import bag_name, coco_name
 from sonar_gl.batch.planned import DONE, Planned, record_name, table_name
 from sonar_gl.dump import fan_artist
 from sonar_gl.export import save_animation
-from sonar_gl.types import Ping
+from sonar_gl.types import Error, Ping
 
 
 def _blocks(folder: Folder, planned: Planned) -> Iterator[tuple[int, np.ndarray]]:
     """(number of the first ping, rows of the table), some thousand pings at a time."""
     first, rows, some = 0, [], 0
     for part in range(planned.n_parts):
-        rows.append(table_of.from_bytes(folder.get(table_name(part))))
+        try:
+            rows.append(table_of.from_bytes(folder.get(table_name(part))))
+        except (ValueError, EOFError):
+            cure = f"it is damaged; delete {record_name(part)}, and --resume makes the part again"
+            raise Error(f"{folder.path(table_name(part))}: must be the table of a part ({cure})") from None
         some += len(rows[-1])
         if some >= store.TABLE_CHUNK or part == planned.n_parts - 1:
             whole = np.concatenate(rows)
@@ -67,11 +71,13 @@ def _variables(orders: Orders, columns: table_of.Columns, planned: Planned, sona
     if n:
         names = [name for _, name in columns.moved]
         out.append(("moved_pose", "float64", ("moved", "row", "column"), (n, 4, 4), {
-            "long_name": "world_from_body, NaN for what is not there", "bodies": names}, places))  # fmt: skip
+            "long_name": "world_from_body, NaN for what is not there", "bodies": names,
+            "scenes": [scene for scene, _ in columns.moved]}, places))  # fmt: skip
     if columns.coloured:
         names = [name for _, name in columns.coloured]
         out.append(("reflectivity", "float64", ("coloured",), (len(names),), {
-            "long_name": "μ of bodies that differ", "bodies": names},
+            "long_name": "μ of bodies that differ", "bodies": names,
+            "scenes": [scene for scene, _ in columns.coloured]},
             lambda rows: of(rows, "coloured")))  # fmt: skip
     return out
 

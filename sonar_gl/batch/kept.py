@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import asdict
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.batch.layers import layers_of
-from sonar_gl.batch.orders import Orders, matching
+from sonar_gl.batch.orders import Orders
+from sonar_gl.batch.tables import matching, meant
 from sonar_gl.types import Error
 
 BACKGROUND = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
@@ -61,14 +63,27 @@ class Kept:
         names = [body.name for body in self.orders.scene(scene).bodies]
         where = f"{self.job.where}: labels.background"
         if self.labels.background is not None:
-            return matching(self.labels.background, names, where)
-        found = [name for name in names if any(word in name.lower() for word in BACKGROUND)]
+            matching(self.labels.background, dict.fromkeys(self.bodies), where)
+            found = meant(self.labels.background, names)
+        else:
+            found = [name for name in names if any(word in name.lower() for word in BACKGROUND)]
         if not found:
             raise Error(
-                f"{where} must name the bodies that shadows fall on, for the layer shadow (got none, and "
-                f"none of {', '.join(names)[:200]} is called a floor or a wall)"
+                f"{where} must name the bodies that shadows fall on, for the layer shadow (got none of scene "
+                f"{self.job.scenes[scene]!r}, whose are {', '.join(names)[:200]}; unsaid, those called a "
+                "floor or a wall)"
             )
         return found
+
+    def digest(self) -> str:
+        """Of the job, and of the bodies of its scenes: their meshes may lie in files of their own."""
+        found = hashlib.sha256(self.job.digest.encode())
+        for index in range(len(self.job.scenes)):
+            for body in self.orders.scene(index).bodies:
+                found.update(body.name.encode())
+                for array in (body.pose, body.mesh.vertices, body.mesh.faces, body.reflectivity):
+                    found.update(np.ascontiguousarray(array).tobytes())
+        return found.hexdigest()
 
     def background(self, scene: int):
         """Names of the bodies that shadows fall on, or None where nobody asks."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, fields, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 
 from sonar_gl.acoustics import WATER, Acoustics
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.paths import KINDS, Trajectory
-from sonar_gl.batch.tables import made
+from sonar_gl.batch.tables import made, meant
 from sonar_gl.load import load_scene
 from sonar_gl.noise import Noise
 from sonar_gl.rigid import pose as make_pose
@@ -50,17 +49,6 @@ def _drawn(random, value) -> float:
     """A value of a table: a number, or one drawn evenly between two. Either takes one draw."""
     share = random.random()
     return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
-
-
-def matching(patterns, names, where: str) -> list[str]:
-    """The names that patterns mean, in their own order; an Error for a pattern that means none."""
-    names = list(names)
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
-            raise Error(
-                f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})"
-            )
-    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 class Orders:
@@ -218,6 +206,8 @@ class Orders:
                 shift, turn = np.split(np.array([_drawn(random, getattr(table, key)) for key in TURNS]), 2)
                 is_there = random.random() < table.there
                 mu = None if table.reflectivity is None else _drawn(random, table.reflectivity)
+                if not group:
+                    continue
                 if is_there and not shift.any() and not turn.any() and mu is None:
                     continue
                 pivot = things[group[0]].pose
@@ -235,10 +225,9 @@ class Orders:
         return {thing.name: thing for thing in (*loaded.bodies, *loaded.plumes)}
 
     def names(self, scene: int, k: int) -> list[str]:
-        """What the job's k-th table of moved bodies means in a scene."""
+        """What the job's k-th table of moved bodies means in a scene, where it may mean none."""
         if (scene, k) not in self._names:
-            where = f"{self.job.where}: vary.bodies[{k}].names"
-            self._names[scene, k] = matching(self.job.vary.bodies[k].names, self.things(scene), where)
+            self._names[scene, k] = meant(self.job.vary.bodies[k].names, self.things(scene))
         return self._names[scene, k]
 
     def noise_seed(self, sonar: str) -> int:

@@ -31,7 +31,7 @@ class Planned:
 
     Attributes
     ----------
-    job : the job as plain values; digest : of it and of the files that it names
+    job : the job as plain values; digest : of `Kept`
     n_pings, pings_per_part
     samplings : of each scene, by sonar, what `Sampling` takes
     estimates : of each scene, by sonar, the error that pings are thought to stay below

@@ -91,16 +91,22 @@ def _stopped_by_signals(pool: Pool, tell):
 
 
 def records(folder: Folder, planned: Planned):
-    """(part, record) of each part that is done."""
+    """(part, record) of each part that is done; an Error for what is no record."""
     there = set(folder.names("parts"))
     for part in range(planned.n_parts):
         if record_name(part).partition("/")[2] in there:
-            yield part, folder.get_json(record_name(part))
+            record = folder.get_json(record_name(part))
+            if not isinstance(record, dict) or not {"pings", "set_aside", "without_echo"} <= record.keys():
+                raise Error(
+                    f"{folder.path(record_name(part))}: must tell of a part (it is damaged; delete it)"
+                )
+            yield part, record
 
 
-def begin(job: Job, folder: Folder, resume: bool, ask, tell) -> Planned:
+def begin(job: Job, digest: str, folder: Folder, resume: bool, ask, tell) -> Planned:
     """The plan of a job: a new one, or that which is there.
 
+    digest : of `Kept`
     ask : function (command, *arguments) that has a process do it, see `Work`
 
     Raises
@@ -112,10 +118,10 @@ def begin(job: Job, folder: Folder, resume: bool, ask, tell) -> Planned:
     if planned is not None and not resume:
         cure = "go on with it by --resume, or give another folder"
         raise Error(f"{folder.url}: must hold no batch yet ({cure})")
-    if planned is not None and planned.digest != job.digest:
+    if planned is not None and planned.digest != digest:
         now = job.plain
         changed = [k for k in sorted({*now, *planned.job} - {*PLACES}) if now.get(k) != planned.job.get(k)]
-        what = ", ".join(changed) or "the contents of a file that it names"
+        what = ", ".join(changed) or "what is in a file, of the job or of a scene"
         raise Error(
             f"{folder.url}: a batch must be gone on with by the job that began it (changed: {what}; put that "
             "back, or give another folder)"
@@ -142,13 +148,13 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str 
     orders, folder = Orders(job), Folder(url)
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
-    Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
+    kept, _ = Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
     with folder.locked(), Pool(job.plain, folder.url, devices, tell) as pool:
         if resume:
             folder.sweep()
         away = None if cluster is None else Away(cluster, job, folder.url)
         ask = pool.ask if away is None else away.ask
-        planned = begin(job, folder, resume, ask, tell)
+        planned = begin(job, kept.digest(), folder, resume, ask, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()
         for part, record in records(folder, planned):
             outcome.add(record)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import zarr
@@ -99,6 +100,9 @@ class Writer:
             self._folder.forget(names[-1])  # what is there may be damaged, and would be read
             array = group[name].with_config({"write_empty_chunks": True})  # to look for these takes as long
             array[first : first + len(values)] = values
+            if self._folder.is_local:  # what a process that was killed has left
+                for torn in Path(self._folder.path(names[-1])).parent.glob("*.partial"):
+                    torn.unlink(missing_ok=True)
         return names
 
     def add(self, sonar: str, name: str, dtype: str, dims, shape, attributes) -> None:

@@ -7,6 +7,7 @@ import io
 import numpy as np
 
 from sonar_gl.batch.orders import Order, Orders
+from sonar_gl.batch.tables import matching
 
 NOT_MADE, MADE, SET_ASIDE = 0, 1, 2
 POSE = 16  # numbers of a matrix
@@ -20,18 +21,26 @@ class Columns:
     ----------
     width : numbers in a row
     moved : bodies that `vary` moves, as (scene, name)
+
+    Raises
+    ------
+    Error
+        for a pattern of bodies that means none in any scene.
     """
 
     def __init__(self, orders: Orders):
         self.orders, self.job = orders, orders.job
         self.water, self.noise = sorted(self.job.vary.water), sorted(self.job.vary.noise)
-        self.moved, self.coloured = [], []
+        self.moved, self.coloured, known = [], [], {}
         for scene in range(len(self.job.scenes)) if self.job.vary.bodies else ():
+            known |= orders.things(scene)
             for k, table in enumerate(self.job.vary.bodies):
                 names = [(scene, name) for name in orders.names(scene, k)]
                 self.moved += [at for at in names if at not in self.moved]
                 if table.reflectivity is not None:
                     self.coloured += [at for at in names if at not in self.coloured]
+        for k, table in enumerate(self.job.vary.bodies):
+            matching(table.names, known, f"{self.job.where}: vary.bodies[{k}].names")
         self._begin, at = {}, 0
         sizes = {"status": 1, "scene": 1, "time_s": 1, "pose": POSE}
         sizes |= {("has_echo", sonar): 1 for sonar in orders.sonars}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
+from fnmatch import fnmatchcase
 from functools import partial
 from typing import Annotated, Any
 
@@ -52,6 +53,22 @@ def named(place) -> str:
     for key in place:
         out += f"[{key}]" if isinstance(key, int) else f".{key}" if out else str(key)
     return out
+
+
+def meant(patterns, names) -> list[str]:
+    """The names that patterns mean, in their own order."""
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+def matching(patterns, names, where: str) -> list[str]:
+    """Likewise; an Error for a pattern that means none."""
+    names = list(names)
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise Error(
+                f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})"
+            )
+    return meant(patterns, names)
 
 
 def read(table_type, data: Mapping, where: str):

@@ -69,9 +69,9 @@ class Work:
                 tell("warning", f"scene {orders.job.scenes[scene]!r}: {warning.message}")
             samplings.append(chosen)
             estimates.append(thought)
-        job = orders.job.plain
-        part = orders.job.pings_per_part or planned.pings_per_part(Kept(orders).bytes_per_ping)
-        return Planned(job, orders.job.digest, len(orders), part, samplings, estimates, gl_renderer=renderer)
+        job, kept = orders.job.plain, Kept(orders)
+        part = orders.job.pings_per_part or planned.pings_per_part(kept.bytes_per_ping)
+        return Planned(job, kept.digest(), len(orders), part, samplings, estimates, gl_renderer=renderer)
 
     def create(self, tell=lambda *_: None) -> None:
         """Make the store, empty, as far as it is not there."""
