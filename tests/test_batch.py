@@ -99,8 +99,9 @@ def test_xarray_finds_the_pings_of_a_simulator_within_the_stated_errors(small, o
     assert n_shadowed > 0 or sonar == "upright"
     assert (data.status == 1).all()
     assert data.attrs["noise_seed"] == orders.noise_seed(sonar) and data.attrs["seed"] == 5
-    assert sg.Sonar(**data.attrs["specification"]) == orders.sonars[sonar]
-    assert sg.Acoustics(**data.attrs["acoustics"]) == orders.acoustics
+    assert sg.Sonar(**json.loads(data.attrs["specification"])) == orders.sonars[sonar]
+    assert sg.Acoustics(**json.loads(data.attrs["acoustics"])) == orders.acoustics
+    data.isel(ping=slice(2)).drop_encoding().to_netcdf(small / f"{sonar}.nc")  # which holds no tables
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
@@ -509,6 +510,15 @@ def test_damage_is_found(small, tmp_path):
     assert f"{one}: is not what was written\n" in out and f"{two}: is missing\n" in out
     assert f"{three}: is not what was written\n" in out
     assert out.endswith(f"{copy}: 3 files are wrong\n")
+
+    # and mended, by making again what is damaged and no more
+    untouched = copy / "parts" / "0000002.json"
+    before, expected = untouched.stat().st_mtime_ns, files_of(small / "out")
+    status, out, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--mend", "--workers", "1")
+    assert (status, out) == (0, f"{copy}: {N} of {N} pings\n")
+    assert f"{one}: is not what was written\n" in err
+    assert untouched.stat().st_mtime_ns == before
+    assert files_of(copy) == expected
     status, _, err = run("batch", "--check", tmp_path / "nowhere")
     assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from importlib.util import find_spec
 
 from sonar_gl._version import __version__
 from sonar_gl.types import Error
@@ -145,15 +146,20 @@ class _Hands:
             ) from None
 
 
+def check_installed() -> None:
+    """An Error where Dask is not."""
+    if find_spec("distributed") is None:
+        raise Error("a cluster needs Dask (got none; pip install distributed)")
+
+
 @contextmanager
 def _connected(address: str, timeout_s: float):
     """A client of the scheduler."""
     for name in "distributed.client", "distributed.utils":  # what they would tell is told by errors
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        from distributed import Client
-    except ImportError:
-        raise Error('a cluster needs Dask (got none; pip install "sonar_gl[cluster]")') from None
+    check_installed()
+    from distributed import Client
+
     try:
         with ThreadPoolExecutor(1) as thread:  # not here: notebooks have a loop of their own
             thread.submit(asyncio.run, _greet(address, timeout_s)).result()

@@ -6,6 +6,7 @@ import shlex
 import sys
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -31,6 +32,7 @@ the job, 3 all are there but some that were set aside, 130 stopped by Ctrl-C.
 @option("out", default=None, show_default="named after the job, here")
 @click.option("--dry-run", is_flag=True, help="Say what would be made, its size and time, after a trial.")
 @click.option("--resume", is_flag=True, help="Go on with what is in the folder.")
+@click.option("--mend", is_flag=True, help="With --resume: find what is damaged, and make it again.")
 @click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
 @click.option(
@@ -51,6 +53,8 @@ def batch(ctx, **options):
     from sonar_gl.types import Error
 
     load_numba()
+    if o.mend and not o.resume:
+        raise Error("--mend must stand with --resume (it mends what is there)")
     if (o.job is None) == (o.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     try:
@@ -71,8 +75,8 @@ def batch(ctx, **options):
     if o.dry_run:
         click.echo(dry_run(job, devices, _tell))
         ctx.exit(0)
-    url = o.out or job.name
-    outcome = batches.run(job, url, devices, o.resume, _tell, _progress, o.cluster)
+    url = o.out or Path(o.job).stem
+    outcome = batches.run(job, url, devices, o.resume, _tell, _progress, o.cluster, o.mend)
     ctx.exit(_say(outcome, url, o))
 
 

@@ -184,6 +184,27 @@ def check(folder: Folder, planned: Planned, progress) -> list[str]:
     return [*wrong, *(_compare(folder, done["files"]) if done else ())]
 
 
+def forget_damage(folder: Folder, planned: Planned, tell) -> None:
+    """Take away the records of parts whose files are not as they were written, so that they are made again.
+
+    tell : function (text)
+    """
+    again, done = False, folder.get_json(DONE)
+    for part in range(planned.n_parts):
+        record = folder.get_json(record_name(part))
+        for line in _compare(folder, record["files"]) if record else ():
+            tell(line)
+            folder.forget(record_name(part))
+            again = True
+    for name, found in ((name, folder.checksum(name)) for name in (done["files"] if done else ())):
+        if found != done["files"][name]:
+            tell(f"{folder.path(name)}: is not what was written")
+            folder.forget(name)
+            again = True
+    if again:
+        folder.forget(DONE)
+
+
 def _compare(folder, files):
     for name, expected in files.items():
         found = folder.checksum(name)

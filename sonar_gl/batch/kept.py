@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from dataclasses import asdict
 
@@ -81,7 +82,7 @@ class Kept:
         for index in range(len(self.job.scenes)):
             for body in self.orders.scene(index).bodies:
                 found.update(body.name.encode())
-                for array in (body.pose, body.mesh.vertices, body.mesh.faces, body.reflectivity):
+                for array in (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity):
                     found.update(np.ascontiguousarray(array).tobytes())
         return found.hexdigest()
 
@@ -124,17 +125,17 @@ class Kept:
         return total
 
     def about(self, planned, sonar: str) -> dict:
-        """What the store says of a sonar."""
+        """What the store says of a sonar; tables as JSON text, as netCDF's attributes hold none."""
         orders = self.orders
-        return {
-            "sonar": sonar,
+        tables = {
             "specification": asdict(orders.sonars[sonar]),
             "mount": orders.mounts[sonar].tolist(),
             "acoustics": orders.acoustics.meta(),
             "noise": asdict(orders.noise),
-            "noise_seed": orders.noise_seed(sonar),
             "samplings": [of_scene[sonar] for of_scene in planned.samplings],
         }
+        about = {"sonar": sonar, "noise_seed": orders.noise_seed(sonar)}
+        return about | {name: json.dumps(table) for name, table in tables.items()}
 
     def attributes(self, planned) -> dict:
         """What the store says of all pings."""

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
-from sonar_gl.batch.cluster import run_on_cluster
+from sonar_gl.batch.cluster import check_installed, run_on_cluster
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.job import PLACES, Job
 from sonar_gl.batch.kept import Kept
@@ -129,13 +129,13 @@ def begin(job: Job, digest: str, folder: Folder, resume: bool, ask, tell) -> Pla
     if planned is None:
         if any(not name.startswith(".") for name in folder.names("")):  # such as what was torn
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
-        tell("choosing the samples")
+        tell("nothing is there yet: choosing the samples" if resume else "choosing the samples")
         planned = ask("plan")
         planned.save(folder)  # from here on there is something to go on with
     return planned
 
 
-def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str | None = None) -> Outcome:
+def run(job: Job, url, devices, resume: bool, tell, progress, cluster=None, mend=False) -> Outcome:
     """Make all pings of a job that are not there yet, and join what is joined of them.
 
     Parameters
@@ -144,8 +144,11 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str 
     tell : function (text) that shows a line
     progress : function (pings, pings that are there) -> context manager of a function (pings more)
     cluster : address of a Dask scheduler, whose workers make the parts; None has processes here do so
+    mend : compare checksums, and make parts again whose files are damaged
     """
     orders, folder = Orders(job), Folder(url)
+    if "memory" in folder.fs.protocol:
+        raise Error(f"{url}: must be a folder that other processes see (got memory of this one)")
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     kept, _ = Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
@@ -155,11 +158,15 @@ def run(job: Job, url: str, devices, resume: bool, tell, progress, cluster: str 
         away = None if cluster is None else Away(cluster, job, folder.url)
         ask = pool.ask if away is None else away.ask
         planned = begin(job, kept.digest(), folder, resume, ask, tell)
+        if mend:
+            from sonar_gl.batch.finish import forget_damage  # with all that makes films
+
+            forget_damage(folder, planned, tell)
         outcome, there = Outcome(orders, planned.n_pings), set()
         for part, record in records(folder, planned):
             outcome.add(record)
             there.add(part)
-        if not there:
+        if not there or mend:
             ask("create")  # again, if it was not done when the batch was stopped
         missing = [part for part in range(planned.n_parts) if part not in there]
         if missing:
@@ -187,6 +194,7 @@ class Away:
     """
 
     def __init__(self, address: str, job: Job, url: str):
+        check_installed()
         self.address, self._made_of = address, (json.dumps(job.plain), url)
 
     def _work(self, command: str, *arguments):

@@ -20,7 +20,8 @@ TABLE_CHUNK = 16384  # pings, of what has one number a ping
 
 
 def _group(folder: Folder, mode: str):
-    return zarr.open_group(f"{folder.url}/{NAME}", mode=mode)
+    # what was gathered would go on with what is made anew, and into groups' own files
+    return zarr.open_group(f"{folder.url}/{NAME}", mode=mode, use_consolidated=False)
 
 
 def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: dict) -> None:
