@@ -153,6 +153,12 @@ def test_orders_are_drawn_evenly_within_their_bounds_and_by_seed(small, orders):
     assert min(shifts) >= -0.5 and max(shifts) <= 0.5
 
 
+def test_looks_are_whole_numbers_of_those_between(small):
+    vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
+    orders = Orders(read_job(small / "job.toml").model_copy(update={"vary": vary}))
+    assert {orders[n].noise.looks for n in range(N)} <= {2, 3, 4, 5}
+
+
 def test_a_part_by_single_pings_has_the_same_bytes(small, tmp_path):
     work = Work(read_job(small / "job.toml").plain, str(tmp_path / "out"), None)
     planned = work.plan()
@@ -421,6 +427,13 @@ BAD = [
         "reflectivity = [0.2, 9]",
         "bodies[0].reflectivity: should lie in 0..1",
     ),
+    ("electronic_db = [-80.0, -60.0]", "median = [3, 5]", "vary.noise: median must stay, in the table noise"),
+    (
+        "yaw_rad = [-1.0, 1.0]",
+        "yaw_rad = 90.0",
+        ".yaw_rad: should lie in -6.283..6.283 (got 90.0)\n",
+    ),
+    ('kind = "sector"', 'kind = ["sector"]', "poses[0]: kind must be one of trajectory, lawnmower"),
     ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from sonar_gl.batch.tables import Decibels, Table, Varied, VariedShare, read
+from sonar_gl.batch.tables import Decibels, Table, Varied, VariedMetres, VariedRadians, VariedShare, read
 from sonar_gl.image import colorize
 from sonar_gl.types import Error
 
@@ -50,12 +50,12 @@ class MovedTable(Table):
 
     names: Names
     apart: bool = False
-    x_m: Varied = 0.0
-    y_m: Varied = 0.0
-    z_m: Varied = 0.0
-    roll_rad: Varied = 0.0
-    pitch_rad: Varied = 0.0
-    yaw_rad: Varied = 0.0
+    x_m: VariedMetres = 0.0
+    y_m: VariedMetres = 0.0
+    z_m: VariedMetres = 0.0
+    roll_rad: VariedRadians = 0.0
+    pitch_rad: VariedRadians = 0.0
+    yaw_rad: VariedRadians = 0.0
     there: Annotated[float, Field(ge=0, le=1)] = 1.0
     reflectivity: VariedShare = None
 

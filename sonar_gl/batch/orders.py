@@ -111,7 +111,7 @@ class Orders:
     def _path(self, table, where):
         table = dict(table)
         kind = table.pop("kind", None)
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise Error(f"{where}: kind must be one of {', '.join(KINDS)} (got {kind!r})")
         if "file" in table:
             table["file"] = str(self.job.path(str(table["file"])))
@@ -125,9 +125,12 @@ class Orders:
         for key in vary.water:
             if key not in WATER:
                 raise Error(f"{where}: vary.water: unknown key (got {key!r}; {nearest_names(key, WATER)})")
+        if "median" in vary.noise:
+            raise Error(f"{where}: vary.noise: median must stay, in the table noise (got it here)")
         for end in (0, -1):
             water = {key: np.ravel(value)[end].item() for key, value in vary.water.items()}
             noise = {key: np.ravel(value)[end].item() for key, value in vary.noise.items()}
+            noise |= {key: int(noise[key]) for key in noise if key == "looks"}
             for kind, base, table, name in (
                 (Acoustics, self.acoustics, water, "water"),
                 (Noise, self.noise, noise, "noise"),
@@ -190,9 +193,8 @@ class Orders:
         vary = self.job.vary
         water = {key: _drawn(random, value) for key, value in sorted(vary.water.items())}
         noise = {key: _drawn(random, value) for key, value in sorted(vary.noise.items())}
-        for key in ("median", "looks"):
-            if key in noise:
-                noise[key] = int(noise[key])
+        if "looks" in noise:
+            noise["looks"] = int(noise["looks"])
         bodies, reflectivity = self._moved(scene, random) if vary.bodies else ({}, {})
         return Order(number, scene, time_s, pose, bodies, reflectivity, water, replace(self.noise, **noise))
 

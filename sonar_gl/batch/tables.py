@@ -35,9 +35,12 @@ def _range(value):
     return value
 
 
-# what is drawn evenly between two numbers, or is one; likewise within 0..1; dB of dark and bright
+# what is drawn evenly between two numbers, or is one; likewise within 0..1, metres, and radians; dB of dark
+# and bright
 Varied = Annotated[Any, BeforeValidator(_varied)]
 VariedShare = Annotated[Any, BeforeValidator(partial(_varied, low=0.0, high=1.0))]
+VariedMetres = Annotated[Any, BeforeValidator(partial(_varied, low=-1e8, high=1e8))]
+VariedRadians = Annotated[Any, BeforeValidator(partial(_varied, low=-6.283, high=6.283))]
 Decibels = Annotated[Any, BeforeValidator(_range)]
 
 
