@@ -214,6 +214,13 @@ def test_the_target_appears_within_the_jitters(views):
     np.testing.assert_allclose([azimuth, elevation], 0, atol=1e-12)
 
 
+def test_views_from_one_side(views):
+    places = [pose[:3, 3] for _, pose in replace(VIEWS, azimuth_rad=(2.0, 4.0))]
+    offset = np.array(places) - (10, 20, -5)
+    check_uniform(np.arctan2(offset[:, 1], offset[:, 0]) % (2 * math.pi), 2.0, 4.0)
+    np.testing.assert_allclose(offset[:, 2], views[:, 2, 3] + 5)  # it moves nothing else
+
+
 def test_points_of_a_box_are_aimed_at():
     path = RandomViews(target_m=(1, 2, 3), target_size_m=(4, 2, 0.5), range_m=(1e-3, 1e-3), n_pings=2000)
     places = np.array([pose[:3, 3] for _, pose in path])

@@ -64,8 +64,8 @@ def make_job(pings: int, quick: bool) -> Job:
 
 def begun(job: Job, planned, url: str) -> str:
     """A folder with a batch whose plan is made, and none of its pings."""
-    Work(job.plain, url, None).create(planned)
     planned.save(Folder(url))
+    Work(job.plain, url, None).create()
     return url
 
 

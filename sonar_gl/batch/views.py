@@ -37,9 +37,9 @@ def _reach(slope: float, most: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomViews(Numbered):
-    """A target seen from all round, at random.
+    """A target seen at random, from all round unless `azimuth_rad` says less.
 
-    Each ping aims at a point that is uniform in the target's box. Its azimuth is uniform all round. Its range
+    Each ping aims at a point that is uniform in the target's box. Its azimuth is uniform. Its range
     is uniform over those of `range_m` from which some elevation of `elevation_rad` keeps the sonar within
     `z_m`; the sine of its elevation is uniform over those that do, so that equal solid angles are equally
     likely. Nothing is drawn and thrown away. Then the sonar is turned so that the point appears at a uniform
@@ -50,7 +50,8 @@ class RandomViews(Numbered):
     target_m, target_size_m : middle, and lengths along world x, y, z, of the box that is aimed at
     range_m : [low, high], from the point to the sonar
     n_pings : how many
-    elevation_rad : [low, high], of the sonar as seen from the point, positive above
+    azimuth_rad : [low, high], of the sonar as seen from the point, from world x towards y
+    elevation_rad : [low, high], likewise, positive above
     z_m : [low, high], height of the sonar: give what lies between floor and surface
     azimuth_jitter_rad, elevation_jitter_rad : at most so far from the boresight the point appears
     roll_jitter_rad : at most so far the sonar is rolled
@@ -67,6 +68,7 @@ class RandomViews(Numbered):
     range_m: tuple[float, float] = length(size=2, rises=True)
     n_pings: int = count()
     target_size_m: tuple[float, float, float] = length((0.0, 0.0, 0.0), least=0.0, size=3)
+    azimuth_rad: tuple[float, float] = angle((-math.pi, math.pi), size=2, rises=True)
     elevation_rad: tuple[float, float] = angle((0.0, 0.0), most=RIGHT_ANGLE, size=2, rises=True)
     z_m: tuple[float, float] = metres((-FARTHEST_M, FARTHEST_M), size=2, rises=True)
     azimuth_jitter_rad: float = _spread(2 * RIGHT_ANGLE)
@@ -113,7 +115,8 @@ class RandomViews(Numbered):
         range_m = low + (high - low) * u[3]
         low = max(math.sin(self.elevation_rad[0]), (self.z_m[0] - z) / range_m)
         high = min(math.sin(self.elevation_rad[1]), (self.z_m[1] - z) / range_m)
-        sine, azimuth = low + (high - low) * u[4], math.pi * (2 * u[5] - 1)
+        sine, (start, stop) = low + (high - low) * u[4], self.azimuth_rad
+        azimuth = start + (stop - start) * u[5]
         level = range_m * math.sqrt(1 - sine * sine)
         x, y, z = x + level * math.cos(azimuth), y + level * math.sin(azimuth), z + range_m * sine
         out = pose(x, y, z, 0.0, math.asin(sine), math.remainder(azimuth + math.pi, 2 * math.pi))
