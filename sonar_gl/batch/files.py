@@ -104,13 +104,6 @@ class Folder:
         """Write plain values as JSON; the same values give the same bytes."""
         self.put(name, (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode())
 
-    def sweep(self) -> None:
-        """Take away what processes left half written that were killed; those that rename have not."""
-        for folder, _, names in os.walk(self.root) if self.is_local else ():
-            for name in names:
-                if (name.startswith(".") and name != LOCK) or name.endswith(".partial"):
-                    Path(folder, name).unlink(missing_ok=True)
-
     def get(self, name: str) -> bytes | None:
         """What is in a file, or None if it is not there."""
         try:

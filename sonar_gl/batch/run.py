@@ -153,8 +153,6 @@ def run(job: Job, url, devices, resume: bool, tell, progress, cluster=None, mend
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     kept, _ = Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
     with folder.locked(), Pool(job.plain, folder.url, devices, tell) as pool:
-        if resume:
-            folder.sweep()
         away = None if cluster is None else Away(cluster, job, folder.url)
         ask = pool.ask if away is None else away.ask
         planned = begin(job, kept.digest(), folder, resume, ask, tell)
