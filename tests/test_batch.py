@@ -551,19 +551,6 @@ def test_damage_is_found(small, tmp_path):
     assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
 
 
-def test_what_was_left_half_written_is_swept_away(small, tmp_path):
-    out = shutil.copytree(small / "out", tmp_path / "out")
-    before = files_of(out)
-    for name in (
-        "bag/..part_0000001.0a1b.mcap",
-        "pings.zarr/level/intensity/c/1/0/0.0a1b.partial",
-        "parts/.x.npy",
-    ):
-        (out / name).write_bytes(b"half")
-    assert run("batch", small / "job.toml", "--out", out, "--resume")[0] == 0
-    assert files_of(out) == before
-
-
 def test_two_batches_keep_out_of_each_others_way(small, tmp_path):
     with Folder(tmp_path / "out").locked():
         status, _, err = run("batch", small / "job.toml", "--out", tmp_path / "out")
