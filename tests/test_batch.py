@@ -236,6 +236,21 @@ def test_a_part_is_made_again_over_what_is_damaged(small, tmp_path):
     assert files_of(out) == before
 
 
+def test_a_batch_ends_of_which_all_pings_are_set_aside(tmp_path):
+    job = read_job(write_job(tmp_path, 2, LABELS + MORE))
+    work, folder = Work(job.plain, str(tmp_path / "out"), None), Folder(tmp_path / "out")
+    planned = work.plan()
+    planned.save(folder)
+    work.create()
+    work.part(0, {0: "it kills", 1: "it kills"}, True)
+    work.finish()
+    work.close()
+    assert (xr.open_dataset(tmp_path / "out" / "pings.zarr", group="level").status == 2).all()
+    assert COCO(str(tmp_path / "out" / "coco" / "level" / "instances.json")).getImgIds() == []
+    assert not list((tmp_path / "out").glob("*.mp4")) and not (tmp_path / "out" / "bag").exists()
+    assert check(folder, planned, nullcontext) == []
+
+
 def test_coco_finds_bodies_where_the_labels_are(small, orders, pings):
     for sonar in orders.sonars:
         folder = small / "out" / "coco" / sonar

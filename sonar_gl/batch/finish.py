@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -154,9 +155,11 @@ def _films(orders, planned, folder) -> list[str]:
                     )
                     yield draw(None, ping, first)
 
-        names.append(f"{name}.mp4")
-        with folder.writing(names[-1]) as path:
-            save_animation(path, frames(), table.fps)
+        shown = frames()
+        if (first := next(shown, None)) is not None:  # else all pings were set aside
+            names.append(f"{name}.mp4")
+            with folder.writing(names[-1]) as path:
+                save_animation(path, chain([first], shown), table.fps)
     return names
 
 

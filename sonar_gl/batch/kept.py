@@ -36,10 +36,16 @@ class Kept:
 
     def __init__(self, orders: Orders):
         self.orders, self.job, self.labels = orders, orders.job, orders.job.labels
-        self.first_body, self.bodies = [], []
-        for index in range(len(self.job.scenes)):
+        self.first_body, self.bodies, self._of_scene = [], [], []
+        self._digest = hashlib.sha256(self.job.digest.encode())
+        for index in range(len(self.job.scenes)):  # once: to load one may take seconds
             self.first_body.append(len(self.bodies))
-            self.bodies += [body.name for body in orders.scene(index).bodies]
+            self._of_scene.append([body.name for body in orders.scene(index).bodies])
+            self.bodies += self._of_scene[-1]
+            for body in orders.scene(index).bodies:
+                self._digest.update(body.name.encode())
+                for array in (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity):
+                    self._digest.update(np.ascontiguousarray(array).tobytes())
         self.classes, of_body = self._classes()
         self.class_id = np.array([0, *of_body], np.uint8 if len(self.classes) < 256 else np.uint16)
         self._backgrounds = [self._background(index) for index in range(len(self.job.scenes))]
@@ -61,7 +67,7 @@ class Kept:
     def _background(self, scene: int):
         if self.labels is None or "shadow" not in self.labels.layers:
             return None
-        names = [body.name for body in self.orders.scene(scene).bodies]
+        names = self._of_scene[scene]
         where = f"{self.job.where}: labels.background"
         if self.labels.background is not None:
             matching(self.labels.background, dict.fromkeys(self.bodies), where)
@@ -78,13 +84,7 @@ class Kept:
 
     def digest(self) -> str:
         """Of the job, and of the bodies of its scenes: their meshes may lie in files of their own."""
-        found = hashlib.sha256(self.job.digest.encode())
-        for index in range(len(self.job.scenes)):
-            for body in self.orders.scene(index).bodies:
-                found.update(body.name.encode())
-                for array in (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity):
-                    found.update(np.ascontiguousarray(array).tobytes())
-        return found.hexdigest()
+        return self._digest.hexdigest()
 
     def background(self, scene: int):
         """Names of the bodies that shadows fall on, or None where nobody asks."""
