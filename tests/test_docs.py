@@ -350,6 +350,16 @@ def test_the_page_of_batches_runs(folder):
         result = run(*words[1:])
         assert result.exit_code == 0, result.output
         assert "warning" not in result.output
+        if words[-1] == "--dry-run":
+            assert re.search(r"^9 pings in 1 parts of \d+$", result.stdout, re.M)
+            assert re.search(
+                r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ x \d+ samples", result.stdout, re.M
+            )
+            size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
+            assert re.search(r"^time: .* ms a ping, on .*\), .* at best in \d+", result.stdout, re.M)
+            assert set(os.listdir()) == {"pylons.toml", POSES_FILE}
+    found = sum(path.stat().st_size for path in Path("pylons").rglob("*") if path.is_file())
+    assert 0.8 < found / 9e3 / size_kb < 1.3  # the rest is what a whole batch has once
     assert result.stdout == "pylons: all files are as they were written\n"
     for block in blocks("python", [BATCHES]):
         exec(compile(block.values[0], "example", "exec"), {"__name__": "__main__"})

@@ -22,8 +22,8 @@ Examples:
   sonar-gl batch --check survey
 
 \b
-Exit status: 0 all pings are there, 1 some are not or --check found damage, 2 a mistake in the command line or
-the job, 3 all are there but some that were set aside, 130 stopped by Ctrl-C.
+Exit status: 0 all pings are there, 1 --check found damage, 2 a mistake in the command line or the job, or a
+full disk, 3 all pings are there but some that were set aside, 130 stopped by Ctrl-C.
 """
 
 

@@ -84,7 +84,7 @@ class Maker:
                     noisy = add_noise(ping, order.noise, self.orders.noise_seed(name), order.number)
                     for output in self.outputs:
                         output.take(order, name, noisy)
-        if len(failed) == len(numbers) > 1 and not set_aside:
+        if len(failed) == len(numbers) > 1 and not set_aside and len(set(failed.values())) == 1:
             raise Error(f"no ping of part {part} could be made ({failed[numbers[0]]})")
         for n in failed:
             self.columns.of(rows[n - numbers[0]], "status")[:] = table.SET_ASIDE

@@ -17,7 +17,6 @@ from sonar_gl.types import Error
 IN_HAND = 9  # pings that a sequence may be at after the last that it gave, two batches and one
 STALL_S = 900.0  # without a word, after which a process is taken for hung
 DEATHS = 2  # at a ping, after which it is set aside
-PATIENCE_S = 10.0  # for a process to end by itself
 GIVE_UP = 5  # deaths at one part that no ping is to blame for
 # Of a process: the software driver would take all cores for each, and so would libraries.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -82,10 +81,10 @@ class Process:
         self.task, self.pings, self.heard_s = None, range(0), time.monotonic()
 
     def send(self, task, *command):
-        """Have it do something; nothing ends it."""
+        """Have it do something."""
         self.task, self.pings, self.heard_s = task, range(0), time.monotonic()
         with suppress(OSError):  # if it is dead `has_died` tells
-            self.pipe.send(command or None)
+            self.pipe.send(command)
 
     def heard(self):
         """Messages that it has sent."""
@@ -109,11 +108,8 @@ class Process:
         """Whether it has, or hangs."""
         return not self.process.is_alive() or time.monotonic() - self.heard_s > STALL_S
 
-    def end(self, gently: bool = False) -> int:
-        """End it; its exit code."""
-        if gently:
-            self.send(None)
-            self.process.join(PATIENCE_S)
+    def end(self) -> int:
+        """End it, as it always ends: what it has made is stored, all else goes; its exit code."""
         self.process.kill()
         self.process.join()
         self.pipe.close()
@@ -142,13 +138,9 @@ class Pool:
     def __enter__(self):
         return self
 
-    def __exit__(self, kind, *_):
-        try:
-            for process in self._processes.values():
-                process.end(kind is None)
-        finally:  # if it was interrupted
-            for process in self._processes.values():
-                process.process.kill()
+    def __exit__(self, *_):
+        for process in self._processes.values():
+            process.end()
 
     def ask(self, *command):
         """What a process makes of one of the commands of `worker.serve`, however long that takes."""
