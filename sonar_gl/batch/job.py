@@ -75,12 +75,12 @@ class VaryTable(Table):
 class LabelsTable(Table):
     """What is kept of where echoes come from.
 
-    layers : of LAYERS; classes : names of classes, in their order, and the bodies of each, with * and ?;
+    layers : of LAYERS, unless said the first three; classes : names of classes, in their order, and the bodies of each, with * and ?;
     background : bodies that shadows fall on; height : of the fan image whose pixels boxes are given in;
     level_db : boxes go round what is as bright; side lobes reach far
     """
 
-    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:6]))
+    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))
     classes: dict[str, Names] = Field({})
     background: Names = None
     height: Annotated[int, Field(ge=16, le=8192)] = 512
