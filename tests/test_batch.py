@@ -563,11 +563,10 @@ def test_a_damaged_part_is_told_by_what_makes_it_again(small, tmp_path):
     copy = shutil.copytree(small / "out", tmp_path / "copy")
     (copy / "done.json").unlink()
     table, record = copy / "parts" / "0000001.npy", copy / "parts" / "0000001.json"
-    for damage in (b"", b"half"):
-        table.write_bytes(damage)
-        status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
-        assert status == 2
-        assert f"error: {table}: must be the table of a part (it is damaged; delete parts/0000001.json" in err
+    table.write_bytes(b"half")
+    status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert status == 2
+    assert f"error: {table}: must be the table of a part (it is damaged; delete parts/0000001.json" in err
     record.write_text("{}")
     status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
     assert status == 2 and f"error: {record}: must tell of a part (it is damaged; delete it)" in err
