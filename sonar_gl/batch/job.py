@@ -75,9 +75,9 @@ class VaryTable(Table):
 class LabelsTable(Table):
     """What is kept of where echoes come from.
 
-    layers : of LAYERS, unless said the first three; classes : names of classes, in their order, and the bodies of each, with * and ?;
-    background : bodies that shadows fall on; height : of the fan image whose pixels boxes are given in;
-    level_db : boxes go round what is as bright; side lobes reach far
+    layers : of LAYERS, unless said the first three; classes : names of classes, in their order, and the
+    bodies of each, with * and ?; background : bodies that shadows fall on; height : of the fan image whose
+    pixels boxes are given in; level_db : boxes go round what is as bright, as side lobes reach far
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))
