@@ -101,7 +101,7 @@ def test_xarray_finds_the_pings_of_a_simulator_within_the_stated_errors(small, o
     assert data.attrs["noise_seed"] == orders.noise_seed(sonar) and data.attrs["seed"] == 5
     assert sg.Sonar(**json.loads(data.attrs["specification"])) == orders.sonars[sonar]
     assert sg.Acoustics(**json.loads(data.attrs["acoustics"])) == orders.acoustics
-    data.isel(ping=slice(2)).drop_encoding().to_netcdf(small / f"{sonar}.nc")  # which holds no tables
+    assert not [key for key, value in data.attrs.items() if isinstance(value, dict)]  # netCDF has none
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 

@@ -112,7 +112,8 @@ def test_a_worker_dies(address, tmp_path):
     by_part = tries(tmp_path)
     first, second = by_part.pop(5)
     assert first == victims[0] != second
-    assert all(len(pids) == 1 for pids in by_part.values())
+    # what it had made just before may be made again: its result went with it
+    assert sum(len(pids) for pids in by_part.values()) <= len(by_part) + 1
 
 
 def test_a_part_kills_workers(address, tmp_path):
@@ -126,7 +127,7 @@ def test_a_part_kills_workers(address, tmp_path):
 
 def test_a_batch_has_the_same_bytes_where_a_worker_dies(address, tmp_path):
     """By the command line, with workers that write into the folder themselves."""
-    job, out = write_job(tmp_path, 48), tmp_path / "out"
+    job, out = write_job(tmp_path, 48, more=""), tmp_path / "out"
     with Client(address, set_as_default=False) as client:
         workers = list(client.run(os.getpid).values())
     command = "batch", job, "--out", out, "--cluster", address

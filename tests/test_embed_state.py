@@ -102,7 +102,8 @@ def check_naive(pristine, working, hostile):
 
 
 @pytest.mark.parametrize(
-    "kind", ["egl 3.3", "egl 4.1", "egl 4.5", "glx 3.3", "glx 4.1", "glx 4.5", "glx compatible"]
+    "kind",
+    ["egl 3.3", "egl 4.5", "glx 4.1", "glx 4.5", "glx compatible"],  # each version, each way in
 )
 def test_beside_a_host(kind, run_beside):
     kind, version = kind.split()
