@@ -27,7 +27,7 @@ import sonar_gl.gpu
 
 POSE = sg.pose(0.2, 0.1, -0.5, 0.1, 0.15, 0.05)
 SMALL = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 1.0, 0.5, 20.0)
-PINGS, WARM_UP = 2000, 400  # caches are full by then
+PINGS, WARM_UP = 1200, 400  # caches are full by then
 
 
 def another_thread(kind):

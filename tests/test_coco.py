@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 import sonar_gl as sg
-from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, join_coco, mask_picture, save_mask
+from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
 
 # pycocotools' own, when it decodes
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -38,6 +39,12 @@ def records(number):
     return coco_records(drawn(number), CLASSES, number, f"png/{number:08d}.png", **echo, sonar="fls")
 
 
+def join(parts, path, categories, info):
+    """Write one file of instances of those of parts."""
+    with path.open("wb") as out:
+        out.writelines(coco_json([partial(open, part, "rb") for part in parts], categories, info))
+
+
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
     """Two files of parts, of pings 0..2 and 3..4."""
@@ -50,7 +57,7 @@ def parts(tmp_path_factory):
 @pytest.fixture(scope="module")
 def joined(parts):
     path = parts[0].with_name("instances.json")
-    join_coco(parts, path, CATEGORIES, {"description": "made"})
+    join(parts, path, CATEGORIES, {"description": "made"})
     return COCO(str(path))
 
 
@@ -108,22 +115,19 @@ def test_run_lengths_are_those_of_the_tool():
 def test_a_file_has_the_same_bytes_however_it_is_parted(parts, joined, tmp_path):
     together, path = tmp_path / "all", tmp_path / "instances.json"
     together.write_bytes(b"".join(part.read_bytes() for part in parts))
-    join_coco([together], path, CATEGORIES, {"description": "made"})
+    join([together], path, CATEGORIES, {"description": "made"})
     assert path.read_bytes() == parts[0].with_name("instances.json").read_bytes()
     assert sorted(tmp_path.iterdir()) == [together, path]
-    join_coco([], path, CATEGORIES, {})
+    join([], path, CATEGORIES, {})
     empty = {"info": {}, "licenses": [], "categories": CATEGORIES, "images": [], "annotations": []}
     assert json.loads(path.read_bytes()) == empty
 
 
-def test_a_line_that_is_no_record_is_told_and_leaves_the_old_file(parts, tmp_path):
+def test_a_line_that_is_no_record_is_told(parts, tmp_path):
     path, broken = tmp_path / "instances.json", tmp_path / "broken"
-    path.write_bytes(b"old")
     broken.write_bytes(parts[0].read_bytes()[:-9])
     with pytest.raises(sg.Error, match=r"broken, line 12: must be a COCO record \(got b'\[\"annotation\", "):
-        join_coco([parts[1], broken], path, CATEGORIES, {})
-    assert path.read_bytes() == b"old"
-    assert sorted(tmp_path.iterdir()) == [broken, path]
+        join([parts[1], broken], path, CATEGORIES, {})
     with pytest.raises(sg.Error, match=r"^bodies of a mask must have a class each \(got body 4 of 3 known\)"):
         coco_records(drawn(0), CLASSES[:3], 0, "a.png")
 
@@ -155,7 +159,7 @@ def test_many_annotations_are_not_held():
 def test_masks_hold_numbers_of_bodies(tmp_path, highest, dtype):
     ids = drawn(0)
     ids[3, 5] = highest
-    save_mask(tmp_path / "mask.png", ids)
+    sg.save_png(tmp_path / "mask.png", mask_picture(ids))
     again = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_UNCHANGED)
     assert again.dtype == mask_picture(ids).dtype == dtype
     np.testing.assert_array_equal(again, ids)

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 from pycocotools import mask
 
-from sonar_gl.export import save_png
 from sonar_gl.types import Error
-from sonar_gl.whole import replacing
 
 BODIES = 1 << 16  # annotations' numbers are image_id times this, and the body's
 KINDS = {"images": b'["image", ', "annotations": b'["annotation", '}  # how their lines begin
@@ -131,28 +127,10 @@ def coco_json(parts: Iterable[Callable], categories: list[dict], info: dict) -> 
     yield b"}\n"
 
 
-def join_coco(part_files, path, categories: list[dict], info: dict) -> None:
-    """Write the file of instances of a data set, beside its place, and rename it; see `coco_json`.
-
-    Parameters
-    ----------
-    part_files : paths, in order
-    path : of the file; its folder exists
-    """
-    openers = [partial(open, file, "rb") for file in part_files]
-    with replacing(Path(path)) as beside, beside.open("wb") as out:
-        out.writelines(coco_json(openers, categories, info))
-
-
 def mask_picture(ids: np.ndarray) -> np.ndarray:
     """(H, W) picture whose values are the bodies' numbers: uint8 if they are below 256, or else uint16."""
     ids = np.asarray(ids)
     return ids.astype(np.uint8 if ids.max(initial=0) < 256 else np.uint16)
-
-
-def save_mask(path, ids: np.ndarray) -> None:
-    """Write a `mask_picture` as gray PNG of 8 or 16 bits; dark to the eye, for values are not brightness."""
-    save_png(path, mask_picture(ids))
 
 
 def _json(value) -> bytes:
