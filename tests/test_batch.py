@@ -19,10 +19,11 @@ import sonar_gl as sg
 from sonar_gl.batch import layers
 from sonar_gl.batch.files import Folder
 from sonar_gl.batch.finish import check
-from sonar_gl.batch.job import read_job
+from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.kept import Kept
 from sonar_gl.batch.orders import Orders
 from sonar_gl.batch.planned import Planned, pings_per_part
+from sonar_gl.batch.run import Away
 from sonar_gl.batch.table import Columns
 from sonar_gl.batch.work import Work
 from sonar_gl.boxes import body_map, boxes_of
@@ -400,6 +401,20 @@ def test_a_mesh_that_has_changed_is_another_batch(tmp_path):
     assert len(digests) == 2
 
 
+def test_classes_keep_their_order_as_it_is_that_of_their_numbers(tmp_path):
+    """On the way to workers of a cluster, too; and another order is another batch."""
+    path = write_job(tmp_path)
+    text = path.read_text()
+    one = read_job(path)
+    fixed, target = 'fixed = ["wall", "floor"]\n', 'target = ["box*"]\n'
+    path.write_text(text.replace(fixed + target, target + fixed))
+    other = read_job(path)
+    assert other.digest != one.digest
+    assert Kept(Orders(other)).classes == ["target", "fixed"]
+    there = Job(**json.loads(Away("tcp://nowhere", other, "")._made_of[0]))
+    assert Kept(Orders(there)).classes == ["target", "fixed"] and there.digest == other.digest
+
+
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
@@ -452,6 +467,11 @@ BAD = [
     ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
+    (
+        'target = ["box*"]',
+        'target = ["box*", "wa*"]',
+        "labels.classes.target must hold bodies of no other class (got 'wall', of 'fixed')",
+    ),
     (
         'target = ["box*"]',
         'target = ["bax*"]',

@@ -61,7 +61,12 @@ class Kept:
             where = f"{self.job.where}: labels.classes.{name}"
             for body in matching(patterns, dict.fromkeys(self.bodies), where):
                 for at in (k for k, other in enumerate(self.bodies) if other == body):
-                    out[at] = out[at] or number
+                    if out[at]:
+                        first = list(asked)[out[at] - 1]
+                        raise Error(
+                            f"{where} must hold bodies of no other class (got {body!r}, of {first!r})"
+                        )
+                    out[at] = number
         return list(asked), out
 
     def _background(self, scene: int):
