@@ -21,7 +21,7 @@ from sonar_gl.batch.planned import Planned
 from sonar_gl.batch.pool import Pool
 
 HERE = Path(__file__).parent
-N, PART = 24, 4
+N, PART = 48, 4
 MORE = "[coco]\nheight = 60\n[ros]\n"
 
 
