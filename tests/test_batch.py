@@ -571,6 +571,21 @@ def test_damage_is_found(small, tmp_path):
     assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
 
 
+def test_nothing_torn_stays_in_a_store(small, tmp_path):
+    """As where a process is killed while the store is made, or while all is joined."""
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    store = out / "pings.zarr"
+    torn = [store / name / "zarr.1.partial" for name in ("", "level", "level/echo")]
+    work = Work(read_job(small / "job.toml").plain, str(out), None)
+    for again in (work.create, work.finish):
+        for path in torn:
+            path.write_bytes(b"half")
+        again()
+        assert not [path for path in torn if path.exists()]
+    assert files_of(out) == before
+
+
 def test_two_batches_keep_out_of_each_others_way(small, tmp_path):
     with Folder(tmp_path / "out").locked():
         status, _, err = run("batch", small / "job.toml", "--out", tmp_path / "out")

@@ -34,6 +34,7 @@ def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: di
         attributes)
     attributes : of the data set
     """
+    _sweep(folder)
     root = _group(folder, "a")
     root.attrs.update(attributes)
     for name, (sonar, layers, per_body, about_sonar) in sonars.items():
@@ -120,8 +121,17 @@ class Writer:
         )
 
 
+def _sweep(folder: Folder) -> None:
+    """Take away what a process that was killed has left of groups' and arrays' own files."""
+    if folder.is_local:
+        for depth in ("*", "*/*", "*/*/*"):
+            for torn in Path(folder.path(NAME)).glob(f"{depth}.partial"):
+                torn.unlink(missing_ok=True)
+
+
 def consolidate(folder: Folder) -> None:
     """Gather the metadata of all arrays into one file, which is what readers look into first."""
+    _sweep(folder)
     with warnings.catch_warnings():  # that version 3 of the format does not say how: all readers do it so
         warnings.simplefilter("ignore", UserWarning)
         zarr.consolidate_metadata(_group(folder, "r+").store)
