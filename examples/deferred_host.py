@@ -12,8 +12,8 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl import embed
-from sonar_gl.export import output_folder
+from sonar_gl.embed import sensor as embed
+from sonar_gl.imaging.files import output_folder
 
 BODIES = [
     ("floor", trimesh.creation.box((60, 60, 0.2)), sg.pose(10, 0, -0.1), (0.55, 0.5, 0.4), 0.25),

@@ -18,8 +18,8 @@ import trimesh
 from OpenGL import EGL, GL
 
 import sonar_gl as sg
-from sonar_gl import embed
-from sonar_gl.export import output_folder
+from sonar_gl.embed import sensor as embed
+from sonar_gl.imaging.files import output_folder
 
 VERTEX = """#version 330 core
 layout(location = 0) in vec3 position;

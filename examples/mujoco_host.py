@@ -23,7 +23,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.export import output_folder
+from sonar_gl.imaging.files import output_folder
 
 HEIGHT, FRAMES, PERIOD_S = 360, 24, 0.1
 # Reflectivities are the geoms' user numbers. The sonar's body has the sonar's axes: x ahead, y to port, z up.

@@ -26,7 +26,7 @@ from direct.showbase.ShowBase import ShowBase
 from panda3d.core import AmbientLight, CardMaker, DirectionalLight, GeomVertexReader, NodePath
 
 import sonar_gl as sg
-from sonar_gl.export import output_folder
+from sonar_gl.imaging.files import output_folder
 
 FRAMES, PERIOD_S = 20, 0.1
 NODE_FROM_SONAR = sg.pose(yaw=np.pi / 2)  # nodes of Panda3D look along y, and x is to their right

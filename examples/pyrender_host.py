@@ -13,8 +13,8 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.export import output_folder
-from sonar_gl.load import import_pyrender
+from sonar_gl.imaging.files import output_folder
+from sonar_gl.scene.pyrender_scene import import_pyrender
 
 pyrender = import_pyrender()  # `import pyrender`, headless, and with numpy 2
 

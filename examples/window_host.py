@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.export import output_folder
+from sonar_gl.imaging.files import output_folder
 
 WIDTH, HEIGHT, FAN_HEIGHT = 960, 600, 280
 PING_PERIOD_S = 0.1

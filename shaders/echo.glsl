@@ -1,12 +1,13 @@
-// Functions of the echo; each has a NumPy twin of the same name in sonar_gl/echo.py.
+// Backscatter of a surface. Each function has a NumPy twin of the same name in sonar_gl/acoustics/boundary.py.
 
-// Lambert: per steradian the echo is the cosine of incidence, never above 1 or below 0.
+// Cosine of the angle of incidence, in 0..1: Lambert backscatter per steradian of a surface of reflectivity 1.
 float cos_incidence(vec3 normal, vec3 direction)
 {
     return clamp(-dot(normal, direction), 0.0, 1.0);
 }
 
-// Facets of a smooth surface that look at the sonar (Kirchhoff, high frequency): per steradian, beside μ cos θ.
+// Specular lobe of a smooth surface per steradian, which adds to the Lambert backscatter μ cos θ: the facets that face
+// the sonar (Kirchhoff approximation, high frequency). strength: |R|²; slope: rms slope of the facets.
 float specular_lobe(float cos_incidence, float strength, float slope)
 {
     float c = clamp(cos_incidence, 1e-3, 1.0);

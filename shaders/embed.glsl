@@ -1,7 +1,6 @@
-// For the fragment shader of a host that draws for a sonar itself: declares the two outputs, and `sonar_gl_write`
-// fills them. The vertex shader's gl_Position must be `projection * view * world position`, with the matrices of the
-// sector.
-// Outputs 0 and 1 are taken; all names begin with sonar_gl_.
+// For the fragment shader of a host that draws a sonar's sectors: declares two outputs, which `sonar_gl_write` writes.
+// The vertex shader's gl_Position must be `projection * view * world position`, with the matrices of the sector.
+// Outputs 0 and 1 are used; all names begin with sonar_gl_.
 #define cos_incidence sonar_gl_cos_incidence
 #define specular_lobe sonar_gl_specular_lobe
 #define plane_of sonar_gl_plane_of
@@ -9,14 +8,15 @@
 #define lobe_times_range sonar_gl_lobe_times_range
 #include "plane.glsl"
 
-uniform mat3 sonar_gl_lattice;  // of the sector: of a pixel (1, i, j) its ray's u and v, and 1 / far
+uniform mat3 sonar_gl_lattice;  // of the sector: maps a pixel (1, i, j) to the u and v of its ray, and 1 / far
 
 layout(location = 0) out vec4 sonar_gl_plane_echo;
 layout(location = 1) out uint sonar_gl_body;
 
-// normal: in the view's axes (x right, y up, z back), of any length; vec3(0) for flat faces' own
-// reflectivity: μ, 0..1; body: its number, 1..65534, 0 for none
-// lobe: of a smooth face, |R|² and rms slope; vec2(0) for none
+// normal: in the view's axes (x right, y up, z back), of any length; vec3(0) takes that of the flat face
+// reflectivity: μ, 0..1
+// body: number of the body, 1..65534; 0 for none
+// lobe: |R|² and rms slope of a smooth face; vec2(0) for none
 void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
 {
     float depth_inverse = gl_FragCoord.w;
@@ -27,7 +27,7 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
     sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
     if (!(reflectivity >= 0.0 && reflectivity <= 1.0))
-        sonar_gl_plane_echo.w = -1.0;  // which no echo is: the host is told
+        sonar_gl_plane_echo.w = -1.0;  // no echo is negative: reading this is an error for the host
     else if (lobe.x > 0.0)
         sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
     sonar_gl_body = min(body, 65535u);

@@ -1,12 +1,12 @@
-// The depth + normal pass. gl_FragCoord.w is 1/x of the sector's frame, in full float32, and its screen derivatives
-// are the plane's slopes, so depth and normal come without a varying.
-// Out: attachment 0 = 1/x, its slopes along u and v, echo μ cos θ times range, with the lobes of smooth faces
-// (SPECULAR); attachment 1 (LABELS) = body's number.
+// The depth + normal pass. gl_FragCoord.w is 1/x in the sector's frame, in full float32, and its screen derivatives
+// give the plane's slopes, so that depth and normal need no varying.
+// Out: attachment 0 = 1/x, its slopes along u and v, echo μ cos θ times range, plus the specular lobe of smooth faces
+// (SPECULAR); attachment 1 (LABELS) = number of the body.
 // Defines: SHADING_NORMALS, SPECULAR, LABELS (each 0 or 1).
 #version 330 core
 #include "plane.glsl"
 
-uniform vec3 u, v;          // lattice: u of the ray of pixel (i, j) is u.x + u.y i + u.z j; v likewise
+uniform vec3 u, v;          // lattice: the ray of pixel (i, j) has u.x + u.y i + u.z j as its u, and so for v
 uniform mat2 pixel_from_uv; // pixels to one unit of u (first column) and of v (second)
 uniform float far_m;
 
@@ -41,6 +41,6 @@ void main()
 #if LABELS
     body_id = v_body + 1u;
 #endif
-    // linear in x, so that visibility is resolved alike near and far
+    // linear in x, so that the depth test resolves as much far away as nearby
     gl_FragDepth = 1.0 / (depth_inverse * far_m);
 }

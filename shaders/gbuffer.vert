@@ -1,5 +1,5 @@
-// In: vertices about the middle of their mesh; a row of the table of bodies, by instance or, where the driver has no
-// draws from a buffer, as uniforms. Out: clip position, reflectivity, body, lobe.
+// In: vertices relative to the centre of their mesh; a row of the table of bodies, per instance, or as uniforms if the
+// driver has no indirect draws. Out: clip position, reflectivity, body, lobe.
 // Defines: SHADING_NORMALS, FACE_REFLECTIVITY, SPECULAR, LABELS, INDIRECT (each 0 or 1).
 #version 330 core
 #if INDIRECT
@@ -10,12 +10,12 @@
 
 uniform mat4 clip_from_sonar;
 uniform mat3 sector_from_sonar;
-uniform vec4 before;  // what has before . (x, y, z, 1) < 0 is left out, where that is switched on
+uniform vec4 before;  // clip plane, if enabled: cuts what has before . (x, y, z, 1) < 0
 
 out float gl_ClipDistance[1];
 
 PER_BODY vec4 body_x, body_y, body_z;  // rows of sonar_from_body
-PER_BODY vec4 body_echo;               // reflectivity; number, whole below 2^24; strength and slope of the lobe
+PER_BODY vec4 body_echo;               // reflectivity; number, exact below 2^24; strength and slope of the lobe
 
 in vec3 in_position;
 #if SHADING_NORMALS

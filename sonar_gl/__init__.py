@@ -8,47 +8,10 @@ with sg.Simulator(scene, sonar) as simulator:
 sg.save_png("pylon.png", sg.colorize(sg.fan_image(ping)))
 """
 
-from importlib import import_module
+import lazy_loader
 
 from sonar_gl._version import __version__
 
-# Names load their modules when first used, so that `import sonar_gl` stays quick.
-_HOMES = {
-    "acoustics": ("Acoustics",),
-    "axes": ("draw_axes",),
-    "bubbles": ("Bubbles",),
-    "camera": ("Camera",),
-    "embed": ("ping_from_depth",),
-    "export": ("load_npz", "save_animation", "save_npz", "save_png"),
-    "fan": ("Sampling",),
-    "image": ("colorize", "fan_image"),
-    "load": ("bundled_scenes", "load_scene"),
-    "noise": ("Noise",),
-    "reference": ("reference_ping",),
-    "rigid": ("pose",),
-    "scene": ("Body", "Scene"),
-    "paper": ("demarco_image",),
-    "simulator": ("Simulator",),
-    "sonar": ("Sonar", "load_sonar", "presets"),
-    "maps": ("textured_body",),
-    "types": ("Error", "GBuffer", "Ping"),
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-_MODULES = ("embed",)
-
-__all__ = ["__version__", *sorted(_HOME_OF), *_MODULES]
-
-
-def __getattr__(name):
-    if name in _HOME_OF:
-        value = getattr(import_module(f"sonar_gl.{_HOME_OF[name]}"), name)
-        globals()[name] = value
-        return value
-    if name in _MODULES:
-        return import_module(f"sonar_gl.{name}")
-    raise AttributeError(f"module 'sonar_gl' has no attribute {name!r}")
-
-
-def __dir__():
-    return sorted({*globals(), *__all__})
+# A name of `__init__.pyi` loads its module when it is first used, so that `import sonar_gl` stays fast.
+__getattr__, __dir__, _lazy_names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [*_lazy_names, "__version__"]

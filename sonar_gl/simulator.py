@@ -1,28 +1,27 @@
-"""One run: a sonar in a world, and the stages that make pings of them."""
+"""The public face: a sonar in a scene, and its pings."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
-from concurrent.futures import wait
-from contextlib import contextmanager
-from itertools import count
 
-from sonar_gl.acoustics import Acoustics
-from sonar_gl.cloud import points_of
-from sonar_gl.fan import Fan, Sampling
-from sonar_gl.motion import check_velocity
-from sonar_gl.multipath import Multipath
-from sonar_gl.noise import Noise, add_noise, check_seed
-from sonar_gl.passes import Fixed, Passes
-from sonar_gl.plan import Plan, Planner
-from sonar_gl.record import Record
-from sonar_gl.scene import Scene, check_pose
-from sonar_gl.sequence import alone, each, finish, fix_ghosts, in_batches, spots_of, whereabouts
-from sonar_gl.shadows import labels_of
-from sonar_gl.sonar import Sonar
-from sonar_gl.types import Error, GBuffer, Ping, check_kind
-from sonar_gl.world import World
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.engine.adaptive import Plan
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.run import Run
+from sonar_gl.engine.sequence import make_pings, plan, requests_of
+from sonar_gl.engine.warm_up import warm_up
+from sonar_gl.engine.world import World
+from sonar_gl.ping import GBuffer, Ping
+from sonar_gl.raster.point_cloud import point_cloud
+from sonar_gl.raster.renderer import gbuffers_of
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.fan import Fan
+from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sonar import Sonar
 
 
 class Simulator:
@@ -38,7 +37,7 @@ class Simulator:
     tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
     device : index of an EGL device, as `sonar-gl doctor` lists them; None is that of the environment variable
         SONAR_GL_DEVICE, or else the first
-    context : "current" joins the OpenGL context that is current, a host's; None has one of its own
+    context : "current" joins the OpenGL context that is current, a host's; None creates one
 
     Raises
     ------
@@ -56,48 +55,48 @@ class Simulator:
         device: int | None = None,
         context: str | None = None,
     ):
-        self._world = self._underway = None
+        self._run = None
         check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
         check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
         self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        world = scene._open_world() if isinstance(scene, Simulator) else World(scene, device, context)
-        world.users += 1
-        self._world, self.gl_info = world, world.gl_info
-        self._passes = Passes(world.gpu, sonar, self.acoustics)
-        self._multipath, self._record = None, Record(sonar, self.acoustics)
-        with self._drawing():
-            if self.acoustics.multipath != "none":
-                self._multipath = Multipath(self._passes, world.scene, tolerance)
-            self._samples = Fixed(self._passes, sampling) if sampling else Planner(self._passes, tolerance)
-            self._passes.warm()
+        world = scene.world if isinstance(scene, Simulator) else World(scene, device, context)
+        self._run = Run(world, sonar, self.acoustics, sampling, tolerance)
+        self.gl_info = world.gl_info
+        warm_up(self._run)
 
-    def _open_world(self) -> World:
-        if self._world is None:
-            raise Error("this Simulator is closed; make a new one")
-        return self._world
+    @property
+    def run(self) -> Run:
+        """What makes the pings, for tools that look inside; an Error once this simulator is closed."""
+        self._run.check_open()
+        return self._run
+
+    @property
+    def world(self) -> World:
+        """The scene in its OpenGL context, which simulators may share; an Error once this one is closed."""
+        return self._run.world
 
     @property
     def scene(self) -> Scene:
         """The scene, with all bodies that were added to it."""
-        return self._open_world().scene
+        return self.world.scene
 
     @property
     def sampling(self) -> Sampling:
         """The samples of the last ping, or of the first to come."""
-        return self._samples.now.sampling
+        return self.run.sampler.resolution.stage.sampling
 
     @property
     def fan(self) -> Fan:
         """The fan with these samples."""
-        return self._samples.now.fan
+        return self.run.sampler.resolution.stage.fan
 
     def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
         """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
 
-        Without this a tolerance is looked after ping by ping, and the samples of one depend on those before.
+        Without this the samples of a ping are chosen ping by ping, and depend on the pings before.
 
         Parameters
         ----------
@@ -107,96 +106,99 @@ class Simulator:
         -------
         Plan, or None if the samples were given to begin with
         """
-        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
-        if not (spots := list(spots_of(poses, **changes))):
+        per_ping = {
+            "bodies": ("bodies", bodies),
+            "time_s": ("times_s", times_s),
+            "reflectivity": ("reflectivities", reflectivities),
+            "water": ("waters", waters),
+        }
+        requests = list(requests_of(poses, per_ping))
+        if not requests:
             raise Error("poses must hold at least one pose (got none)")
-        with self._drawing():
-            spots = [(pose, whereabouts(self, *changed)) for pose, *changed in spots]
-            plan = self._samples.fix(spots)
-            fix_ghosts(self, spots)
-        self._warn()
-        return plan
-
-    def _warn(self):
-        if self._samples.warning:
-            warnings.warn(self._samples.warning, stacklevel=3)
-            self._samples.warning = None
+        return plan(self._run, requests)
 
     def ping(
         self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
         reflectivity=None, water=None, background=None,
     ) -> Ping:  # fmt: skip
-        """One transmission from `pose` and what it brings back.
+        """Return one transmission from `pose` and what it brings back.
 
         Parameters
         ----------
         pose : (4, 4) world_from_sonar, metres; `sonar_gl.pose` makes one from x y z roll pitch yaw
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes
-        labels : also find the body of the strongest echo in each bin, and what `Ping` has of that echo
-        bodies : of this ping alone, names to (4, 4) world_from_body, or to None for what is not there
+        labels : find the body with the strongest echo in each bin, and what `Ping` has of that echo
+        bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
             `motion.shown_at`. None = it stands
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : of this ping alone, fields of `Acoustics` to values, as `Acoustics.in_water` takes them
-        background : with labels, names of bodies such as the floor on whose echo others throw a `shadow`
+        background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
 
-        Warns, if nothing came back, saying what was nearest and why.
+        Warns
+        -----
+        UserWarning
+            if the ping has no echo; the message names the nearest surface and why it returned none. If the
+            tolerance cannot be met.
         """
-        pose, seed, velocity = check_pose(pose), check_seed(seed), check_velocity(velocity)
-        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        with self._drawing():
-            wanted = labels_of(labels, background, self._world.numbers)
-            where = whereabouts(self, bodies, time_s, reflectivity, water)
-            ping = finish(self, *alone(self, pose, where, wanted), seed, velocity)
-        self._warn()
-        return ping if noise is None else add_noise(ping, noise, seed, ping_number)
+        request = PingRequest(
+            pose=pose,
+            noise=noise,
+            seed=seed,
+            number=ping_number,
+            labels=labels,
+            background=background,
+            bodies=bodies,
+            time_s=time_s,
+            velocity=velocity,
+            reflectivity=reflectivity,
+            water=water,
+        )
+        return make_ping(self._run, request)
 
     def pings(
         self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
         reflectivities=None, waters=None, background=None,
     ) -> Iterator[Ping]:  # fmt: skip
-        """Pings from one pose after the other, quicker than one by one: some are drawn as others are summed.
+        """Yield pings from one pose after the other, faster than one by one: some are drawn as others are summed.
 
         Parameters
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
-        noise, seed, labels, background : as of `ping`; the noise's ping_number counts from 0
+        noise, seed, labels, background : as for `ping`; the noise's ping_number counts from 0
         bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
-
-        Yields
-        ------
-        Ping
         """
-        seed = check_seed(seed)
-        check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.physical()")
-        wanted = labels_of(labels, background, self._open_world().numbers)
-        changes = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
-        made = in_batches(self, spots_of(poses, **changes), wanted)
-        for number, one, velocity in zip(count(), made, each(velocities, "velocities", poses), strict=False):
-            ping = finish(self, *one, seed, check_velocity(velocity))
-            self._warn()
-            yield ping if noise is None else add_noise(ping, noise, seed, number)
+        per_ping = {
+            "bodies": ("bodies", bodies),
+            "time_s": ("times_s", times_s),
+            "velocity": ("velocities", velocities),
+            "reflectivity": ("reflectivities", reflectivities),
+            "water": ("waters", waters),
+        }
+        common = {"noise": noise, "seed": seed, "labels": labels, "background": background}
+        yield from make_pings(self._run, requests_of(poses, per_ping, **common))
 
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away."""
-        with self._drawing():
-            self._world.place(bodies)
+        with self._run.drawing():
+            self.world.place(bodies)
 
     def add(self, *bodies) -> None:
         """Put more bodies or plumes into the scene; the numbers of those that are there stay."""
-        with self._drawing():
-            self._world.add(bodies)
+        with self._run.drawing():
+            self.world.add(bodies)
 
     def gbuffers(self, pose) -> list[GBuffer]:
-        """What the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
-        with self._drawing():
-            self._samples.now.views(check_pose(pose), labels=True, whole=True)
-            return self._samples.now.renderer.gbuffers()
+        """Return what the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
+        with self._run.drawing():
+            renderer = self._run.sampler.resolution.stage.renderer
+            (view,) = renderer.render([check_pose(pose)], with_bodies=True, full=True)
+            return gbuffers_of(view)
 
     def point_cloud(self, pose, columns: int, rows: int):
-        """Points of a plain grid of rays over the field of view, as a ray sensor would give them.
+        """Return points of a plain grid of rays over the field of view, as a ray sensor would give them.
 
         Returns
         -------
@@ -204,38 +206,13 @@ class Simulator:
             as asked for: beyond one perspective view, columns' is a multiple of the views
         echo : (rows', columns') float32, μ cos θ
         """
-        with self._drawing():
-            return points_of(self._world.gpu, self.sonar, check_pose(pose), columns, rows)
+        with self._run.drawing():
+            return point_cloud(self.world.buffers, self.sonar, check_pose(pose), columns, rows)
 
-    @contextmanager
-    def _drawing(self, beside=None):
-        """The context, current for the time of the block, in one thread at a time.
-
-        What a sequence adds up in another thread is waited for, but for `beside`.
-        """
-        world = self._open_world()
-        with world.drawing() as context:
-            if self._underway is not None and self._underway is not beside:
-                wait([self._underway])
-            if self._world is None:  # closed while this one waited
-                raise Error("this Simulator is closed; make a new one")
-            yield context
-
-    def close(self):
-        """Give back all that it holds, and the OpenGL context if no other uses it; twice does no harm."""
-        world = self._world
-        if world is not None:
-            world.check_thread()
-            self._world = None
-            world.leave(self._give_back)
-
-    def _give_back(self):
-        if self._underway is not None:
-            wait([self._underway])
-        self._passes.close()
-        if self._multipath is not None:
-            self._multipath.close()
-        self._passes = self._samples = self._multipath = None
+    def close(self) -> None:
+        """Give back all that it holds, and the OpenGL context if no other uses it; a second call does nothing."""
+        if self._run is not None:
+            self._run.close()
 
     def __enter__(self):
         return self
@@ -244,6 +221,5 @@ class Simulator:
         self.close()
 
     def __del__(self):
-        world = getattr(self, "_world", None)
-        if world is not None:
-            world.forget()
+        if getattr(self, "_run", None) is not None:
+            self._run.forget()

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")
@@ -31,15 +30,15 @@ def display():
 
 @pytest.fixture(scope="session")
 def run_beside(request):
-    """Function (program of this folder, *arguments) -> what it printed; those with "glx" have a display."""
+    """Function (module of tests.support, *arguments) -> what it printed; those with "glx" have a display."""
 
     def run(name: str, *arguments: str, **environment: str) -> str:
         inherited = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MESA_GL_VERSION_OVERRIDE")}
         if "glx" in arguments:
             environment["DISPLAY"] = request.getfixturevalue("display")
-        home = os.pathsep.join([str(HERE.parent), *sys.path])
+        home = os.pathsep.join([str(ROOT), *sys.path])
         done = subprocess.run(
-            [sys.executable, HERE / name, *arguments],
+            [sys.executable, "-m", f"tests.support.{name}", *arguments],
             env={**inherited, "PYTHONPATH": home, **environment},
             capture_output=True,
             text=True,

@@ -1,11 +1,10 @@
-#!/usr/bin/env python
-"""Prints what theory says of speckle and noise beside what many pings give.
+"""Compare the statistics of speckle and noise over many pings with theory.
 
-    python tools/noise_statistics.py                # 1000 pings of each kind, 15 seconds
-    python tools/noise_statistics.py --pings 100
+    python -m tools.noise_statistics                # 1000 pings of each kind, 15 seconds
+    python -m tools.noise_statistics --pings 100
 
-A ping is an even echo of 1 in 64 beams x 256 bins. `found` is over all bins of all pings; `off` is how far
-that is from theory, in percent of it, but for correlations and the bias, where it is the difference.
+A ping is an even echo of 1 in 64 beams x 256 bins. `found` is over all bins of all pings; `off` is its
+deviation from theory, in percent, but for correlations and the bias, where it is the difference.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from sonar_gl import pose
-from sonar_gl.noise import Noise, add_noise
-from sonar_gl.speckle import aperture_width
-from sonar_gl.types import Ping
+import sonar_gl as sg
+from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.speckle import aperture_width
+from sonar_gl.ping import Ping
 
 BEAMS, BINS, WIDTH_DEG, SPACING_DEG, BIN_M = 64, 256, 1.0, 0.25, 0.0125
 FREQUENCY_HZ, SPEED_M_S = 900e3, 1500.0
@@ -27,27 +26,29 @@ HALF_NULL_HZ = SPEED_M_S / (4 * BIN_M)  # a pulse whose c/2B is two bins
 HAMMING = 0.23 / 0.54
 
 
-def even_ping(where=None, level: float = 1.0, **acoustics) -> Ping:
+def even_ping(pose=None, level: float = 1.0, **acoustics) -> Ping:
+    """Return a ping of the same echo in all beams and bins."""
     azimuth = np.radians(SPACING_DEG) * (np.arange(BEAMS) - (BEAMS - 1) / 2)
-    sonar = {"beam_width_deg": WIDTH_DEG, "frequency_hz": FREQUENCY_HZ}
-    meta = {"sonar": sonar, "acoustics": acoustics}
+    shape = BEAMS, BINS, BEAMS * SPACING_DEG, 20.0, WIDTH_DEG
+    sonar = sg.Sonar("even", FREQUENCY_HZ, *shape, 1.0, 1 + BINS * BIN_M)
+    acoustics = sg.Acoustics(**{"profile": "ideal", "sound_speed_m_s": SPEED_M_S} | acoustics)
     intensity = np.full((BEAMS, BINS), level, np.float32)
-    return Ping(intensity, azimuth, 1 + BIN_M * (np.arange(BINS) + 0.5), pose=where, meta=meta)
+    return Ping(intensity, azimuth, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics)
 
 
 def hamming_correlation(x):
-    """Transform of a squared Hamming taper, 1 at 0."""
+    """Return the transform of a squared Hamming taper, 1 at 0."""
     f = HAMMING
     around = [np.sinc(x - m) + np.sinc(x + m) for m in (1, 2)]
     return ((1 + 2 * f * f) * np.sinc(x) + 2 * f * around[0] + f * f * around[1]) / (1 + 2 * f * f)
 
 
 class Tally:
-    """Sums over pings: moments of the intensity, and products with what lies some beams or bins aside."""
+    """Moments of the intensity over pings, and its correlation some beams or bins aside."""
 
-    def __init__(self, made: Iterator[np.ndarray], beams: int = 0, bins: int = 0):
+    def __init__(self, intensities: Iterator[np.ndarray], beams: int = 0, bins: int = 0):
         sums, count = np.zeros(5), 0
-        for x in made:
+        for x in intensities:
             y = x.astype(np.float64)
             db = 10 * np.log10(np.maximum(y, 1e-30))
             a, b = y[: BEAMS - beams, : BINS - bins], y[beams:, bins:]
@@ -56,27 +57,28 @@ class Tally:
         self.mean, square, self.db, db2, product = sums / count
         self.contrast = np.sqrt(square - self.mean**2) / self.mean
         self.db_std = np.sqrt(db2 - self.db**2)
-        self.alike = (product - self.mean**2) / (square - self.mean**2)
+        self.correlation = (product - self.mean**2) / (square - self.mean**2)
 
 
 def pings(count: int, noise: Noise, ping: Ping | None = None) -> Iterator[np.ndarray]:
+    """Make the intensities of noisy pings."""
     ping = even_ping() if ping is None else ping
     return (add_noise(ping, noise, 1, number).intensity for number in range(count))
 
 
-def moved_alike(count: int, step, bins: int = 0, **acoustics) -> float:
-    """Correlation of frozen patterns before and after a step (x, y, yaw), looked at some bins aside."""
+def moved_correlation(count: int, step, bins: int = 0, **acoustics) -> float:
+    """Return the correlation of place-locked speckle before and after a step (x, y, yaw), some bins aside."""
     noise, a, b = Noise(speckle=True, follow_motion=True), [], []
     for seed in range(count):
         for to, (x, y, yaw) in ((a, (0, 0, 0)), (b, step)):
-            ping = even_ping(pose(0.2 + x, 0.2 + y, 0, 0, 0, yaw), **acoustics)
+            ping = even_ping(sg.pose(0.2 + x, 0.2 + y, 0, 0, 0, yaw), **acoustics)
             to.append(add_noise(ping, noise, seed).intensity[BEAMS // 2 - 1 : BEAMS // 2 + 1])
     a, b = np.array(a)[..., bins:], np.array(b)[..., : BINS - bins]
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
 def rows(count: int) -> Iterator[tuple[str, float, float]]:
-    """(what, theory, found) of each number."""
+    """Give (quantity, theory, found) of each number."""
     speckle = Noise(speckle=True)
     plain = Tally(pings(count, speckle))
     yield "speckle: mean", 1.0, plain.mean
@@ -85,16 +87,19 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
     yield "speckle: dB std", 5.57004, plain.db_std
     for beams in (1, 2, 3):
         x = aperture_width() * beams * SPACING_DEG / WIDTH_DEG
-        found = Tally(pings(count, speckle), beams).alike
+        found = Tally(pings(count, speckle), beams).correlation
         yield f"beams {beams * SPACING_DEG:g} widths apart", np.sinc(x) ** 2, found
     for taper, correlation in (("uniform", np.sinc), ("hamming", hamming_correlation)):
         ping = even_ping(bandwidth_hz=HALF_NULL_HZ, pulse_taper=taper)
         for bins in (1, 2):
-            wanted, found = correlation(bins / 2) ** 2, Tally(pings(count, speckle, ping), 0, bins).alike
+            wanted, found = (
+                correlation(bins / 2) ** 2,
+                Tally(pings(count, speckle, ping), 0, bins).correlation,
+            )
             yield f"{taper} pulse, {bins / 2:g} c/2B apart", wanted, found
     ping = even_ping(beam_pattern="line_array", taper="hamming")
     wanted = hamming_correlation(1.302982 * 2 * SPACING_DEG / WIDTH_DEG) ** 2
-    yield "Hamming array, 0.5 widths apart", wanted, Tally(pings(count, speckle, ping), 2).alike
+    yield "Hamming array, 0.5 widths apart", wanted, Tally(pings(count, speckle, ping), 2).correlation
     for shape in (0.5, 1.0, 5.0, 50.0):
         found = Tally(pings(count, Noise(speckle=True, speckle_shape=shape))).contrast
         yield f"K, shape {shape:g}: contrast", np.sqrt(1 + 2 / shape), found
@@ -110,21 +115,24 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
     found = Tally(pings(count, Noise(electronic_db=-10))).contrast
     yield "the same, no speckle: contrast (Rice)", np.sqrt(0.2 + 0.01) / 1.1, found
     for share in (0.05, 0.125, 0.25):
-        found = moved_alike(count, (0, share * LENGTH_M, 0))
-        yield f"frozen, {share:g} apertures aside", (1 - 2 * share) ** 2, found
-    yield "frozen, 3 bins forward, 3 bins on", 1.0, moved_alike(count, (3 * BIN_M, 0, 0), 3)
+        found = moved_correlation(count, (0, share * LENGTH_M, 0))
+        yield f"place-locked, {share:g} apertures aside", (1 - 2 * share) ** 2, found
+    yield "place-locked, 3 bins forward, 3 bins on", 1.0, moved_correlation(count, (3 * BIN_M, 0, 0), 3)
     pulse = {"bandwidth_hz": HALF_NULL_HZ, "pulse_taper": "hamming"}
-    forward = moved_alike(count, (0.5 * BIN_M, 0, 0), **pulse)
-    yield "frozen, 0.25 c/2B forward", hamming_correlation(0.25) ** 2, forward
+    forward = moved_correlation(count, (0.5 * BIN_M, 0, 0), **pulse)
+    yield "place-locked, 0.25 c/2B forward", hamming_correlation(0.25) ** 2, forward
 
 
 def main(show: Callable[[str], None] = print) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.noise_statistics", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--pings", type=int, default=1000)
     count = parser.parse_args().pings
     show(f"{'':44}{'theory':>9}{'found':>9}{'off':>9}")
     for name, wanted, found in rows(count):
-        relative = not any(word in name for word in ("apart", "frozen", "bias"))
+        relative = not any(word in name for word in ("apart", "place-locked", "bias"))
         off = f"{100 * (found / wanted - 1):+.2f} %" if relative else f"{found - wanted:+.4f}"
         show(f"{name:44}{wanted:9.4f}{found:9.4f}{off:>9}")
 

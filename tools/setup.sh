@@ -1,5 +1,6 @@
-# Sourced by tools/demo, tools/test and .ci/run: `prepare` makes .venv with the project in it, and OpenGL work.
-# PYTHON=/path/to/python3.12 names the Python to use. What is in place already is left alone.
+# Sourced by tools/demo, tools/test and .ci/run: `prepare` creates .venv, installs the project into it, makes sure that
+# OpenGL works, and compiles what is compiled on first use. It skips what is already done.
+# PYTHON=/path/to/python3.12 names the Python to use.
 
 set -euo pipefail
 cd -P -- "$(dirname -- "${BASH_SOURCE[0]}")/.." >/dev/null
@@ -14,7 +15,7 @@ stop() {
     exit 1
 }
 
-# "3.11 /usr": version and home of a Python, the same inside a virtual environment made by it
+# "3.11 /usr": version and prefix of a Python; a virtual environment has those of the Python that made it
 identity_of() {
     "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2], sys.base_prefix)' 2>/dev/null
 }
@@ -38,7 +39,7 @@ find_python() {
     stop "Python must be 3.10 to 3.13 (got: ${seen:-no ${candidates[0]} that runs}); install one, or name one with 'PYTHON=/path/to/python3.12 $again'."
 }
 
-# fails where there is no apt, or no right to use it
+# fails without apt, or without the right to use it
 apt_install() {
     local as_root=() output
     command -v apt-get >/dev/null || return 1
@@ -58,7 +59,7 @@ install_or_stop() {
     apt_install "$@" || stop "Some system packages are missing: run 'apt-get install $*' as root, then '$again' again."
 }
 
-# .venv is kept unless it was made elsewhere, or by another Python, or was left half made
+# keeps .venv unless it was made elsewhere, or by another Python, or is incomplete
 make_venv() {
     local python missing=() identity made_by=""
     if identity=$(identity_of .venv/bin/python) && is_supported "$identity"; then
@@ -79,23 +80,24 @@ make_venv() {
     printf '%s\n' "$identity in $PWD" >.venv/made-by
 }
 
-# [extra]
+# [extra]; pip shows its progress, with bars on a terminal
 install_project() {
     local extra=${1:-} checksum
     checksum=$(cat setup.cfg pyproject.toml sonar_gl/_version.py | sha256sum)
     [ "$(cat ".venv/installed$extra" 2>/dev/null)" != "$checksum" ] || return 0
     say "Installing sonar_gl${extra:+ and what its ${extra}s need} into .venv (a minute or two)"
-    PIP_USE_PEP517=1 .venv/bin/python -m pip install -q --disable-pip-version-check -e ".${extra:+[$extra]}" </dev/null
+    rm -f .venv/checked
+    PIP_USE_PEP517=1 .venv/bin/python -m pip install --disable-pip-version-check -e ".${extra:+[$extra]}" </dev/null
     printf '%s\n' "$checksum" | tee ".venv/installed$extra" >.venv/installed
 }
 
 try_opengl() {
     .venv/bin/python -c '
 import sys
-from sonar_gl import gl
+from sonar_gl.gl import context
 try:
-    gl.create_context().release()
-except gl.Error as why:
+    context.create_context().release()
+except context.Error as why:
     sys.exit(str(why))' 2>&1
 }
 
@@ -106,7 +108,16 @@ check_opengl() {
     stop "${why:-OpenGL does not start through EGL, and does not say why}"
 }
 
-# the tests of hosts with a window are left out without it
+# after an installation: `doctor` compiles all that is compiled on first use, so that the first command starts fast
+check_installation() {
+    local report
+    [ ! -f .venv/checked ] || return 0
+    say "Compiling, and checking the installation (about a minute)"
+    report=$(.venv/bin/sonar-gl doctor </dev/null) || stop "$report"
+    touch .venv/checked
+}
+
+# tests of hosts with a window need it
 find_display() {
     command -v Xvfb >/dev/null || apt_install xvfb ||
         say "Tests that need a display are left out: 'apt-get install xvfb' as root brings them in."
@@ -117,5 +128,6 @@ prepare() {
     make_venv
     install_project "$@"
     check_opengl
+    check_installation
     [ "${1:-}" != test ] || find_display
 }

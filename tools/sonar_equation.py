@@ -1,15 +1,14 @@
-#!/usr/bin/env python
-"""The level of a flat floor over range against the sonar equation, term by term: prints a table.
+"""Compare the level of a flat floor over range with the sonar equation, term by term.
 
-    python tools/sonar_equation.py
+    python -m tools.sonar_equation
 
 The reverberation level of a floor, received and after the TVG, against that at the first range (Urick,
 Principles of Underwater Sound, 3rd ed., 1983, chapters 2 and 8):
 
     RL(r) = −40 log r − 2 α r + S_b + 10 log A + TVG + 2 B
 
-with Lambert's S_b = 20 log sin(grazing) + const., A = r ΔΨ Δr, TVG = k log r + 2 α_tvg r, and B the beam's
-level one way at the floor's depression, where the beam is not a box.
+with Lambert's S_b = 20 log sin(grazing) + const., A = r ΔΨ Δr, TVG = k log r + 2 α_tvg r, and B the one-way
+beam pattern at the floor's depression, where the beam is not a box.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ CASES = {  # name: frequency, elevation aperture, settings
 
 
 def expected_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
-    """(4,) of the sonar equation, dB against the first range."""
+    """Return the level by the sonar equation at RANGES_M, (4,) dB relative to the first range."""
     r, alpha = np.array(RANGES_M), ABSORPTION_DB_M[frequency_hz]
     sine = HEIGHT_M / r  # of grazing, and of depression
     level = -40 * np.log10(r) - 2 * alpha * r + 20 * np.log10(sine) + 10 * np.log10(r)
@@ -58,7 +57,7 @@ def expected_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
 
 
 def measured_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
-    """(9, 4) of a ping's beams, dB each against its first range."""
+    """Return the level of a ping's beams, (9, 4) dB, each relative to its first range."""
     bins = 505
     sonar = sg.Sonar("floor", frequency_hz, 9, bins, 45.0, aperture_deg, 2.0, 2.05, 2.05 + 0.1 * bins)
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * HALF_M
@@ -72,7 +71,7 @@ def measured_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
 
 
 def main():
-    """Print the table: dB against 5 m, of the middle beam and by the sonar equation."""
+    """Print the table: dB relative to 5 m, of the middle beam and by the sonar equation."""
     print(f"{'':22}" + "".join(f"{f'{r:g} m':>18}" for r in RANGES_M[1:]) + "   worst of all beams")
     for name, case in CASES.items():
         measured, expected = measured_db(*case), expected_db(*case)

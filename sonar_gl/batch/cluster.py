@@ -1,48 +1,136 @@
-"""Parts of a batch made by the workers of a Dask cluster; they write what they make, and tell the result."""
+"""Parts made by the workers of a Dask cluster. Workers write the files; only the records come back."""
 
 from __future__ import annotations
 
 import asyncio
 import ctypes
+import json
 import logging
+import os
 import queue
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, lru_cache, partial
 from importlib.util import find_spec
 
 from sonar_gl._version import __version__
-from sonar_gl.types import Error
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import Job
+from sonar_gl.batch.manifest import PartRecord
+from sonar_gl.batch.parts import STEPS, Batch, make_part
+from sonar_gl.core.errors import Error
+from sonar_gl.core.extras import missing_extra
 
-POLL_S = 1.0  # how often is looked whether workers came or went
-NO_WORKER_S = 1800.0  # a worker whose time is over is replaced from a cluster's queue, which takes a while
+POLL_S = 1.0  # between checks whether workers came or went
+NO_WORKER_S = 1800.0  # a queue may take a while to replace a worker whose time is over
 M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # of malloc.h
+
+
+# ---- a batch on a cluster ---------------------------------------------------------------------------
+
+
+class Cluster:
+    """The workers of a cluster, which run the steps of a batch as the processes of a `Pool` do.
+
+    Parameters
+    ----------
+    address : address of a Dask scheduler
+    job, url : the job and the folder of the batch
+
+    Raises
+    ------
+    Error
+        if Dask is not installed.
+    """
+
+    def __init__(self, address: str, job: Job, url: str):
+        check_installed()
+        self._address, self.arguments = address, (json.dumps(job.plain), url)
+
+    def call(self, name: str, *arguments):
+        """Run one of `parts.STEPS` on a worker, and return its result."""
+        results = []
+        run_on_cluster(
+            self._address,
+            partial(_run_step, *self.arguments, name, arguments),
+            [0],
+            lambda _number, result: results.append(result),
+            lambda _number, why: results.append(Error(f"workers must live (in the step {name!r} {why})")),
+        )
+        if isinstance(results[0], Error):
+            raise results[0]
+        return results[0]
+
+    def run_parts(
+        self, parts: list[int], done: Callable[[PartRecord], None], warn: Callable[[str], None]
+    ) -> list[int]:
+        """Make parts, and return those that workers died of. After Ctrl-C none are returned.
+
+        Parameters
+        ----------
+        done : called with the record of each part as it is done
+        warn : called with the text of a warning
+        """
+        given_up, finished = [], set()
+
+        def give_up(part, why):
+            warn(f"part {part}: {why}; it is made here, ping by ping")
+            given_up.append(part)
+
+        def finish(part, record):
+            if part not in finished:  # a part may come twice after a death
+                finished.add(part)
+                done(record)
+
+        try:
+            run_on_cluster(self._address, partial(_make_part, *self.arguments), parts, finish, give_up)
+        except KeyboardInterrupt:
+            return []
+        return given_up
+
+
+@lru_cache(1)
+def _batch_of_worker(job: str, url: str) -> Batch:
+    """Return the batch of this worker, the same from part to part. job : plain values as JSON."""
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # the software driver would otherwise use all cores
+    return Batch(Job(**json.loads(job)), Folder(url))
+
+
+def _make_part(job: str, url: str, part: int) -> PartRecord:
+    return make_part(_batch_of_worker(job, url), part)
+
+
+def _run_step(job: str, url: str, name: str, arguments: tuple, _number: int):
+    return STEPS[name](_batch_of_worker(job, url), *arguments)
+
+
+# ---- parts of anything on a cluster -----------------------------------------------------------------
 
 
 def run_on_cluster(
     address: str,
-    make: Callable[[int], dict],
+    make: Callable[[int], object],
     parts: Iterable[int],
-    done: Callable[[int, dict], None],
+    done: Callable[[int, object], None],
     killed: Callable[[int, str], None],
     timeout_s: float = 20.0,
 ) -> None:
     """Have every part made by a worker of a cluster.
 
-    A worker has one part in hand at a time, and no part waits at the scheduler: so it is known which part a
-    worker died of. Such a part is given to other workers, until one more has died of it than the scheduler's
-    setting `allowed-failures` says: the second, where the scheduler was started with
-    DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=1, the fourth otherwise.
+    A worker has one part at a time, and no part waits at the scheduler, so it is known which part a worker
+    died of. Such a part is given to other workers until one more has died of it than the scheduler's setting
+    `allowed-failures`: the second, if the scheduler was started with
+    DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=1, otherwise the fourth.
 
     Parameters
     ----------
-    address : of the scheduler, such as tcp://login1:8786
-    make : function of a part that workers can import, or a functools.partial of one; a worker runs it in one
-        and the same thread. Where a worker or the driver dies, it may run again for the same part
-    parts : what is to be made; taken one by one, as workers become free
-    done : called here, in this thread, with each part and what `make` gave back, as parts finish
+    address : address of the scheduler, such as tcp://login1:8786
+    make : function of a part that workers can import, or a functools.partial of one. A worker always runs it
+        in the same thread. It may run again for the same part if the worker or the driver dies
+    parts : parts to make; taken one by one, as workers become free
+    done : called in this thread with each part and the result of `make`, as parts finish
     killed : called likewise with a part that is given up, and why
     timeout_s : how long to wait for the scheduler, and for the first worker
 
@@ -51,70 +139,71 @@ def run_on_cluster(
     Error
         if there is no scheduler, no worker, or one with another version of this package or several threads.
     KeyboardInterrupt
-        after the parts in hand are done; at once the second time.
+        after the parts in progress are done; immediately the second time.
     Exception
-        whatever `make` raises; nobody waits then for the other parts in hand.
+        whatever `make` raises; other parts in progress are not waited for.
     """
     with _connected(address, timeout_s) as client:
-        hands = _Hands(client, address, make, done, killed)
-        hands.wait_for_worker(timeout_s)
+        progress = _Progress(client, address, make, done, killed)
+        progress.wait_for_worker(timeout_s)
         try:
             for part in parts:
-                hands.take(part)
-            hands.finish()
+                progress.start(part)
+            progress.finish()
         except KeyboardInterrupt:
-            hands.finish()
+            progress.finish()
             raise
 
 
-class _Hands:
-    """The parts that workers have in hand."""
+class _Progress:
+    """The parts that workers are making."""
 
     def __init__(self, client, address: str, make, done, killed):
         self._client, self._address, self._make = client, address, make
         self._done, self._killed = done, killed
-        self._parts = {}  # future: part
+        self._parts = {}  # future -> part
         self._ended = queue.SimpleQueue()
-        self._n_workers, self._looked_s, self._seen_s = 0, 0.0, time.monotonic()
+        self._n_workers, self._counted_s, self._last_worker_s = 0, 0.0, time.monotonic()
 
-    def wait_for_worker(self, timeout_s: float):
-        while not self._free(timeout_s):
+    def wait_for_worker(self, timeout_s: float) -> None:
+        """Wait for the first worker."""
+        while not self._has_free_worker(timeout_s):
             time.sleep(0.1)
 
-    def take(self, part: int):
-        """Give a part to a worker; waits for one that has none."""
-        while not self._free():
+    def start(self, part: int) -> None:
+        """Wait for a free worker and give it a part."""
+        while not self._has_free_worker():
             self._settle()
-        future = self._client.submit(_made, self._make, part, __version__, pure=False)
+        future = self._client.submit(run_part, self._make, part, __version__, pure=False)
         self._parts[future] = part
         future.add_done_callback(self._ended.put)
 
-    def finish(self):
-        """Wait for all parts in hand."""
+    def finish(self) -> None:
+        """Wait for all parts in progress."""
         for future in self._parts:
             if future.done():  # it was being settled when the user interrupted
                 self._ended.put(future)
         while self._parts:
-            self._free()
+            self._has_free_worker()
             self._settle()
 
-    def _free(self, timeout_s: float = NO_WORKER_S) -> bool:
-        """Whether a worker has no part; an Error if there was no worker for so long."""
+    def _has_free_worker(self, timeout_s: float = NO_WORKER_S) -> bool:
+        """Return whether a worker has no part; an Error if there has been no worker for that long."""
         now = time.monotonic()
-        if now - self._looked_s > POLL_S or not self._n_workers:
-            with self._scheduler_lost(OSError, asyncio.TimeoutError):
-                self._n_workers, self._looked_s = len(self._client.nthreads()), now
+        if now - self._counted_s > POLL_S or not self._n_workers:
+            with self._scheduler_loss_as_error(OSError, asyncio.TimeoutError):
+                self._n_workers, self._counted_s = len(self._client.nthreads()), now
             if self._n_workers:
-                self._seen_s = now
-            elif now - self._seen_s > timeout_s:
+                self._last_worker_s = now
+            elif now - self._last_worker_s > timeout_s:
                 raise Error(
                     f"the cluster must have a worker (got none for {timeout_s:g} s; start some: "
                     f"dask worker {self._address} --nthreads 1)"
                 )
         return len(self._parts) < self._n_workers
 
-    def _settle(self):
-        """Hand over a part that has ended, if one does soon."""
+    def _settle(self) -> None:
+        """Pass on the result of a part, if one ends within POLL_S."""
         from distributed import KilledWorker
 
         try:
@@ -124,45 +213,45 @@ class _Hands:
         if future not in self._parts:
             return
         try:
-            with self._scheduler_lost():
+            with self._scheduler_loss_as_error():
                 result = future.result()
         except KilledWorker as why:
-            place = why.last_worker.address
-            self._killed(self._parts[future], f"{why.allowed_failures + 1} workers died of it, last {place}")
+            last = why.last_worker.address
+            self._killed(self._parts[future], f"{why.allowed_failures + 1} workers died of it, last {last}")
         else:
             self._done(self._parts[future], result)
         del self._parts[future]
 
     @contextmanager
-    def _scheduler_lost(self, *kinds):
+    def _scheduler_loss_as_error(self, *kinds):
         from distributed.comm import CommClosedError
 
         try:
             yield
         except (asyncio.CancelledError, CancelledError, CommClosedError, *kinds):
             raise Error(
-                f"the scheduler at {self._address} must stay (it went away; start the cluster again, then "
-                "the batch, which goes on where it was)"
+                f"the scheduler at {self._address} must stay (it has gone; start the cluster again, then the "
+                "batch with --resume)"
             ) from None
 
 
 def check_installed() -> None:
-    """An Error where Dask is not."""
+    """Raise an Error if Dask is not installed."""
     if find_spec("distributed") is None:
-        raise Error("a cluster needs Dask (got none; pip install distributed)")
+        raise missing_extra("cluster", "a cluster needs Dask (got no module distributed)")
 
 
 @contextmanager
 def _connected(address: str, timeout_s: float):
-    """A client of the scheduler."""
-    for name in "distributed.client", "distributed.utils":  # what they would tell is told by errors
+    """Give a client of the scheduler."""
+    for name in "distributed.client", "distributed.utils":  # their messages repeat our errors
         logging.getLogger(name).setLevel(logging.CRITICAL)
     check_installed()
     from distributed import Client
 
     try:
-        with ThreadPoolExecutor(1) as thread:  # not here: notebooks have a loop of their own
-            thread.submit(asyncio.run, _greet(address, timeout_s)).result()
+        with ThreadPoolExecutor(1) as thread:  # in a thread, since notebooks have a running event loop here
+            thread.submit(asyncio.run, _try_connection(address, timeout_s)).result()
         client = Client(address, timeout=timeout_s, set_as_default=False)
     except (OSError, asyncio.TimeoutError, ValueError) as why:
         raise Error(
@@ -173,8 +262,8 @@ def _connected(address: str, timeout_s: float):
         yield client
 
 
-async def _greet(address: str, timeout_s: float):
-    """Wait no longer than so for what listens there: Dask's client would, where it is no scheduler."""
+async def _try_connection(address: str, timeout_s: float) -> None:
+    """Connect within the timeout, which Dask's client exceeds where something else listens."""
     from distributed import Security
     from distributed.comm import connect
 
@@ -183,8 +272,8 @@ async def _greet(address: str, timeout_s: float):
     await comm.close()
 
 
-def _made(make, part, version):
-    """What a worker runs."""
+def run_part(make: Callable[[int], object], part: int, version: str):
+    """Make a part on a worker, which must have this version and one thread."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -198,16 +287,16 @@ def _made(make, part, version):
             f"a worker must have one thread, as OpenGL has (got {worker.state.nthreads} at {worker.address}; "
             "start it with --nthreads 1, several times if the machine has the cores)"
         )
-    _keep_memory()
+    _keep_freed_memory()
     return make(part)
 
 
 @cache
-def _keep_memory():
-    """Let a worker's malloc keep what is freed, as glibc's does of itself.
+def _keep_freed_memory() -> None:
+    """Let a worker's malloc keep freed memory, as glibc does by default.
 
-    Dask starts workers with MALLOC_TRIM_THRESHOLD_, and any value of it has glibc take every large array's
-    pages anew from the kernel: that makes half as many pings a second.
+    Dask starts workers with MALLOC_TRIM_THRESHOLD_. With any value of it glibc takes the pages of every large
+    array from the kernel anew, which halves the pings per second.
     """
     if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
         mallopt(M_MMAP_THRESHOLD, 32 << 20)

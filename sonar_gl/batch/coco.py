@@ -1,7 +1,7 @@
-"""Instances in fan images as COCO has them: boxes and masks of bodies, in one file of a whole data set.
+"""Instances in fan images in the format of COCO: boxes and masks of bodies, in one file for a whole data set.
 
-https://cocodataset.org/#format-data tells the fields of images, annotations and categories. Masks are run
-lengths down the columns, which bodies in pieces and with holes need; iscrowd stays 0.
+https://cocodataset.org/#format-data describes the fields of images, annotations and categories. Masks are run
+lengths along columns, since bodies may be in pieces or have holes; iscrowd stays 0.
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from pycocotools import mask
 
-from sonar_gl.types import Error
+from sonar_gl.core.errors import Error
 
-BODIES = 1 << 16  # annotations' numbers are image_id times this, and the body's
-KINDS = {"images": b'["image", ', "annotations": b'["annotation", '}  # how their lines begin
+MAX_BODIES = 1 << 16  # the id of an annotation is image_id · MAX_BODIES + body_id
+PREFIXES = {"images": b'["image", ', "annotations": b'["annotation", '}  # of lines in the files of parts
 END = b"]\n"
 
 
 def coco_records(
     ids: np.ndarray, class_of_body, image_id: int, file_name: str, names=None, echo=None, **more
 ) -> tuple[dict, list[dict]]:
-    """One fan image and the bodies in it.
+    """Return COCO's records of one fan image and of the bodies in it.
 
     Parameters
     ----------
     ids : (H, W) uint16, number of the body at each pixel, 0 for none
-    class_of_body : of each number, from 0 on; 0 for the background, which has no annotation
-    image_id : 0 or more, unlike that of all others
-    file_name : of the picture, from the folder that tools are told
-    names, echo : of each number, from 0 on: its name, and the sum of its echo as in `Ping.body_echo`; or None
-    more : plain values for the image
+    class_of_body : class of each body by number; bodies of class 0 have no annotation
+    image_id : unique number, 0 or more
+    file_name : path of the picture from the folder of images
+    names, echo : name of each body by number, and its echo as in `Ping.body_echo`; or None
+    more : plain values to add to the image
 
     Returns
     -------
     image : id, file_name, height, width, and `more`
     annotations : by rising number of the body: id = image_id · 65536 + body_id, image_id, category_id, bbox
-        [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and, which tools pass over, body_id,
-        body (its name) and echo
+        [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and fields that COCO does not have:
+        body_id, body (its name) and echo
 
     Raises
     ------
@@ -62,7 +62,7 @@ def coco_records(
     annotations = []
     for body, area, box, one in zip(found, mask.area(packed), mask.toBbox(packed), packed, strict=True):
         annotation = {
-            "id": int(image_id) * BODIES + body,
+            "id": int(image_id) * MAX_BODIES + body,
             "image_id": int(image_id),
             "category_id": int(classes[body]),
             "bbox": [int(edge) for edge in box],
@@ -80,45 +80,45 @@ def coco_records(
 
 
 def _run_lengths(edges: np.ndarray, total: int) -> list[int]:
-    """Lengths of runs out of and in what (n, 2) edges enclose, by turns, the first of them out of it."""
+    """Return the lengths of runs alternately outside and inside (n, 2) intervals, beginning outside."""
     counts = np.diff(edges.ravel(), prepend=0).tolist()
     rest = total - int(edges[-1, 1])
     return [*counts, rest] if rest else counts
 
 
 def coco_lines(image: dict, annotations: list[dict]) -> bytes:
-    """Records of one image as lines of a part's file, for `coco_json`; the same give the same bytes."""
-    lines = [(KINDS["images"], image), *((KINDS["annotations"], one) for one in annotations)]
+    """Return the records of one image as lines of a part's file, for `coco_json`."""
+    lines = [(PREFIXES["images"], image), *((PREFIXES["annotations"], one) for one in annotations)]
     return b"".join(kind + _json(record) + END for kind, record in lines)
 
 
 def coco_json(parts: Iterable[Callable], categories: list[dict], info: dict) -> Iterator[bytes]:
-    """One file of instances from those of parts, piece by piece; each part is read twice, a line at a time.
+    """Yield the text of one file of instances, joined from the files of parts. Memory use is that of a line.
 
     Parameters
     ----------
-    parts : functions that open, for reading bytes, what `coco_lines` made, in order
+    parts : functions that open the files of parts for reading bytes, in order. Each file is read twice
     categories : id (from 1 on), name and supercategory of each class
-    info : plain values; what changes from run to run, such as a date, changes the bytes
+    info : plain values; a date, for example, would make the bytes differ from run to run
 
     Raises
     ------
     Error
-        if a line is none of `coco_lines`, or not whole.
+        if a line was not written by `coco_lines`, or is incomplete.
     """
     parts = list(parts)
     yield _json({"info": info, "licenses": [], "categories": categories})[:-1]
-    for name, kind in KINDS.items():
+    for name, kind in PREFIXES.items():
         yield f', "{name}": ['.encode()
         between = b"\n"
         for part in parts:
             with part() as lines:
                 for number, line in enumerate(lines, 1):
-                    if not (line.startswith(tuple(KINDS.values())) and line.endswith(END)):
+                    if not (line.startswith(tuple(PREFIXES.values())) and line.endswith(END)):
                         where = getattr(lines, "name", "a part")
                         raise Error(
                             f"{where}, line {number}: must be a COCO record (got {line[:40]!r}; delete the "
-                            "file, and have its part made again)"
+                            "file and the record of its part, so that the part is made again)"
                         )
                     if line.startswith(kind):
                         yield between + line[len(kind) : -len(END)]
@@ -128,7 +128,7 @@ def coco_json(parts: Iterable[Callable], categories: list[dict], info: dict) -> 
 
 
 def mask_picture(ids: np.ndarray) -> np.ndarray:
-    """(H, W) picture whose values are the bodies' numbers: uint8 if they are below 256, or else uint16."""
+    """Return a (H, W) picture of the bodies' numbers, uint8 if all are below 256, otherwise uint16."""
     ids = np.asarray(ids)
     return ids.astype(np.uint8 if ids.max(initial=0) < 256 else np.uint16)
 

@@ -1,37 +1,88 @@
-"""The job file: which pings to make, and what to keep of them."""
+"""The job file of a batch: its tables, and errors that name file, table and key."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+import math
 import os
-from functools import cached_property
+from collections.abc import Iterable, Mapping
+from fnmatch import fnmatchcase
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from sonar_gl.batch.tables import Decibels, Table, Varied, VariedMetres, VariedRadians, VariedShare, read
-from sonar_gl.image import colorize
-from sonar_gl.types import Error
+from sonar_gl.core.checks import is_number
+from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.toml import read_toml
+from sonar_gl.imaging.fan_image import colorize
 
-try:
-    import tomllib
-except ModuleNotFoundError:  # Python 3.10
-    import tomli as tomllib
-
-PLACES = "where", "folder"  # of the job file; they do not count
+LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
+
+# ---- values -----------------------------------------------------------------------------------------
+
+
+def _is_finite(value) -> bool:
+    return is_number(value) and math.isfinite(value)
+
+
+def _check_varied(value, low: float = -math.inf, high: float = math.inf):
+    bounds = value if isinstance(value, list) else [value, value]
+    if len(bounds) != 2 or not all(map(_is_finite, bounds)) or bounds[0] > bounds[1]:
+        raise ValueError("should be a number, or [low, high]")
+    if not low <= bounds[0] <= bounds[1] <= high:
+        raise ValueError(f"should lie in {low:g}..{high:g}")
+    return value
+
+
+def _check_db_range(value):
+    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_finite, value)):
+        raise ValueError("should be [darkest, brightest]")
+    if value[0] >= value[1]:
+        raise ValueError("should be [darkest, brightest], in rising order")
+    return value
+
+
+def _check_colormap(name: str) -> str:
+    colorize(np.zeros((1, 1), np.float32), name)
+    return name
+
+
+# A varied value is one number, or [low, high] for a uniform random draw in each ping.
+Varied = Annotated[Any, BeforeValidator(_check_varied)]
+VariedShare = Annotated[Any, BeforeValidator(partial(_check_varied, low=0.0, high=1.0))]
+VariedMetres = Annotated[Any, BeforeValidator(partial(_check_varied, low=-1e8, high=1e8))]
+VariedRadians = Annotated[Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283))]
+DbRange = Annotated[Any, BeforeValidator(_check_db_range)]
 Mount = Annotated[list[float], Field(min_length=6, max_length=6)]
 Names = Annotated[list[str], Field(min_length=1)]
 
+# settings of every table: no unknown keys, no conversion of types, no NaN
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+# ---- tables -----------------------------------------------------------------------------------------
+
+
+class Table(BaseModel):
+    """A table of a job file. Unknown keys are errors."""
+
+    model_config = ConfigDict(**STRICT, frozen=True)
+
 
 class SonarTable(Table):
-    """One sonar of the vehicle.
+    """One sonar on the vehicle.
 
-    sonar : a preset or a .toml file; name : of its arrays and topics; range_m, bins : other than the data
-    sheet's; mount : x y z roll pitch yaw of the sonar on the vehicle, metres and radians
+    Attributes
+    ----------
+    sonar : name of a preset, or path of a .toml file
+    name : name of the sonar's arrays and topics; by default made from the name in its data sheet
+    range_m, bins : replace those of the data sheet
+    mount : x y z roll pitch yaw of the sonar on the vehicle, metres and radians
     """
 
     sonar: str
@@ -42,10 +93,16 @@ class SonarTable(Table):
 
 
 class MovedTable(Table):
-    """Bodies that lie elsewhere in each ping, all by the same draw unless they move `apart`.
+    """Bodies whose pose or reflectivity changes from ping to ping.
 
-    names : of bodies, with * and ?; x_m ... yaw_rad : shifts in the world and turns about the body's own
-    axes; there : the chance that they are there at all; reflectivity : μ of each ping
+    Attributes
+    ----------
+    names : names of bodies, with the wildcards * and ?
+    apart : each body has its own random draw; otherwise all move together
+    x_m, y_m, z_m : shifts in the world
+    roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
+    there : probability that the bodies are present
+    reflectivity : reflectivity of the bodies
     """
 
     names: Names
@@ -61,10 +118,13 @@ class MovedTable(Table):
 
 
 class VaryTable(Table):
-    """What differs from ping to ping, drawn evenly between two numbers.
+    """What changes from ping to ping, by uniform random draws.
 
-    bodies : see `MovedTable`; water : fields of Acoustics that say what water it is; noise : amounts of
-    Noise
+    Attributes
+    ----------
+    bodies : bodies that move
+    water : fields of `Acoustics` that describe the water
+    noise : fields of `Noise`
     """
 
     bodies: list[MovedTable] = Field([])
@@ -73,11 +133,17 @@ class VaryTable(Table):
 
 
 class LabelsTable(Table):
-    """What is kept of where echoes come from.
+    """Labels to store.
 
-    layers : of LAYERS, unless said the first three; classes : names of classes, in their order, and the
-    bodies of each, with * and ?; background : bodies that shadows fall on; height : of the fan image whose
-    pixels boxes are given in; level_db : boxes go round what is as bright, as side lobes reach far
+    Attributes
+    ----------
+    layers : some of LAYERS
+    classes : name of each class, in the order of their numbers, and the bodies in it, with the wildcards
+        * and ?
+    background : bodies on which shadows fall
+    height : height in pixels of the fan image in which bounding boxes are given
+    level_db : bounding boxes enclose bins of at least this intensity; without a limit they would enclose
+        the side lobes
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))
@@ -88,47 +154,47 @@ class LabelsTable(Table):
 
 
 class ArraysTable(Table):
-    """mantissa_bits : of intensities, 23 is exact float32; a bit less doubles the error."""
+    """How the store keeps intensities.
+
+    Attributes
+    ----------
+    mantissa_bits : bits of mantissa; 23 keeps float32 as it is, and each bit less doubles the error
+    """
 
     mantissa_bits: Annotated[int, Field(ge=1, le=23)] = 5
 
 
-def _known_map(name: str) -> str:
-    colorize(np.zeros((1, 1), np.float32), name)
-    return name
-
-
 class PicturesTable(Table):
-    """Fan images, NPZ files and films, as of `sonar-gl render`."""
+    """Fan images, NPZ files and films, with the options of `sonar-gl render`."""
 
     formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     scale: Literal["db", "linear"] = "db"
-    db_range: Decibels = Field([-60.0, 0.0])
-    colormap: Annotated[str, AfterValidator(_known_map)] = "jet"
+    db_range: DbRange = Field([-60.0, 0.0])
+    colormap: Annotated[str, AfterValidator(_check_colormap)] = "jet"
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
 
 
 class CocoTable(Table):
-    """Instances in gray fan images: COCO JSON, PNG masks."""
+    """Instances in gray fan images: COCO JSON and PNG masks."""
 
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    db_range: Decibels = Field([-60.0, 0.0])
+    db_range: DbRange = Field([-60.0, 0.0])
 
 
 class RosTable(Table):
-    """A ROS 2 bag; see `ros_records.BagSettings`. image_height : of fan images in it, 0 for none."""
+    """A ROS 2 bag, see `ros.BagSettings`; fan images `image_height` pixels high are added if it is not 0."""
 
     image_height: Annotated[int, Field(ge=0, le=8192)] = 0
     y_sign: Literal["port", "starboard"] = "port"
     bits: Literal[8, 16, 32] = 8
     scale: Literal["db", "linear"] = "db"
-    db_range: Decibels = Field([-60.0, 0.0])
+    db_range: DbRange = Field([-60.0, 0.0])
 
 
 class OpticalTable(Table):
-    """A camera beside the sonar: RGB as PNG, depth as 16-bit PNG of millimetres."""
+    """A camera on the vehicle: RGB as PNG, depth as 16-bit PNG in millimetres."""
 
     width: Annotated[int, Field(ge=16, le=8192)] = 640
     height: Annotated[int, Field(ge=16, le=8192)] = 480
@@ -137,7 +203,13 @@ class OpticalTable(Table):
 
 
 class Job(Table):
-    """A job file as it was read; what it names is made by `sonar_gl.batch.made`."""
+    """A job file as read. `requests.BatchRequests` builds the objects that it describes.
+
+    Attributes
+    ----------
+    where : the job file's name in error messages
+    folder : folder of the job file; relative paths in the job start there
+    """
 
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")] = "batch"
     seed: Annotated[int, Field(ge=0)] = 0
@@ -162,49 +234,145 @@ class Job(Table):
 
     @property
     def plain(self) -> dict:
-        """As plain values, of which `Job(**plain)` makes it again."""
+        """The job as plain values; `Job(**job.plain)` is the same job."""
         return self.model_dump(exclude_none=True)
 
     @cached_property
     def digest(self) -> str:
-        """Of all that decides what the pings are, contents of files that it names included."""
-        plain = {key: value for key, value in self.plain.items() if key not in PLACES}
+        """SHA-256 of all that decides the pings, including the files that the job names."""
+        plain = {key: value for key, value in self.plain.items() if key not in LOCATION_KEYS}
         classes = list(self.labels.classes) if self.labels else []  # their order is that of their numbers
-        parts = [json.dumps(plain, sort_keys=True), json.dumps(classes)]
+        texts = [json.dumps(plain, sort_keys=True), json.dumps(classes)]
         for path in sorted(self.files()):
-            parts.append(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}")
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+            texts.append(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}")
+        return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
     def path(self, name: str) -> Path:
-        """A file that the job names, beside the job's own file unless it is absolute."""
+        """Return the path of a file that the job names."""
         return Path(self.folder, os.path.expanduser(name))
 
     def files(self) -> list[Path]:
-        """Scene, sonar and pose files that the job names."""
+        """Return the scene, sonar and pose files that the job names."""
         names = [*self.scenes, *(table.sonar.partition("#")[0] for table in self.sonars)]
         names += [str(table.get("file", "")) for table in self.poses]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 
 
 def read_job(path) -> Job:
-    """The job of a TOML file.
+    """Read a job from a TOML file.
 
     Raises
     ------
     Error
-        naming file, table and key of all that is wrong.
+        if the file cannot be read or the job is invalid; names file, table and key of every fault.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as why:
-        raise Error(f"{path}: the job file must be readable ({(why.strerror or str(why)).lower()})") from None
-    except ValueError as why:  # not TOML (says the line), or not UTF-8
-        raise Error(f"{path}: the job file must be TOML ({why})") from None
-    for key in PLACES:
+    data = read_toml(path, "the job file")
+    for key in LOCATION_KEYS:
         if key in data:
             raise Error(f"{path}: the job: unknown key (got {key!r})")
-    job = read(Job, data | {"where": str(path), "folder": str(path.resolve().parent)}, str(path))
+    try:
+        job = Job.model_validate(data | {"where": str(path), "folder": str(path.resolve().parent)})
+    except ValidationError as why:
+        raise job_error(why, Job, str(path)) from None
     if job.coco is not None and job.labels is None:
         raise Error(f"{path}: coco must stand with labels (got none; add a line [labels])")
     return job
+
+
+# ---- errors and names -------------------------------------------------------------------------------
+
+
+def job_error(why: ValidationError, kind: type, file: str, table: tuple = ()) -> Error:
+    """Return one error for all that pydantic found wrong with a table.
+
+    Parameters
+    ----------
+    kind : the pydantic model or dataclass; its fields' descriptions are the cures in the messages
+    file : name of the job file
+    table : keys that lead to the table in the file, such as ("poses", 0)
+    """
+    sentences = [_sentence(error, kind, table) for error in why.errors()]
+    return Error(f"{file}: " + "; ".join(dict.fromkeys(sentences)))
+
+
+def _sentence(error: Mapping, kind: type, table: tuple) -> str:
+    """Return one error of pydantic in the form: what must hold (what came; cure)."""
+    place = (*table, *error["loc"])
+    if error["type"] == "extra_forbidden":
+        known = _known_keys(kind, error["loc"][:-1])
+        hint = f"; {nearest_names(str(place[-1]), known)}" if known else ""
+        return f"{key_path(place[:-1]) or 'the job'}: unknown key (got {str(place[-1])!r}{hint})"
+    if error["type"] == "missing":
+        return f"{key_path(place)} must be given"
+    text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    text = text[:1].lower() + text[1:]
+    if "(got " in text or not error["loc"]:
+        return f"{key_path(place)}: {text}"
+    got, cure = error["input"], _cure(kind, error["loc"])
+    got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]
+    return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
+
+
+def _known_keys(kind: type, place: Iterable) -> list[str]:
+    """Return the keys of the table at a place, as far as the types say."""
+    for key in place:
+        if isinstance(key, int) or not hasattr(kind, "model_fields"):
+            continue
+        field = kind.model_fields.get(key)
+        inner = [] if field is None else [field.annotation, *getattr(field.annotation, "__args__", ())]
+        found = [t for t in inner if isinstance(t, type) and issubclass(t, BaseModel)]
+        kind = found[0] if found else None
+    return list(getattr(kind, "model_fields", ()))
+
+
+def _cure(kind: type, place: tuple) -> str:
+    """Return the description of a field, or ''."""
+    field = getattr(kind, "__pydantic_fields__", {}).get(place[0]) if place else None
+    return getattr(field, "description", None) or ""
+
+
+def key_path(place: Iterable) -> str:
+    """Return a path of keys as in the file, such as sonars[1].mount; entries are counted from 0."""
+    out = ""
+    for key in place:
+        out += f"[{key}]" if isinstance(key, int) else f".{key}" if out else str(key)
+    return out
+
+
+def check_keys(kind: type, table: Mapping, where: str) -> None:
+    """Raise an Error if a table has keys that a dataclass does not, or lacks one that it needs."""
+    needed = {
+        field.name: field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        for field in dataclasses.fields(kind)
+    }
+    for key in table:
+        if key not in needed:
+            raise Error(f"{where}: unknown key (got {key!r}; {nearest_names(key, needed)})")
+    if missing := [key for key, is_needed in needed.items() if is_needed and key not in table]:
+        raise Error(f"{where}: {' and '.join(missing)} must be given")
+
+
+def build(kind: type, table: Mapping, where: str):
+    """Return a dataclass that checks itself, built from a table of its fields; errors name the table."""
+    check_keys(kind, table, where)
+    try:
+        with errors_at(where):
+            return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in table.items()})
+    except TypeError as why:
+        raise Error(f"{where}: must hold what {kind.__name__} takes ({why})") from None
+
+
+def matching_names(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
+    """Return the names that match any of the patterns, in the order of the names."""
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+def check_patterns(patterns: Iterable[str], names: Iterable[str], where: str) -> None:
+    """Raise an Error for a pattern that matches no name."""
+    names = list(names)
+    for pattern in patterns:
+        if not matching_names([pattern], names):
+            raise Error(
+                f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})"
+            )

@@ -1,43 +1,50 @@
-"""What a camera beside the sonar sees: colour and depth, drawn by pyrender in an OpenGL context of ours."""
+"""A camera on the vehicle: colour and depth, rendered by pyrender in an OpenGL context of its own."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sonar_gl import egl, gl
-from sonar_gl.camera import Camera
-from sonar_gl.load import import_pyrender
-from sonar_gl.rigid import check_pose
-from sonar_gl.scene import Scene
-from sonar_gl.types import Error, check_kind
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.embed.camera import Camera
+from sonar_gl.gl import context as gl
+from sonar_gl.gl import egl, lifetime
+from sonar_gl.scene.pyrender_scene import import_pyrender
+from sonar_gl.scene.scene import Scene
 
-# Linear light: a sun overhead, a lamp at the camera, and a little from everywhere
-SUN, LAMP, EVERYWHERE = 2.0, 2.0, 0.15
-NOTHING = (0.0, 0.02, 0.05)  # colour where no body is
+# Linear light: a sun overhead, a lamp at the camera, and ambient light
+SUN, LAMP, AMBIENT = 2.0, 2.0, 0.15
+BACKGROUND_RGB = (0.0, 0.02, 0.05)  # where no body is
 
 
-class Optical:
-    """Draws a scene as a pinhole camera sees it, in clear water. Use it in a `with` block, or call `close()`.
+class OpticalCamera:
+    """Renders a scene by a pinhole camera in clear water. Use it in a `with` block, or call `close()`.
 
-    Bodies have their meshes' own colours, or else are as gray as their reflectivity; both sides of a face are
-    seen. It may live beside simulators in one process: what context is current stays so.
+    Bodies have the colours of their meshes; a mesh without colours is gray by its reflectivity. Both sides of
+    a face are visible. Simulators may exist in the same process: the current context stays current.
 
     Parameters
     ----------
-    scene : Scene; its bubbles are not drawn
+    scene : Scene; its bubbles are not rendered
     camera : Camera, such as `Camera.of_fov(640, 480, fov_x_rad=1.2)`
-    near_m, far_m : from where to where, along the optical axis, things are seen. Depth has 24 bits: it is
-        good to depth² / (near_m · 1.7e7), to a millimetre at 40 m with 0.1 m
+    near_m, far_m : range of depths along the optical axis that are rendered. Depth has 24 bits, so its error
+        is depth² / (near_m · 1.7e7): a millimetre at 40 m with 0.1 m
     device : as for `Simulator`
+
+    Attributes
+    ----------
+    scene, camera : as given
+    context : its OpenGL context; None once it is closed
 
     Raises
     ------
     Error
-        if there is no usable OpenGL or pyrender, or the image is larger than the driver can draw.
+        if there is no usable OpenGL or pyrender, or the image is larger than the driver supports.
     """
 
     def __init__(self, scene, camera, near_m: float = 0.1, far_m: float = 100.0, device: int | None = None):
-        self._context = None
+        self.context = None
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("camera", camera, Camera, "such as sonar_gl.Camera.of_fov(640, 480, fov_x_rad=1.2)")
         projection = camera.projection(near_m, far_m)
@@ -50,79 +57,79 @@ class Optical:
                 return projection
 
         self.scene, self.camera = scene, camera
-        # all in the frame of the camera, which is OpenGL's: float32 is exact enough only near the origin
-        self._drawn = pyrender.Scene(bg_color=NOTHING, ambient_light=[EVERYWHERE] * 3)
-        self._drawn.add(Pinhole(near_m, far_m))
-        self._drawn.add(pyrender.DirectionalLight(intensity=LAMP))
-        self._sun = self._drawn.add(pyrender.DirectionalLight(intensity=SUN))
-        self._bodies = {b.name: (b, self._drawn.add(_mesh(pyrender, b))) for b in scene.bodies}
-        gl.release_discarded()
-        with egl.kept():
-            self._context = gl.create_context(device)
-        with self._context as context:
-            most = context.info["GL_MAX_RENDERBUFFER_SIZE"]
-        if max(camera.width, camera.height) > most:
+        # everything is in the camera's frame, since float32 is precise only near the origin
+        self._graph = pyrender.Scene(bg_color=BACKGROUND_RGB, ambient_light=[AMBIENT] * 3)
+        self._graph.add(Pinhole(near_m, far_m))
+        self._graph.add(pyrender.DirectionalLight(intensity=LAMP))
+        self._sun = self._graph.add(pyrender.DirectionalLight(intensity=SUN))
+        self._bodies = {b.name: (b, self._graph.add(_mesh(pyrender, b))) for b in scene.bodies}
+        lifetime.release_waiting()
+        with egl.preserve_current():
+            self.context = gl.create_context(device)
+        with self.context as context:
+            max_size = context.info["GL_MAX_RENDERBUFFER_SIZE"]
+        if max(camera.width, camera.height) > max_size:
             self.close()
             raise Error(
-                f"a camera must have at most {most} pixels a side (got {camera.width} by {camera.height}; "
-                "the driver can draw no more)"
+                f"a camera must have at most {max_size} pixels a side, as the driver supports no more (got "
+                f"{camera.width} by {camera.height})"
             )
         self._renderer = pyrender.Renderer(camera.width, camera.height)
-        # its finaliser would delete names in whichever context is current; they go with the context instead
+        # its finaliser would delete objects of whichever context is current; they are freed with the context
         self._renderer.delete = lambda: None
         self._flags = pyrender.RenderFlags
 
     def __call__(self, pose, bodies=None) -> tuple[np.ndarray, np.ndarray]:
-        """What is seen from a pose.
+        """Render one image.
 
         Parameters
         ----------
-        pose : (4, 4) of the camera's place in the world; as for a sonar x is ahead, y to the left, z up
-        bodies : of this image alone, names to (4, 4) world_from_body, or to None for what is not there
+        pose : (4, 4) world_from_camera; as for a sonar x is forward, y to port, z up
+        bodies : for this image only, name -> (4, 4) world_from_body, or None for a body that is not present
 
         Returns
         -------
         rgb : (H, W, 3) uint8, the first row on top
-        depth : (H, W) float32, metres along the optical axis to what is in the middle of a pixel, 0 where
-            nothing is
+        depth : (H, W) float32, metres along the optical axis at the centre of each pixel, 0 where no body is
 
         Raises
         ------
         Error
-            if a pose is none, or a name is no body's.
+            if a pose is invalid, or a name is unknown.
         """
-        if self._context is None:
-            raise Error("this Optical is closed; make a new one")
+        if self.context is None:
+            raise Error("this OpticalCamera is closed; make a new one")
         camera_from_world = np.linalg.inv(self.camera.pose_gl(pose))
-        places = self._places(bodies)
+        poses = self._poses(bodies)
         for name, (_, node) in self._bodies.items():
-            node.mesh.is_visible = places[name] is not None
-            if places[name] is not None:
-                self._drawn.set_pose(node, camera_from_world @ places[name])
+            node.mesh.is_visible = poses[name] is not None
+            if poses[name] is not None:
+                self._graph.set_pose(node, camera_from_world @ poses[name])
         down = camera_from_world.copy()
         down[:3, 3] = 0
-        self._drawn.set_pose(self._sun, down)
-        with self._context:
-            rgb, _ = self._renderer.render(self._drawn, self._flags.OFFSCREEN)
-            # Colours are means of four samples a pixel, and their depth is one's of these, which is not in
-            # its middle. Pictures of segments have one sample, there.
+        self._graph.set_pose(self._sun, down)
+        with self.context:
+            rgb, _ = self._renderer.render(self._graph, self._flags.OFFSCREEN)
+            # Colours are means of four samples per pixel, and the depth with them is that of one sample, off
+            # the centre. Segmentation renders one sample per pixel, at the centre.
             numbers = {node: (0, 0, 0) for _, node in self._bodies.values()}
-            _, depth = self._renderer.render(self._drawn, self._flags.OFFSCREEN | self._flags.SEG, numbers)
+            _, depth = self._renderer.render(self._graph, self._flags.OFFSCREEN | self._flags.SEG, numbers)
         return np.ascontiguousarray(rgb), np.ascontiguousarray(depth)
 
-    def _places(self, bodies) -> dict:
-        places = {name: body.pose for name, (body, _) in self._bodies.items()}
+    def _poses(self, bodies) -> dict:
+        """Return the pose of every body in an image, None for those that are not present."""
+        poses = {name: body.pose for name, (body, _) in self._bodies.items()}
         if bodies is None:
-            return places
+            return poses
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
         plumes = {plume.name for plume in self.scene.plumes}
-        for name, place in bodies.items():
-            if name not in places and name not in plumes:
-                known = ", ".join(map(repr, places)) or "none"
+        for name, pose in bodies.items():
+            if name not in poses and name not in plumes:
+                known = ", ".join(map(repr, poses)) or "none"
                 raise Error(f"bodies must be bodies of the scene (got {name!r}; there are: {known[:200]})")
-            if name in places:
-                places[name] = place if place is None else check_pose(place, f"the pose of body {name!r}")
-        return places
+            if name in poses:
+                poses[name] = pose if pose is None else check_pose(pose, f"the pose of body {name!r}")
+        return poses
 
     def __enter__(self):
         return self
@@ -131,49 +138,50 @@ class Optical:
         self.close()
 
     def close(self) -> None:
-        """Give back all that is in OpenGL; twice does no harm."""
-        context, self._context = self._context, None
+        """Release all OpenGL objects; a second call does nothing."""
+        context, self.context = self.context, None
         if context is not None:
-            gl.release(context)
+            lifetime.release(context)
 
     def __del__(self):
-        if getattr(self, "_context", None) is not None:
-            gl.discard(self._context)  # later: somebody else may be drawing now
+        if getattr(self, "context", None) is not None:
+            lifetime.discard(self.context)  # released later, since another context may be current now
 
 
 def _mesh(pyrender, body):
-    """Of a body, each face twice, once for each side: pyrender lights fronts alone."""
+    """Return a body as a mesh of pyrender, each face twice, once for each side: only fronts are lit."""
     mesh, mu = body.mesh, body.reflectivity
-    faces, colours, texture_at, paint = np.asarray(mesh.faces), None, None, {}
+    faces, colours, uv, material = np.asarray(mesh.faces), None, None, {}
     if mesh.visual.defined:
         (own,) = pyrender.Mesh.from_trimesh(mesh, smooth=False).primitives
-        colours, texture_at = own.color_0, own.texcoord_0
-        paint["baseColorFactor"] = own.material.baseColorFactor
-        if texture_at is not None:
-            paint["baseColorTexture"] = own.material.baseColorTexture
+        colours, uv = own.color_0, own.texcoord_0
+        material["baseColorFactor"] = own.material.baseColorFactor
+        if uv is not None:
+            material["baseColorTexture"] = own.material.baseColorTexture
     elif np.ndim(mu):
         colours = np.repeat(mu, 3)[:, None] * [1, 1, 1, 0] + [0, 0, 0, 1]
     else:
-        paint["baseColorFactor"] = [mu, mu, mu, 1.0]
-    # of what a mesh is painted with the colours alone: metal would be dark, with nothing about to mirror
-    material = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.9, **paint)
+        material["baseColorFactor"] = [mu, mu, mu, 1.0]
+    # only the colours of the mesh's material are used: metal would be dark, with nothing around to reflect
+    painted = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.9, **material)
     normals = np.repeat(mesh.face_normals, 3, axis=0)
     if body.normals is not None:
         smooth = body.normals[faces].reshape(-1, 3)
         normals = np.where(smooth.any(axis=1)[:, None], smooth, normals)
 
-    def both(corners, sign=1.0):
+    def both_sides(corners, sign=1.0):
+        """Repeat values at corners for the back, with the corners in reverse order."""
         if corners is None:
             return None
-        three = np.asarray(corners, np.float32).reshape(len(faces), 3, -1)
-        return np.concatenate([three, sign * three[:, ::-1]]).reshape(6 * len(faces), -1)
+        front = np.asarray(corners, np.float32).reshape(len(faces), 3, -1)
+        return np.concatenate([front, sign * front[:, ::-1]]).reshape(6 * len(faces), -1)
 
     primitive = pyrender.Primitive(
-        both(np.asarray(mesh.vertices)[faces]),
-        both(normals, -1.0),
-        texcoord_0=both(texture_at),
-        color_0=both(colours),
-        material=material,
+        both_sides(np.asarray(mesh.vertices)[faces]),
+        both_sides(normals, -1.0),
+        texcoord_0=both_sides(uv),
+        color_0=both_sides(colours),
+        material=painted,
         mode=pyrender.GLTF.TRIANGLES,
     )
     return pyrender.Mesh([primitive])

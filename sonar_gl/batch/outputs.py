@@ -1,57 +1,69 @@
-"""What is kept of pings: each output takes those of a part one by one, and ends with its files' names."""
+"""What a batch writes. Each output takes the pings of a part, and at the end joins the files of all parts."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
-from sonar_gl.batch import store
-from sonar_gl.batch.files import Folder
-from sonar_gl.batch.kept import Kept
-from sonar_gl.batch.orders import Order, Orders
-from sonar_gl.boxes import boxes_of
-from sonar_gl.dump import fan_artist
-from sonar_gl.export import npz_bytes, png_bytes
-from sonar_gl.types import Ping
+from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
+from sonar_gl.batch.optical import OpticalCamera
+from sonar_gl.batch.requests import BatchRequest, BatchRequests
+from sonar_gl.batch.ros import BagSettings, CameraRecord, PingRecord, finish_bag, write_part
+from sonar_gl.batch.schema import Schema
+from sonar_gl.batch.store import MADE, PingStore
+from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.embed.camera import Camera
+from sonar_gl.imaging.boxes import body_map, boxes_of
+from sonar_gl.imaging.fan_image import fan_image
+from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
+from sonar_gl.imaging.film import FanStyle
+from sonar_gl.ping import Ping
+
+MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded
 
 
-def numbered(folder: str, number: int, suffix: str) -> str:
-    """Name of a ping's file; a folder holds a thousand."""
+def ping_file(folder: str, number: int, suffix: str) -> str:
+    """Return the name of a ping's file; a folder holds a thousand."""
     return f"{folder}/{number // 1000:05d}/{number:08d}.{suffix}"
 
 
-def coco_name(sonar: str, part: int) -> str:
-    """File of a part's records for COCO."""
-    return f"coco/{sonar}/parts/{part:07d}.jsonl"
-
-
-def bag_name(part: int) -> str:
-    """File of a part's messages."""
-    return f"bag/part_{part:07d}.mcap"
-
-
 class Output:
-    """What all outputs do: nothing yet.
+    """Base class of outputs; it writes nothing.
 
     Parameters
     ----------
-    orders, kept, folder
+    requests, schema : of the job
+    folder : folder of the batch
+
+    Attributes
+    ----------
+    names : names of the files of the current part, in the folder
     """
 
-    def __init__(self, orders: Orders, kept: Kept, folder: Folder):
-        self.orders, self.kept, self.folder, self.names = orders, kept, folder, []
+    def __init__(self, requests: BatchRequests, schema: Schema, folder: Folder):
+        self.requests, self.schema, self.folder, self.job = requests, schema, folder, requests.job
+        self.part, self.numbers, self.names = 0, range(0), []
 
     def begin(self, part: int, numbers: range) -> None:
-        """A part begins, of these pings."""
+        """Begin a part with these pings."""
         self.part, self.numbers, self.names = part, numbers, []
 
-    def take(self, order: Order, sonar: str, ping: Ping) -> None:
-        """One ping of a sonar; those of one sonar come by rising numbers within a scene."""
+    def add(self, request: BatchRequest, sonar: str, ping: Ping) -> None:
+        """Take one ping of a sonar; those of one sonar and scene come by rising number."""
 
     def end(self) -> list[str]:
-        """Write what is left; the names of all files of the part, in the folder."""
+        """Write what has not been written yet, and return the names of all files of the part."""
         return self.names
+
+    def join(self, manifest: Manifest) -> list[str]:
+        """Join the files of all parts at the end of the batch, and return the names of the files written."""
+        return []
 
     def put(self, name: str, data: bytes) -> None:
         """Write a file of the part."""
@@ -59,63 +71,249 @@ class Output:
         self.names.append(name)
 
 
-class Arrays(Output):
-    """Intensities and labels of each sonar, into the store."""
+class ArraysOutput(Output):
+    """Intensities and labels in the store.
 
-    def __init__(self, *made_of):
-        super().__init__(*made_of)
-        self.layers = {name: self.kept.layers(name) for name in self.orders.sonars}
-        self.writer, self.arrays = store.Writer(self.folder, len(self.layers)), {}
+    Attributes
+    ----------
+    arrays : sonar -> name -> (pings of the part, ...) array
+    """
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        self._layers = {sonar: self.schema.layers(sonar) for sonar in self.requests.sonars}
+        self._store, self.arrays = PingStore(self.folder, len(self._layers)), {}
 
     def begin(self, part, numbers):
         super().begin(part, numbers)
-        for name, (layers, per_body) in self.layers.items():
-            sonar = self.orders.sonars[name]
-            entries = [
-                (layer.name, layer.dtype, (sonar.n_beams, sonar.n_bins), layer.fill) for layer in layers
-            ]
-            entries += [(key, dtype, shape, fill) for key, dtype, shape, _, fill, _ in per_body]
-            before = self.arrays.get(name, {})
-            for key, dtype, shape, fill in entries:
-                if len(before.get(key, ())) != len(numbers):  # of the same pages again, where one can
-                    before[key] = np.empty((len(numbers), *shape), dtype)
-                before[key][...] = fill
-            self.arrays[name] = before
+        for sonar, layers in self._layers.items():
+            arrays = self.arrays.setdefault(sonar, {})
+            for spec in (*layers, *self.schema.body_arrays):
+                if len(arrays.get(spec.name, ())) != len(numbers):  # otherwise its memory is used again
+                    arrays[spec.name] = np.empty((len(numbers), *spec.shape), spec.dtype)
+                arrays[spec.name][...] = spec.fill
 
-    def take(self, order, sonar, ping):
-        at, arrays = order.number - self.numbers[0], self.arrays[sonar]
-        classes, first = self.kept.classes_of(order.scene), self.kept.first_body[order.scene]
-        layers, per_body = self.layers[sonar]
-        for layer in layers:
-            arrays[layer.name][at] = layer.encode(ping, classes, first)
-        if per_body:
-            table = self.orders.job.labels
+    def add(self, request, sonar, ping):
+        row, arrays = request.number - self.numbers[0], self.arrays[sonar]
+        class_id, first = self.schema.scene_class_id(request.scene), self.schema.first_body[request.scene]
+        for layer in self._layers[sonar]:
+            arrays[layer.name][row] = layer.encode(ping, class_id, first)
+        if self.schema.body_arrays:
+            table = self.job.labels
             bright = np.where(ping.intensity >= 10 ** (table.level_db / 10), ping.body_id, np.uint16(0))
             boxes = boxes_of(replace(ping, body_id=bright), table.height)
-            these = first + boxes.body_id.astype(int) - 1
-            arrays["body_box"][at, these] = np.hstack([boxes.beams, boxes.bins])
-            arrays["body_pixels"][at, these] = boxes.pixels
-            arrays["body_bins"][at, these] = boxes.n_bins
-            arrays["body_echo"][at, first : first + len(ping.body_echo) - 1] = ping.body_echo[1:]
+            bodies = first + boxes.body_id.astype(int) - 1
+            arrays["body_box"][row, bodies] = np.hstack([boxes.beams, boxes.bins])
+            arrays["body_pixels"][row, bodies] = boxes.pixels
+            arrays["body_bins"][row, bodies] = boxes.n_bins
+            arrays["body_echo"][row, first : first + len(ping.body_echo) - 1] = ping.body_echo[1:]
 
     def end(self):
-        for name, arrays in self.arrays.items():
-            self.names += self.writer.write(name, self.numbers[0], arrays)
+        for sonar, arrays in self.arrays.items():
+            self.names += self._store.write(sonar, self.numbers[0], arrays)
         return self.names
 
 
-class Pictures(Output):
-    """Fan images in colour, and NPZ files."""
+class PicturesOutput(Output):
+    """Fan images in colour, NPZ files, and a film of each sonar."""
 
-    def __init__(self, *made_of):
-        super().__init__(*made_of)
-        table = self.orders.job.pictures
-        self.formats = table.formats
-        self.artist = fan_artist(table.height, table.scale, table.db_range, table.colormap, table.axes)
+    def __init__(self, *context):
+        super().__init__(*context)
+        table = self.table = self.job.pictures
+        self._draw = FanStyle(table.height, table.scale, table.db_range, table.colormap, table.axes)
 
-    def take(self, order, sonar, ping):
-        if "png" in self.formats:
-            name = numbered(f"png/{sonar}", order.number, "png")
-            self.put(name, png_bytes(self.artist(None, ping, order.number)))
-        if "npz" in self.formats:
-            self.put(numbered(f"npz/{sonar}", order.number, "npz"), npz_bytes(ping))
+    def add(self, request, sonar, ping):
+        if "png" in self.table.formats:
+            picture = self._draw(None, ping, request.number)
+            self.put(ping_file(f"png/{sonar}", request.number, "png"), png_bytes(picture))
+        if "npz" in self.table.formats:
+            self.put(ping_file(f"npz/{sonar}", request.number, "npz"), npz_bytes(ping))
+
+    def join(self, manifest):
+        names = []
+        for sonar in self.requests.sonars if "mp4" in self.table.formats else ():
+            frames = self._frames(sonar, manifest.n_pings)
+            if (first := next(frames, None)) is not None:  # otherwise all pings were set aside
+                names.append(f"{sonar}.mp4")
+                with self.folder.writing(names[-1]) as path:
+                    save_animation(path, chain([first], frames), self.table.fps)
+        return names
+
+    def _frames(self, name: str, n_pings: int) -> Iterator[np.ndarray]:
+        """Yield the picture of each ping in the store."""
+        arrays = PingStore(self.folder, len(self.requests.sonars)).group(name)
+        sonar = self.requests.sonars[name]
+        for first in range(0, n_pings, CHUNK_PINGS):
+            chunk = slice(first, first + CHUNK_PINGS)
+            for intensity in arrays["intensity"][chunk][arrays["status"][chunk] == MADE]:
+                ping = Ping(intensity, sonar.azimuth_rad, sonar.range_m, sonar=sonar)
+                yield self._draw(None, ping, first)
+
+
+class CocoOutput(Output):
+    """Gray fan images, masks of the bodies in them, and COCO's records of both."""
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        self.table, self._lines = self.job.coco, {}
+
+    def begin(self, part, numbers):
+        super().begin(part, numbers)
+        self._lines = {sonar: [] for sonar in self.requests.sonars}
+
+    def add(self, request, sonar, ping):
+        height = self.table.height
+        picture = np.rint(255 * fan_image(ping, height, "db", self.table.db_range)).astype(np.uint8)
+        ids = np.where(picture > 0, body_map(ping, height), 0)  # black pixels belong to no instance
+        name = ping_file(f"coco/{sonar}/images", request.number, "png")
+        self.put(name, png_bytes(picture))
+        mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")
+        self.put(mask_name, png_bytes(mask_picture(ids)))
+        image, annotations = coco_records(
+            ids,
+            self.schema.scene_class_id(request.scene),
+            request.number,
+            name.removeprefix(f"coco/{sonar}/images/"),
+            names=["", *(body.name for body in self.requests.scene(request.scene).bodies)],
+            echo=ping.body_echo,
+            ping=request.number,
+            scene=self.job.scenes[request.scene],
+        )
+        self._lines[sonar].append((request.number, coco_lines(image, annotations)))
+
+    def end(self):
+        for sonar, lines in self._lines.items():
+            self.put(self._part_name(sonar, self.part), b"".join(line for _, line in sorted(lines)))
+        return self.names
+
+    def join(self, manifest):
+        names, categories = [], []
+        for number, name in enumerate(self.schema.classes, 1):
+            categories.append({"id": number, "name": name, "supercategory": ""})
+        for sonar in self.requests.sonars:
+            names.append(f"coco/{sonar}/instances.json")
+            parts = [
+                partial(self.folder.open, self._part_name(sonar, part)) for part in range(manifest.n_parts)
+            ]
+            info = {"description": f"{self.job.name}, sonar {sonar}"}
+            with self.folder.writing(names[-1]) as path, path.open("wb") as out:
+                out.writelines(coco_json(parts, categories, info))
+        return names
+
+    @staticmethod
+    def _part_name(sonar: str, part: int) -> str:
+        """Return the name of the file with a part's records."""
+        return f"coco/{sonar}/parts/{part:07d}.jsonl"
+
+
+@dataclass(frozen=True, eq=False)
+class OpticalFrame:
+    """An image of the camera on the vehicle: world_from_camera (4, 4), RGB (H, W, 3), depth (H, W) metres."""
+
+    pose: np.ndarray
+    rgb: np.ndarray
+    depth_m: np.ndarray
+
+
+class OpticalOutput(Output):
+    """RGB and depth of a camera on the vehicle.
+
+    Attributes
+    ----------
+    frames : number of the ping -> OpticalFrame, for the pings of the part, if the job has a ROS bag
+    """
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        table = self.job.optical
+        self.camera = Camera.of_fov(table.width, table.height, fov_x_rad=table.fov_x_rad)
+        self.frames = {}
+        self._mount, self._scene, self._renderer = make_pose(*table.mount), None, None
+
+    def begin(self, part, numbers):
+        super().begin(part, numbers)
+        self.frames = {}
+
+    def add(self, request, sonar, ping):
+        if sonar != next(iter(self.requests.sonars)):  # one image for all sonars
+            return
+        if request.scene != self._scene:
+            if self._renderer is not None:
+                self._renderer.close()
+            self._scene = request.scene
+            self._renderer = OpticalCamera(self.requests.scene(request.scene), self.camera)
+        pose = request.vehicle_pose @ self._mount
+        known = {body.name for body in self.requests.scene(request.scene).bodies}
+        rgb, depth_m = self._renderer(pose, {n: at for n, at in request.bodies.items() if n in known})
+        millimetres = np.where(depth_m < MAX_DEPTH_M, np.rint(1e3 * depth_m), 0).astype(np.uint16)
+        self.put(ping_file("optical/rgb", request.number, "png"), png_bytes(rgb))
+        self.put(ping_file("optical/depth", request.number, "png"), png_bytes(millimetres))
+        if self.job.ros is not None:
+            self.frames[request.number] = OpticalFrame(pose, rgb, depth_m)
+
+
+class RosOutput(Output):
+    """A ROS 2 bag, one file for each part.
+
+    Parameters
+    ----------
+    optical : the camera whose images also go into the bag, or None. It must get each part first
+    """
+
+    def __init__(self, *context, optical: OpticalOutput | None = None):
+        super().__init__(*context)
+        table = self.table = self.job.ros
+        self._settings = BagSettings(table.y_sign, table.bits, table.scale, tuple(table.db_range))
+        self._optical, self._records = optical, []
+
+    def begin(self, part, numbers):
+        super().begin(part, numbers)
+        self._records = []
+
+    def add(self, request, sonar, ping):
+        height = self.table.image_height
+        picture = fan_image(ping, height, self.table.scale, self.table.db_range) if height else None
+        record = PingRecord(request.time_s, sonar, ping, picture, request.vehicle_pose)
+        self._records.append((request.number, len(self._records), record))
+
+    def end(self):
+        for number, frame in self._optical.frames.items() if self._optical else ():
+            request, intrinsics = self.requests[number], self._optical.camera.intrinsics
+            record = CameraRecord(
+                request.time_s, "camera", frame.pose, intrinsics, frame.rgb, frame.depth_m,
+                request.vehicle_pose,
+            )  # fmt: skip
+            self._records.append((number, len(self._records), record))
+        if self._records:
+            self._records.sort(key=lambda entry: entry[:2])
+            self.names.append(self._part_name(self.part))
+            with self.folder.writing(self.names[-1]) as path:
+                write_part(path, (record for *_, record in self._records), self._settings)
+        self._records = []
+        return self.names
+
+    def join(self, manifest):
+        names = [self._part_name(part) for part in range(manifest.n_parts)]
+        existing = [name for name in names if self.folder.fs.exists(self.folder.path(name))]
+        if existing:  # otherwise all pings were set aside
+            finish_bag(self.folder.path("bag"), existing)
+        return ["bag/metadata.yaml"] if existing else []
+
+    @staticmethod
+    def _part_name(part: int) -> str:
+        """Return the name of the file with a part's messages."""
+        return f"bag/part_{part:07d}.mcap"
+
+
+def make_outputs(requests: BatchRequests, schema: Schema, folder: Folder) -> list[Output]:
+    """Return the outputs that a job has."""
+    job, context = requests.job, (requests, schema, folder)
+    optical = OpticalOutput(*context) if job.optical is not None else None
+    outputs = [
+        ArraysOutput(*context),
+        PicturesOutput(*context) if job.pictures is not None else None,
+        CocoOutput(*context) if job.coco is not None else None,
+        optical,
+        RosOutput(*context, optical=optical) if job.ros is not None else None,
+    ]
+    return [output for output in outputs if output is not None]

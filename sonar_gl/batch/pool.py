@@ -1,33 +1,127 @@
-"""Processes that make parts: each at one part at a time, replaced when it dies."""
+"""Processes of this machine that make parts, one at a time each. A process that dies is replaced."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
+import threading
 import time
+import traceback
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 
-from sonar_gl.batch.worker import serve
-from sonar_gl.types import Error
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import Job
+from sonar_gl.batch.manifest import PartRecord
+from sonar_gl.batch.parts import STEPS, Batch
+from sonar_gl.core.errors import Error
+from sonar_gl.core.load_numba import load_numba
 
-IN_HAND = 9  # pings that a sequence may be at after the last that it gave, two batches and one
-STALL_S = 900.0  # without a word, after which a process is taken for hung
-DEATHS = 2  # at a ping, after which it is set aside
-GIVE_UP = 5  # deaths at one part that no ping is to blame for
-# Of a process: the software driver would take all cores for each, and so would libraries.
+IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
+STALL_S = 900.0  # a process that is silent for longer is taken to hang
+MAX_DEATHS = 2  # at a ping, after which it is set aside
+MAX_UNEXPLAINED_DEATHS = 5  # at one part while no ping was being made
+# The software driver, like other libraries, would otherwise use all cores in every process.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-# Of a process that was killed: what it holds is taken back, and there is nothing to be told.
-QUIET = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resource_tracker"}
+# A killed process leaks resources, which the tracker frees; its warning would only confuse.
+NO_LEAK_WARNING = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resource_tracker"}
+
+
+# ---- in the process that makes parts ----------------------------------------------------------------
+
+
+def serve(pipe: Connection, job: dict, url: str, device: int | None) -> None:
+    """Run the steps that come through a pipe until None comes or the pipe closes.
+
+    In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
+    and at its end ("result", value), or ("error", text) for an Error, a failed write and everything else.
+    """
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # the pool decides when to stop; queues signal all processes
+        signal.signal(number, signal.SIG_IGN)
+    _die_with_parent()
+    batch = None
+
+    def report(kind, value):
+        pipe.send((kind, value))
+
+    while (command := _receive(pipe)) is not None:
+        try:
+            if batch is None:
+                load_numba()
+                batch = Batch(Job(**job), Folder(url), device)
+            name, *arguments = command
+            message = "result", STEPS[name](batch, *arguments, report=report)
+        except Error as why:
+            message = "error", str(why)
+        except OSError as why:
+            message = "error", f"{why.filename or url}: {why.strerror or why}; continue with --resume"
+        except BaseException:
+            message = "error", f"a part could not be made:\n{traceback.format_exc()}"
+        try:
+            pipe.send(message)
+        except OSError:  # the pool has gone
+            return
+
+
+def _receive(pipe: Connection):
+    """Return the next message, or None if the pipe is closed."""
+    try:
+        return pipe.recv()
+    except (EOFError, OSError):
+        return None
+
+
+def _die_with_parent() -> None:
+    """End this process as soon as its parent ends: the next batch may be making the same part."""
+    parent = multiprocessing.parent_process()
+
+    def end_after_parent():
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end_after_parent, daemon=True).start()
+
+
+# ---- in the process that runs the batch -------------------------------------------------------------
+
+
+@dataclass
+class Task:
+    """A part to be made.
+
+    Attributes
+    ----------
+    part : number of the part
+    one_by_one : whether each ping is made alone, so that it is known which one kills a process
+    set_aside : numbers of pings to leave out -> why
+    deaths : number of a ping -> deaths of processes at it; None counts deaths at no ping
+    """
+
+    part: int
+    one_by_one: bool = False
+    set_aside: dict[int, str] = field(default_factory=dict)
+    deaths: dict[int | None, int] = field(default_factory=dict)
+
+    def count_death(self, pings: list[int]) -> None:
+        """Count the death of a process that was making one of these pings, or none."""
+        for number in pings or [None]:
+            self.deaths[number] = self.deaths.get(number, 0) + 1
+        if len(pings) == 1 and self.deaths[pings[0]] >= MAX_DEATHS:
+            self.set_aside[pings[0]] = f"the process that made it died, {MAX_DEATHS} times"
+        self.one_by_one = True
 
 
 @contextmanager
-def _inherited():
-    """What a process that starts here finds: one thread for libraries, and no Ctrl-C, which is the pool's."""
-    settings = dict.fromkeys(ONE_THREAD, "1") | QUIET
+def _environment_of_children():
+    """Set what child processes inherit: one thread for libraries, and no Ctrl-C, which the pool handles."""
+    settings = dict.fromkeys(ONE_THREAD, "1") | NO_LEAK_WARNING
     before = {key: os.environ.get(key) for key in settings}
     os.environ.update(settings)
     interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -39,196 +133,202 @@ def _inherited():
             os.environ.pop(key) if value is None else os.environ.update({key: value})
 
 
-@dataclass
-class Task:
-    """A part to be made.
-
-    set_aside : numbers of pings to leave out, and why; deaths : of processes, at each ping, and at None
-    """
-
-    part: int
-    one_by_one: bool = False
-    set_aside: dict = field(default_factory=dict)
-    deaths: dict = field(default_factory=dict)
-
-    def died(self, pings) -> None:
-        """A process died of one of these pings; of something else if there are none."""
-        for n in pings or [None]:
-            self.deaths[n] = self.deaths.get(n, 0) + 1
-        if len(pings) == 1 and self.deaths[pings[0]] >= DEATHS:
-            self.set_aside[pings[0]] = f"the process that made it died, {DEATHS} times"
-        self.one_by_one = True
-
-
 class Process:
     """One process of a pool.
 
+    Parameters
+    ----------
+    job, url, device : as for `serve`
+
     Attributes
     ----------
-    task : what it is at, or None
-    pings : numbers that it may be at
-    heard_s : when it was heard of last
+    task : what it is making, or None
+    pings : numbers of pings of which it may be making one
+    pid : its process id
     """
 
-    def __init__(self, *made_of):
-        spawning = multiprocessing.get_context("spawn")  # a fork would share the parent's OpenGL
-        self.made_of = made_of
-        self.pipe, theirs = spawning.Pipe()
-        self.process = spawning.Process(target=serve, args=(theirs, *made_of), daemon=True)
-        with _inherited():
-            self.process.start()
+    def __init__(self, job: dict, url: str, device: int | None):
+        context = multiprocessing.get_context("spawn")  # a fork would share the parent's OpenGL
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs, job, url, device), daemon=True)
+        with _environment_of_children():
+            self._process.start()
         theirs.close()
-        self.task, self.pings, self.heard_s = None, range(0), time.monotonic()
+        self.pid = self._process.pid
+        self.task, self.pings, self._last_message_s = None, range(0), time.monotonic()
 
-    def send(self, task, *command):
-        """Have it do something."""
-        self.task, self.pings, self.heard_s = task, range(0), time.monotonic()
-        with suppress(OSError):  # if it is dead `has_died` tells
-            self.pipe.send(command)
+    @property
+    def handles(self) -> list:
+        """What `wait` takes to wait for a message or for the end of the process."""
+        return [self._pipe, self._process.sentinel]
 
-    def heard(self):
-        """Messages that it has sent."""
+    def send(self, task: Task | None, name: str, *arguments) -> None:
+        """Have it run a step."""
+        self.task, self.pings, self._last_message_s = task, range(0), time.monotonic()
+        with suppress(OSError):  # a dead process shows in `has_died`
+            self._pipe.send((name, *arguments))
+
+    def messages(self) -> Iterator[tuple[str, object]]:
+        """Yield (kind, value) of the messages that have come, except those about its progress."""
         try:
-            while self.pipe.poll():
-                word, value = self.pipe.recv()
-                self.heard_s = time.monotonic()
-                if word == "before":
+            while self._pipe.poll():
+                kind, value = self._pipe.recv()
+                self._last_message_s = time.monotonic()
+                if kind == "started":
                     self.pings = range(value, value + 1)
-                elif word == "from":
-                    self.pings = range(value, value + IN_HAND)
-                elif word == "after":
-                    several = len(self.pings) > 1
-                    self.pings = range(value + 1, value + 1 + IN_HAND) if several else range(0)
+                elif kind == "sequence":
+                    self.pings = range(value, value + IN_PROGRESS)
+                elif kind == "finished":
+                    is_sequence = len(self.pings) > 1
+                    self.pings = range(value + 1, value + 1 + IN_PROGRESS) if is_sequence else range(0)
                 else:
-                    yield word, value
+                    yield kind, value
         except (EOFError, OSError):
             return
 
+    def is_alive(self) -> bool:
+        return self._process.is_alive()
+
     def has_died(self) -> bool:
-        """Whether it has, or hangs."""
-        return not self.process.is_alive() or time.monotonic() - self.heard_s > STALL_S
+        """Return whether it is dead or hangs."""
+        return not self.is_alive() or time.monotonic() - self._last_message_s > STALL_S
 
     def end(self) -> int:
-        """End it, as it always ends: what it has made is stored, all else goes; its exit code."""
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
-        return self.process.exitcode
+        """Kill it, and return its exit code. Finished parts are stored; nothing else matters."""
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+        return self._process.exitcode
 
 
 class Pool:
-    """Makes parts of a job in several processes. Use it in a `with` block, which leaves none behind.
+    """A pool of processes that run the steps of a batch. Use it in a `with` block, which ends them all.
 
     Parameters
     ----------
-    job : as plain values; url : of the folder
-    devices : index of the EGL device of each process, or None for the default one
-    warn : function (text)
+    job : the job as plain values
+    url : folder of the batch
+    devices : index of the EGL device of each process, or None for the default
+    warn : function that is given the text of a warning
 
     Attributes
     ----------
-    stopping : set it to have no more parts begun
+    stopping : if set, no more parts are begun
+    processes : place in the pool -> its process
     """
 
-    def __init__(self, job: dict, url: str, devices, warn):
-        self._made_of = [(job, url, device) for device in devices]
-        self._processes: dict[int, Process] = {}
+    def __init__(self, job: dict, url: str, devices: list[int | None], warn: Callable[[str], None]):
+        self._arguments = [(job, url, device) for device in devices]
+        self.processes: dict[int, Process] = {}
         self.warn, self.stopping = warn, False
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        for process in self._processes.values():
+        for process in self.processes.values():
             process.end()
 
-    def ask(self, *command):
-        """What a process makes of one of the commands of `worker.serve`, however long that takes."""
-        process = self._at(0)
-        process.send(None, *command)
-        while True:
-            wait([process.pipe, process.process.sentinel], timeout=1.0)
-            died = not process.process.is_alive()  # before the last it said is heard
-            for word, value in process.heard():
-                if word == "done":
-                    return value
-                self._take(word, value)
-            if died:
-                raise Error(
-                    f"a process must live (it ended with exit code {process.end()}, at {command[0]!r}; "
-                    "'sonar-gl doctor' may say why)"
-                )
-
-    def run(self, parts, numbers, done, one_by_one: bool = False) -> None:
-        """Make parts.
-
-        Parameters
-        ----------
-        parts : which, rising
-        numbers : function (part) -> range of its pings
-        done : function (record), called as each is done
-        one_by_one : at once, not only after a death
+    def call(self, name: str, *arguments):
+        """Run one of `parts.STEPS` in a process, and return its result.
 
         Raises
         ------
         Error
-            for a user's mistake, or when files cannot be written; parts in hand are finished first.
+            if the step fails, or its process dies.
         """
-        fresh, again, refused = (Task(part, one_by_one) for part in parts), deque(), None
+        process = self._living_process(0)
+        process.send(None, name, *arguments)
         while True:
-            for place in range(len(self._made_of)):
-                self._employ(place, again, fresh)
-            busy = [process for process in self._processes.values() if process.task is not None]
+            wait(process.handles, timeout=1.0)
+            is_dead = not process.is_alive()  # asked before its last messages are read
+            for kind, value in process.messages():
+                if kind == "result":
+                    return value
+                self._handle(kind, value)
+            if is_dead:
+                raise Error(
+                    f"a process must live (it ended with exit code {process.end()} in the step {name!r}; "
+                    "'sonar-gl doctor' may say why)"
+                )
+
+    def run_parts(
+        self,
+        parts: Iterable[int],
+        numbers: Callable[[int], range],
+        done: Callable[[PartRecord], None],
+        one_by_one: bool = False,
+    ) -> None:
+        """Make parts.
+
+        Parameters
+        ----------
+        parts : numbers of the parts, rising
+        numbers : function (part) -> numbers of its pings
+        done : called with the record of each part as it is done
+        one_by_one : make each ping alone from the beginning, not only after a death
+
+        Raises
+        ------
+        Error
+            if a step fails, such as for a full disk; the parts in progress are finished first.
+        """
+        new, again, failure = (Task(part, one_by_one) for part in parts), deque(), None
+        while True:
+            for place in range(len(self._arguments)):
+                self._assign(place, again, new)
+            busy = [process for process in self.processes.values() if process.task is not None]
             if not busy:
                 break
-            wait([end for p in busy for end in (p.pipe, p.process.sentinel)], timeout=1.0)
+            wait([handle for process in busy for handle in process.handles], timeout=1.0)
             for process in busy:
-                died = process.has_died()
+                has_died = process.has_died()  # asked before its last messages are read
                 try:
-                    for word, value in process.heard():
-                        if word == "done":
+                    for kind, value in process.messages():
+                        if kind == "result":
                             process.task = None
                             done(value)
                         else:
-                            self._take(word, value)
-                    if died and process.task is not None:
-                        again.append(self._bury(process, numbers))
+                            self._handle(kind, value)
+                    if has_died and process.task is not None:
+                        again.append(self._take_task_back(process, numbers))
                 except Error as why:
-                    refused, self.stopping, process.task = why, True, None
-        if refused is not None:
-            raise refused
+                    failure, self.stopping, process.task = why, True, None
+        if failure is not None:
+            raise failure
 
-    def _at(self, place: int) -> Process:
-        """The process of a place, alive."""
-        here = self._processes.get(place)
-        if here is None or not here.process.is_alive():
-            here = self._processes[place] = Process(*self._made_of[place])
-        return here
+    def _living_process(self, place: int) -> Process:
+        """Return the process at a place in the pool, a new one if it is dead."""
+        process = self.processes.get(place)
+        if process is None or not process.is_alive():
+            process = self.processes[place] = Process(*self._arguments[place])
+        return process
 
-    def _employ(self, place: int, again, fresh):
-        """Give the process of a place something to do, if there is something."""
-        here = self._processes.get(place)
-        if self.stopping or (here is not None and here.task is not None):
+    def _assign(self, place: int, again: deque, new: Iterator[Task]) -> None:
+        """Give the process at a place a task, if it has none and there is one."""
+        process = self.processes.get(place)
+        if self.stopping or (process is not None and process.task is not None):
             return
-        if (task := again.popleft() if again else next(fresh, None)) is not None:
-            self._at(place).send(task, "part", task.part, task.set_aside, task.one_by_one)
+        if (task := again.popleft() if again else next(new, None)) is not None:
+            step = "make", task.part, task.set_aside, task.one_by_one
+            self._living_process(place).send(task, *step)
 
-    def _take(self, word, value):
-        """A message that is no result."""
-        if word == "warning":
+    def _handle(self, kind: str, value) -> None:
+        """Pass on a warning, or raise an error, that a process reports."""
+        if kind == "warning":
             self.warn(value)
         else:
             raise Error(value)
 
-    def _bury(self, process: Process, numbers) -> Task:
-        """What a dead process was at, to be done again ping by ping."""
+    def _take_task_back(self, process: Process, numbers: Callable[[int], range]) -> Task:
+        """Return the task of a dead process, to be made again ping by ping."""
         task, code = process.task, process.end()
         process.task = None
-        task.died([n for n in process.pings if n in numbers(task.part)])
-        if task.deaths.get(None, 0) >= GIVE_UP:
+        task.count_death([number for number in process.pings if number in numbers(task.part)])
+        if task.deaths.get(None, 0) >= MAX_UNEXPLAINED_DEATHS:
             raise Error(
-                f"processes must live (part {task.part} ended {GIVE_UP} of them at no ping, the last with "
-                f"exit code {code}; is memory short? 'sonar-gl doctor' may say why)"
+                f"processes must live (part {task.part} ended {MAX_UNEXPLAINED_DEATHS} of them at no ping, "
+                f"the last with exit code {code}; is memory short? 'sonar-gl doctor' may say why)"
             )
         self.warn(f"a process died at part {task.part} (exit code {code}); another takes its place")
         return task

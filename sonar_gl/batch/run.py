@@ -1,83 +1,179 @@
-"""A batch from beginning to end: plan, parts, what is joined of them; begun, gone on with, checked."""
+"""A batch from beginning to end: begin or resume it, make its parts, finalize it; and a dry run."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
+import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 
-from sonar_gl.batch.cluster import check_installed, run_on_cluster
-from sonar_gl.batch.files import Folder
-from sonar_gl.batch.job import PLACES, Job
-from sonar_gl.batch.kept import Kept
-from sonar_gl.batch.orders import Orders
-from sonar_gl.batch.planned import DONE, Planned, record_name
+from sonar_gl.batch.cluster import Cluster
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import LOCATION_KEYS, Job
+from sonar_gl.batch.manifest import DONE_NAME, Manifest, PartRecord, discard_damaged, part_records
+from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.pool import Pool
-from sonar_gl.batch.table import Columns
-from sonar_gl.rigid import numbers_of
-from sonar_gl.types import Error
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose_numbers
 
 
 @dataclass
 class Outcome:
-    """What became of a batch.
+    """The state of a batch.
 
     Attributes
     ----------
-    pings, made : of the job, and of these those that are stored
-    set_aside : number of a ping to why
-    without_echo : pings that brought nothing back
+    requests : the requests of the job
+    n_pings : number of pings of the job
+    n_made : pings in the store
+    set_aside : number of each ping that could not be made -> why
+    without_echo : pings without an echo
     """
 
-    orders: Orders
-    pings: int
-    made: int = 0
-    set_aside: dict = field(default_factory=dict)
+    requests: BatchRequests
+    n_pings: int
+    n_made: int = 0
+    set_aside: dict[int, str] = field(default_factory=dict)
     without_echo: int = 0
 
     def describe(self, number: int) -> str:
-        """A ping that was set aside, by what makes it again."""
-        order = self.orders[number]
-        place = " ".join(f"{x:.9g}" for x in numbers_of(order.pose))
-        job = self.orders.job
-        return f"ping {number} of seed {job.seed}, vehicle at {place!r} in {job.scenes[order.scene]}"
+        """Return what is needed to make a ping again: number, seed, pose and scene."""
+        request, job = self.requests[number], self.requests.job
+        pose = " ".join(f"{x:.9g}" for x in pose_numbers(request.vehicle_pose))
+        return f"ping {number} of seed {job.seed}, vehicle at {pose!r} in {job.scenes[request.scene]}"
 
-    def add(self, record: dict) -> None:
-        """A part is done."""
-        self.made += record["pings"] - len(record["set_aside"])
-        self.set_aside |= {int(n): why for n, why in record["set_aside"].items()}
-        self.without_echo += record["without_echo"]
-
-    @property
-    def done(self) -> int:
-        return self.made + len(self.set_aside)
+    def add(self, record: PartRecord) -> None:
+        """Count the pings of a finished part."""
+        self.n_made += record.pings - len(record.set_aside)
+        self.set_aside |= {int(number): why for number, why in record.set_aside.items()}
+        self.without_echo += record.without_echo
 
     @property
-    def is_whole(self) -> bool:
-        return self.done == self.pings
+    def n_done(self) -> int:
+        return self.n_made + len(self.set_aside)
+
+    @property
+    def is_complete(self) -> bool:
+        return self.n_done == self.n_pings
 
 
-def devices_of(workers: int | None, devices) -> list:
-    """The EGL device of each process: those given in turn; of no workers as many as there are cores."""
+def devices_of(workers: int | None, devices) -> list[int | None]:
+    """Return the EGL device of each process.
+
+    workers : number of processes; None is one for each core
+    devices : devices that the processes take in turn; empty for the default device
+    """
     devices = list(devices) or [None]
-    return [
-        devices[k % len(devices)] for k in range(workers or max(len(os.sched_getaffinity(0)), len(devices)))
-    ]
+    count = workers or max(len(os.sched_getaffinity(0)), len(devices))
+    return [devices[k % len(devices)] for k in range(count)]
+
+
+def run(
+    job: Job,
+    url: str,
+    devices: list[int | None],
+    report: Callable[[str], None],
+    progress: Callable,
+    resume: bool = False,
+    mend: bool = False,
+    cluster: str | None = None,
+) -> Outcome:
+    """Make all pings of a job that are not in the folder yet, and finalize the batch.
+
+    Parameters
+    ----------
+    url : folder of the batch
+    devices : EGL device of each process, see `devices_of`
+    report : function that shows a line of text
+    progress : function (pings in all, pings done) -> context manager of a function (further pings)
+    resume : continue a batch that is in the folder
+    mend : compare checksums, and make parts with damaged files again
+    cluster : address of a Dask scheduler whose workers make the parts; None uses processes of this machine
+
+    Raises
+    ------
+    Error
+        if the job or the folder is unsuitable, or parts cannot be made.
+    """
+    folder = Folder(url, create=False)
+    if "memory" in folder.fs.protocol:
+        raise Error(f"{url}: must be a folder that other processes see (got the memory of this one)")
+    if job.ros is not None and not folder.is_local:
+        raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
+    batch = Batch(job, folder)  # finds what is wrong with the job before anything is made
+    folder.create()
+    with folder.locked(), Pool(job.plain, folder.url, devices, report) as pool:
+        remote = None if cluster is None else Cluster(cluster, job, folder.url)
+        workers = pool if remote is None else remote
+        manifest = _begin(batch, resume, workers.call, report)
+        if mend:
+            discard_damaged(folder, manifest, report)
+        outcome, finished = Outcome(batch.requests, manifest.n_pings), set()
+        for record in part_records(folder, manifest):
+            outcome.add(record)
+            finished.add(record.part)
+        if not finished or mend:
+            workers.call("create")  # the batch may have been stopped before or during it
+        missing = [part for part in range(manifest.n_parts) if part not in finished]
+        if missing:
+            with progress(manifest.n_pings, outcome.n_done) as advance:
+
+                def done(record):
+                    outcome.add(record)
+                    advance(record.pings)
+
+                if remote is not None:
+                    missing = remote.run_parts(missing, done, report)
+                with _stop_on_signals(pool, report):
+                    pool.run_parts(missing, manifest.numbers, done, one_by_one=remote is not None)
+        if outcome.is_complete and folder.get(DONE_NAME) is None:
+            pool.call("finalize")
+    return outcome
+
+
+def _begin(batch: Batch, resume: bool, call: Callable, report: Callable[[str], None]) -> Manifest:
+    """Return the manifest in the folder, or make a new one.
+
+    Raises
+    ------
+    Error
+        if there is a batch that shall not be resumed, or one of another job, or other files.
+    """
+    folder, job = batch.folder, batch.requests.job
+    manifest = Manifest.load(folder)
+    if manifest is not None and not resume:
+        cure = "continue it by --resume, or give another folder"
+        raise Error(f"{folder.url}: must hold no batch yet ({cure})")
+    if manifest is not None and manifest.digest != batch.schema.digest:
+        now, then = job.plain, manifest.job
+        changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
+        what = ", ".join(changed) or "the contents of a file, of the job or of a scene"
+        raise Error(
+            f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
+            "that, or give another folder)"
+        )
+    if manifest is None:
+        if any(not name.startswith(".") for name in folder.names("")):  # unfinished files begin with a dot
+            raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
+        report("there is no batch yet: choosing the samples" if resume else "choosing the samples")
+        manifest = call("plan")
+        manifest.save(folder)  # from now on the batch can be resumed
+    return manifest
 
 
 @contextmanager
-def _stopped_by_signals(pool: Pool, tell):
-    """The first Ctrl-C, or SIGTERM of a queue, has the pool begin nothing more; the second ends it."""
+def _stop_on_signals(pool: Pool, report: Callable[[str], None]):
+    """Let the first SIGINT or SIGTERM stop the pool after the parts in progress; the second ends it."""
 
     def stop(_signal, _frame):
         if pool.stopping:
             raise KeyboardInterrupt
         pool.stopping = True
-        tell("finishing the pings in hand; Ctrl-C once more ends them")
+        report("finishing the parts in progress; Ctrl-C again stops them")
 
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -90,147 +186,50 @@ def _stopped_by_signals(pool: Pool, tell):
             signal.signal(number, handler)
 
 
-def records(folder: Folder, planned: Planned):
-    """(part, record) of each part that is done; an Error for what is no record."""
-    there = set(folder.names("parts"))
-    for part in range(planned.n_parts):
-        if record_name(part).partition("/")[2] in there:
-            record = folder.get_json(record_name(part))
-            if not isinstance(record, dict) or not {"pings", "set_aside", "without_echo"} <= record.keys():
-                raise Error(
-                    f"{folder.path(record_name(part))}: must tell of a part (it is damaged; delete it)"
-                )
-            yield part, record
+# ---- dry run ----------------------------------------------------------------------------------------
 
 
-def begin(job: Job, digest: str, folder: Folder, resume: bool, ask, tell) -> Planned:
-    """The plan of a job: a new one, or that which is there.
-
-    digest : of `Kept`
-    ask : function (command, *arguments) that has a process do it, see `Work`
-
-    Raises
-    ------
-    Error
-        if a batch is there and is not to be gone on with, or is another one.
-    """
-    planned = Planned.load(folder)
-    if planned is not None and not resume:
-        cure = "go on with it by --resume, or give another folder"
-        raise Error(f"{folder.url}: must hold no batch yet ({cure})")
-    if planned is not None and planned.digest != digest:
-        now = job.plain
-        changed = [k for k in sorted({*now, *planned.job} - {*PLACES}) if now.get(k) != planned.job.get(k)]
-        what = ", ".join(changed) or "what is in a file, of the job or of a scene"
-        raise Error(
-            f"{folder.url}: a batch must be gone on with by the job that began it (changed: {what}; put that "
-            "back, or give another folder)"
-        )
-    if planned is None:
-        if any(not name.startswith(".") for name in folder.names("")):  # such as what was torn
-            raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
-        tell("nothing is there yet: choosing the samples" if resume else "choosing the samples")
-        planned = ask("plan")
-        planned.save(folder)  # from here on there is something to go on with
-    return planned
-
-
-def run(job: Job, url, devices, resume: bool, tell, progress, cluster=None, mend=False) -> Outcome:
-    """Make all pings of a job that are not there yet, and join what is joined of them.
-
-    Parameters
-    ----------
-    devices : of each process, of `devices_of`
-    tell : function (text) that shows a line
-    progress : function (pings, pings that are there) -> context manager of a function (pings more)
-    cluster : address of a Dask scheduler, whose workers make the parts; None has processes here do so
-    mend : compare checksums, and make parts again whose files are damaged
-    """
-    orders, folder = Orders(job), Folder(url)
-    if "memory" in folder.fs.protocol:
-        raise Error(f"{url}: must be a folder that other processes see (got memory of this one)")
-    if job.ros is not None and not folder.is_local:
-        raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
-    kept, _ = Kept(orders), Columns(orders)  # what is wrong with the job is told before anything is made
-    with folder.locked(), Pool(job.plain, folder.url, devices, tell) as pool:
-        away = None if cluster is None else Away(cluster, job, folder.url)
-        ask = pool.ask if away is None else away.ask
-        planned = begin(job, kept.digest(), folder, resume, ask, tell)
-        if mend:
-            from sonar_gl.batch.finish import forget_damage  # with all that makes films
-
-            forget_damage(folder, planned, tell)
-        outcome, there = Outcome(orders, planned.n_pings), set()
-        for part, record in records(folder, planned):
-            outcome.add(record)
-            there.add(part)
-        if not there or mend:
-            ask("create")  # again, if it was not done when the batch was stopped
-        missing = [part for part in range(planned.n_parts) if part not in there]
-        if missing:
-            with progress(planned.n_pings, outcome.done) as more:
-
-                def done(record):
-                    outcome.add(record)
-                    more(record["pings"])
-
-                if away is not None:
-                    missing = away.run(missing, done, tell)
-                with _stopped_by_signals(pool, tell):
-                    pool.run(missing, planned.numbers, done, one_by_one=away is not None)
-        if outcome.is_whole and folder.get(DONE) is None:
-            pool.ask("finish")
-    return outcome
+def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
+    """Make the first part of a job in a temporary folder, and return a text on the job's size and time."""
+    requests = BatchRequests(job)
+    with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, report) as pool:
+        manifest = pool.call("plan")
+        manifest.save(Folder(url))
+        pool.call("create")
+        cost = pool.call("measure")
+    n, lines = manifest.n_pings, []
+    for run in requests.runs:
+        first, last = run.numbers[0], run.numbers[-1]
+        start_s, end_s = requests[first].time_s, requests[last].time_s
+        lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
+    for scene, by_sonar in enumerate(manifest.samplings):
+        for name, sampling in by_sonar.items():
+            sonar = requests.sonars[name]
+            size = f"{sonar.n_beams} beams x {sonar.n_bins} bins"
+            samples = f"{sampling['columns_per_beam'] * sonar.n_beams:.0f} x {sampling['rows']} samples"
+            error = f"estimated error below {manifest.estimates[scene][name]:.2g}"
+            lines.append(f"{name} in {job.scenes[scene]}: {size}, {samples}, {error}")
+    lines.append(f"{n} pings in {manifest.n_parts} parts of {manifest.pings_per_part}")
+    size = _amount(n * cost.bytes_per_ping)
+    lines.append(f"size: {size} ({cost.bytes_per_ping / 1e3:.0f} kB a ping)")
+    one_s = n * cost.seconds_per_ping
+    lines.append(
+        f"time: {_duration(one_s)} in one process ({1e3 * cost.seconds_per_ping:.1f} ms a ping, on "
+        f"{manifest.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
+    )
+    return "\n".join(lines)
 
 
-class Away:
-    """The workers of a cluster, which do what a pool's processes do.
+def _amount(size: float) -> str:
+    for unit in ("kB", "MB", "GB"):
+        size /= 1000
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+    return f"{size / 1000:.3g} TB"
 
-    Parameters
-    ----------
-    address : of a Dask scheduler
-    """
 
-    def __init__(self, address: str, job: Job, url: str):
-        check_installed()
-        self.address, self._made_of = address, (json.dumps(job.plain), url)
-
-    def _work(self, command: str, *arguments):
-        from sonar_gl.batch.work import on_cluster  # with all that makes pings: workers need it
-
-        return partial(on_cluster, *self._made_of, command, arguments)
-
-    def ask(self, command: str, *arguments):
-        """What a worker makes of a method of `Work`."""
-        found = []
-        run_on_cluster(
-            self.address,
-            self._work(command, *arguments),
-            [0],
-            lambda _part, result: found.append(result),
-            lambda _part, why: found.append(Error(f"workers must live (at {command!r} {why})")),
-        )
-        if isinstance(found[0], Error):
-            raise found[0]
-        return found[0]
-
-    def run(self, parts, done, tell) -> list[int]:
-        """Have parts made; those that workers died of, or all that are left after Ctrl-C none."""
-        died = []
-
-        def killed(part, why):
-            tell(f"part {part}: {why}; it is made here, ping by ping")
-            died.append(part)
-
-        made = {}
-
-        def made_once(part, record):  # after a death a part may be told of twice
-            if part not in made:
-                made[part] = True
-                done(record)
-
-        try:
-            run_on_cluster(self.address, self._work("part"), parts, made_once, killed)
-        except KeyboardInterrupt:
-            return []
-        return died
+def _duration(seconds: float) -> str:
+    for unit, length in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} seconds"

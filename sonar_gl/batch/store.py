@@ -1,153 +1,405 @@
-"""The arrays of a batch: a Zarr group that xarray opens as a data set, written part by part."""
+"""The store of a batch: a Zarr group that xarray opens as a data set, and the table of numbers per ping.
+
+Parts write bins and bodies straight into the store. Numbers per ping (pose, time, what varies) first go into
+a table, one file for each part; the end of the batch gathers them into arrays of the store.
+"""
 
 from __future__ import annotations
 
+import io
 import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from sonar_gl.batch.files import Folder
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import check_patterns
+from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest, record_name, table_name
+from sonar_gl.batch.requests import BatchRequest, BatchRequests
+from sonar_gl.batch.schema import ArraySpec
+from sonar_gl.core.errors import Error
+from sonar_gl.sonar.sonar import Sonar
 
-NAME = "pings.zarr"
-CHUNK = 8  # pings that are packed together; whole parts are files
-# LZ4 takes half of Zstandard's time and gives a tenth away. Of floats, bits of one weight lie side by side:
-# what is rounded away packs to nothing. Labels come in runs of one number, which whole bytes keep.
+STORE_NAME = "pings.zarr"
+# LZ4 takes half the time of Zstandard, for files a tenth larger. Shuffled by bits, the mantissa bits that are
+# rounded away pack to nothing. Labels come in runs of one number, which shuffling by bytes keeps.
 FLOATS, LABELS = (BloscCodec(cname="lz4", clevel=5, shuffle=how) for how in ("bitshuffle", "shuffle"))
-TABLE_CHUNK = 16384  # pings, of what has one number a ping
+TABLE_CHUNK_PINGS = 16384  # of arrays with one number per ping
+
+# ---- the store --------------------------------------------------------------------------------------
 
 
-def _group(folder: Folder, mode: str):
-    # what was gathered would go on with what is made anew, and into groups' own files
-    return zarr.open_group(f"{folder.url}/{NAME}", mode=mode, use_consolidated=False)
+@dataclass(frozen=True)
+class SonarGroup:
+    """A sonar's group in the store: its sonar, the arrays that parts write, and the group's attributes."""
+
+    sonar: Sonar
+    arrays: list[ArraySpec]
+    attributes: dict
 
 
-def create(folder: Folder, n_pings: int, part: int, sonars: dict, attributes: dict) -> None:
-    """Make the arrays, empty; those that are there stay as they are, for others may write into them.
+def create_arrays(
+    folder: Folder, manifest: Manifest, groups: dict[str, SonarGroup], attributes: dict
+) -> None:
+    """Create the empty arrays of a store. Existing arrays stay, as other processes may be writing into them.
 
     Parameters
     ----------
-    part : pings of a part, each of which is one file of each array
-    sonars : by name, (Sonar, layers, per-body layers (name, dtype, shape of a ping, dims, fill, attributes),
-        attributes)
+    groups : groups by name of the sonar; a single sonar has no group of its own
     attributes : of the data set
     """
-    _sweep(folder)
-    root = _group(folder, "a")
+    _remove_partial_files(folder)
+    root = _open_group(folder, "a")
     root.attrs.update(attributes)
-    for name, (sonar, layers, per_body, about_sonar) in sonars.items():
-        group = root if len(sonars) == 1 else root.require_group(name)
-        group.attrs.update({**attributes, **about_sonar})
-        shape = sonar.n_beams, sonar.n_bins
-        chunk = np.gcd(CHUNK, part)
-        about = [
-            (layer.name, layer.dtype, shape, ("beam", "range"), layer.fill, layer.attributes)
-            for layer in layers
-        ]
-        for layer, dtype, size, dims, fill, attrs in [*about, *per_body]:
-            if layer in group:
+    part = manifest.pings_per_part
+    for name, entry in groups.items():
+        group = root if len(groups) == 1 else root.require_group(name)
+        group.attrs.update({**attributes, **entry.attributes})
+        for array in entry.arrays:
+            if array.name in group:
                 continue
+            coordinates = {"coordinates": "azimuth_rad"} if "beam" in array.dims else {}
             group.create_array(
-                layer,
-                shape=(n_pings, *size),
-                dtype=dtype,
-                chunks=(int(chunk), *size),
-                shards=(part, *size),
-                compressors=FLOATS if np.dtype(dtype).kind == "f" else LABELS,
-                fill_value=fill,
-                dimension_names=("ping", *dims),
-                attributes={**attrs, **({"coordinates": "azimuth_rad"} if "beam" in dims else {})},
+                array.name,
+                shape=(manifest.n_pings, *array.shape),
+                dtype=array.dtype,
+                chunks=(int(np.gcd(CHUNK_PINGS, part)), *array.shape),
+                shards=(part, *array.shape),
+                compressors=FLOATS if np.dtype(array.dtype).kind == "f" else LABELS,
+                fill_value=array.fill,
+                dimension_names=("ping", *array.dims),
+                attributes={**array.attributes, **coordinates},
             )
-        axis(group, "azimuth_rad", ("beam",), sonar.azimuth_rad, "beam centres, positive to port", "rad")
-        axis(group, "range", ("range",), sonar.range_m, "slant range, bin centres", "m")
+        azimuth = {"long_name": "beam centres, positive to port", "units": "rad"}
+        _create_axis(group, "azimuth_rad", "beam", entry.sonar.azimuth_rad, azimuth)
+        bins = {"long_name": "slant range, bin centres", "units": "m"}
+        _create_axis(group, "range", "range", entry.sonar.range_m, bins)
 
 
-def axis(group, name, dims, values, long_name, units) -> None:
-    """Put a small array there."""
+def _open_group(folder: Folder, mode: str) -> zarr.Group:
+    # consolidated metadata would hide arrays that are created later, and be written into groups' own files
+    return zarr.open_group(f"{folder.url}/{STORE_NAME}", mode=mode, use_consolidated=False)
+
+
+def _create_axis(group: zarr.Group, name: str, dim: str, values: np.ndarray, attributes: dict) -> None:
     array = group.create_array(
         name,
         shape=values.shape,
         dtype=values.dtype,
         chunks=values.shape,
-        dimension_names=dims,
-        attributes={"long_name": long_name, "units": units},
+        dimension_names=(dim,),
+        attributes=attributes,
         overwrite=True,
     )
     array[:] = values
 
 
-class Writer:
-    """Writes into a store that is there."""
+def _remove_partial_files(folder: Folder) -> None:
+    """Delete what killed processes left of the metadata files of groups and arrays."""
+    if folder.is_local:
+        for depth in ("*", "*/*", "*/*/*"):
+            for path in Path(folder.path(STORE_NAME)).glob(f"{depth}.partial"):
+                path.unlink(missing_ok=True)
+
+
+class PingStore:
+    """A store that exists, open for reading and writing.
+
+    Parameters
+    ----------
+    folder : folder of the batch
+    n_sonars : number of sonars of the job
+    """
 
     def __init__(self, folder: Folder, n_sonars: int):
-        self._root, self._n_sonars, self._folder = _group(folder, "r+"), n_sonars, folder
+        self._root, self._n_sonars, self._folder = _open_group(folder, "r+"), n_sonars, folder
 
-    def group(self, sonar: str):
-        """The arrays of a sonar."""
+    def group(self, sonar: str) -> zarr.Group:
+        """Return the group with the arrays of a sonar."""
         return self._root if self._n_sonars == 1 else self._root[sonar]
 
-    def write(self, sonar: str, first: int, arrays: dict) -> list[str]:
-        """Put the arrays of consecutive pings in their place, whole shards of them.
+    def write(self, sonar: str, first: int, arrays: dict[str, np.ndarray]) -> list[str]:
+        """Write the arrays of a part, which are whole shards of the store.
+
+        Parameters
+        ----------
+        first : number of the part's first ping
+        arrays : by name, (pings of the part, ...)
 
         Returns
         -------
-        names of the files, in the folder
+        names of the files in the folder
         """
         group, names = self.group(sonar), []
         for name, values in arrays.items():
-            place = [first // group[name].shards[0], *[0] * (values.ndim - 1)]
-            names.append("/".join([NAME, group[name].path, "c", *map(str, place)]))
-            self._folder.forget(names[-1])  # what is there may be damaged, and would be read
-            array = group[name].with_config({"write_empty_chunks": True})  # to look for these takes as long
+            shard = [first // group[name].shards[0], *[0] * (values.ndim - 1)]
+            names.append("/".join([STORE_NAME, group[name].path, "c", *map(str, shard)]))
+            self._folder.remove(names[-1])  # it may be damaged, and would be read
+            array = group[name].with_config({"write_empty_chunks": True})  # finding empty ones takes as long
             array[first : first + len(values)] = values
-            if self._folder.is_local:  # what a process that was killed has left
-                for torn in Path(self._folder.path(names[-1])).parent.glob("*.partial"):
-                    torn.unlink(missing_ok=True)
+            if self._folder.is_local:  # left by a process that was killed
+                for path in Path(self._folder.path(names[-1])).parent.glob("*.partial"):
+                    path.unlink(missing_ok=True)
         return names
 
-    def add(self, sonar: str, name: str, dtype: str, dims, shape, attributes) -> None:
-        """Make an array with a few numbers a ping, or make it anew."""
+    def create_variable(self, sonar: str, array: ArraySpec, n_pings: int) -> None:
+        """Create an array with a few numbers for each ping; an existing one is replaced."""
         self.group(sonar).create_array(
-            name,
-            shape=shape,
-            dtype=dtype,
-            chunks=(min(shape[0], TABLE_CHUNK), *shape[1:]),
-            fill_value=np.nan if dtype == "float64" else 0,
-            dimension_names=("ping", *dims),
-            attributes=attributes,
+            array.name,
+            shape=(n_pings, *array.shape),
+            dtype=array.dtype,
+            chunks=(min(n_pings, TABLE_CHUNK_PINGS), *array.shape),
+            fill_value=array.fill,
+            dimension_names=("ping", *array.dims),
+            attributes=array.attributes,
             overwrite=True,
         )
 
 
-def _sweep(folder: Folder) -> None:
-    """Take away what a process that was killed has left of groups' and arrays' own files."""
-    if folder.is_local:
-        for depth in ("*", "*/*", "*/*/*"):
-            for torn in Path(folder.path(NAME)).glob(f"{depth}.partial"):
-                torn.unlink(missing_ok=True)
-
-
 def consolidate(folder: Folder) -> None:
-    """Gather the metadata of all arrays into one file, which is what readers look into first."""
-    _sweep(folder)
-    with warnings.catch_warnings():  # that version 3 of the format does not say how: all readers do it so
+    """Gather the metadata of all arrays into one file, which readers open first."""
+    _remove_partial_files(folder)
+    with warnings.catch_warnings():  # version 3 of the format does not specify it, but all readers know it
         warnings.simplefilter("ignore", UserWarning)
-        zarr.consolidate_metadata(_group(folder, "r+").store)
-    place = f"{NAME}/zarr.json"
-    folder.put_json(place, folder.get_json(place))  # sorted: folders are listed in any order
+        zarr.consolidate_metadata(_open_group(folder, "r+").store)
+    name = f"{STORE_NAME}/zarr.json"
+    folder.put_json(name, folder.get_json(name))  # sorted, since folders are listed in any order
 
 
-def files(folder: Folder, of_parts: set) -> list[str]:
-    """Names of all files but those of arrays that parts write."""
-    out = []
-    root = _group(folder, "r")
+def shared_files(folder: Folder, part_arrays: set[str]) -> list[str]:
+    """Return the names of the store's files that belong to no part.
+
+    Parameters
+    ----------
+    part_arrays : names of the arrays that parts write
+    """
+    out, root = [], _open_group(folder, "r")
     for group in (root, *(group for _, group in root.groups())):
-        place = "/".join(filter(None, (NAME, group.path)))
+        place = "/".join(filter(None, (STORE_NAME, group.path)))
         out.append(f"{place}/zarr.json")
         for name in group.array_keys():
             inner = folder.fs.find(folder.path(f"{place}/{name}"))
             inner = [path[len(folder.root) + 1 :] for path in inner]
-            out += [path for path in inner if name not in of_parts or path.endswith("zarr.json")]
+            out += [path for path in inner if name not in part_arrays or path.endswith("zarr.json")]
     return out
+
+
+# ---- numbers per ping -------------------------------------------------------------------------------
+
+NOT_MADE, MADE, SET_ASIDE = 0, 1, 2  # values of the column `status`
+MATRIX, AFFINE = 16, 12  # numbers of a (4, 4) pose, and of its upper three rows
+
+
+class PingTable:
+    """The columns of the table of numbers per ping, float64.
+
+    Attributes
+    ----------
+    width : length of a row
+    water, noise : names of the fields that vary
+    moved : bodies that move, as (scene, name)
+    with_reflectivity : bodies whose reflectivity varies, as (scene, name)
+
+    Raises
+    ------
+    Error
+        for a pattern in `vary.bodies` that matches no body of any scene.
+    """
+
+    def __init__(self, requests: BatchRequests):
+        job, self._requests = requests.job, requests
+        self.water, self.noise = sorted(job.vary.water), sorted(job.vary.noise)
+        self.moved, self.with_reflectivity, known = [], [], {}
+        for scene in range(len(job.scenes)) if job.vary.bodies else ():
+            known |= requests.bodies_and_plumes(scene)
+            for k, table in enumerate(job.vary.bodies):
+                bodies = [(scene, name) for name in requests.moved_names(scene, k)]
+                self.moved += [body for body in bodies if body not in self.moved]
+                if table.reflectivity is not None:
+                    new = [body for body in bodies if body not in self.with_reflectivity]
+                    self.with_reflectivity += new
+        for k, table in enumerate(job.vary.bodies):
+            check_patterns(table.names, known, f"{job.where}: vary.bodies[{k}].names")
+        widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
+        widths |= {("has_echo", sonar): 1 for sonar in requests.sonars}
+        widths |= {("echo", sonar): 1 for sonar in requests.sonars}
+        widths |= {"water": len(self.water), "noise": len(self.noise)}
+        widths |= {"moved": len(self.moved) * AFFINE, "reflectivity": len(self.with_reflectivity)}
+        self._columns, self.width = {}, 0
+        for name, width in widths.items():
+            self._columns[name] = slice(self.width, self.width + width)
+            self.width += width
+
+    def row(self, request: BatchRequest) -> np.ndarray:
+        """Return the row of a ping that has not been made yet."""
+        out = np.full(self.width, np.nan)
+
+        def put(name, values):
+            out[self._columns[name]] = values
+
+        put("status", NOT_MADE)
+        put("scene", request.scene)
+        put("time_s", request.time_s)
+        put("pose", request.vehicle_pose.ravel())
+        put("water", [request.water[key] for key in self.water])
+        put("noise", [getattr(request.noise, key) for key in self.noise])
+        if self.moved:
+            known = self._requests.bodies_and_plumes(request.scene)
+            poses = np.full((len(self.moved), AFFINE), np.nan)
+            for k, (scene, name) in enumerate(self.moved):
+                pose = request.bodies.get(name, known[name].pose) if scene == request.scene else None
+                if pose is not None:
+                    poses[k] = pose[:3].ravel()
+            put("moved", poses.ravel())
+        mu = [
+            request.reflectivity.get(name, np.nan) if scene == request.scene else np.nan
+            for scene, name in self.with_reflectivity
+        ]
+        put("reflectivity", mu)
+        return out
+
+    def column(self, rows: np.ndarray, name) -> np.ndarray:
+        """Return the view (..., width of the column) of some rows.
+
+        name : status, scene, time_s, pose, ("has_echo", sonar), ("echo", sonar), water, noise, moved or
+            reflectivity
+        """
+        return rows[..., self._columns[name]]
+
+
+def rows_to_bytes(rows: np.ndarray) -> bytes:
+    """Return rows of the table as an NPY file."""
+    out = io.BytesIO()
+    np.save(out, rows, allow_pickle=False)
+    return out.getvalue()
+
+
+def _rows_by_block(folder: Folder, manifest: Manifest) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield (number of the first ping, rows of the table), whole chunks of the store's arrays at a time."""
+    first, rows, n_rows = 0, [], 0
+    for part in range(manifest.n_parts):
+        name = table_name(part)
+        try:
+            rows.append(np.load(io.BytesIO(folder.get(name)), allow_pickle=False))
+        except (ValueError, EOFError):
+            cure = f"it is damaged; delete {record_name(part)}, and --resume makes the part again"
+            raise Error(f"{folder.path(name)}: must be the table of a part ({cure})") from None
+        n_rows += len(rows[-1])
+        is_last = part == manifest.n_parts - 1
+        if n_rows >= TABLE_CHUNK_PINGS or is_last:
+            block = np.concatenate(rows)
+            rest = 0 if is_last else len(block) % TABLE_CHUNK_PINGS
+            yield first, block[: len(block) - rest]
+            first += len(block) - rest
+            rows, n_rows = [block[len(block) - rest :]], rest
+
+
+@dataclass(frozen=True)
+class PingVariable(ArraySpec):
+    """An array of the store with a few numbers for each ping.
+
+    Attributes
+    ----------
+    values : function of (N, width) rows of the table -> (N, ...) values
+    """
+
+    values: Callable[[np.ndarray], np.ndarray]
+
+
+def ping_variables(
+    requests: BatchRequests, table: PingTable, manifest: Manifest, sonar: str
+) -> Iterable[PingVariable]:
+    """Yield the variables of one sonar's pings."""
+    mount, n_moved = requests.mounts[sonar], len(table.moved)
+    estimates = np.array([by_sonar[sonar] for by_sonar in manifest.estimates])
+
+    def variable(name, dtype, values, shape=(), dims=(), **attributes):
+        return PingVariable(name, dtype, shape, dims, np.nan if dtype == "float64" else 0, attributes, values)
+
+    def first_of(name):
+        return lambda rows: table.column(rows, name)[:, 0]
+
+    def moved_poses(rows):
+        upper = table.column(rows, "moved").reshape(-1, n_moved, 3, 4)
+        last = np.broadcast_to([[[[0.0, 0.0, 0.0, 1.0]]]], (len(rows), n_moved, 1, 4))
+        return np.concatenate([upper, last], axis=2)
+
+    yield variable(
+        "status",
+        "uint8",
+        first_of("status"),
+        long_name="0 not made, 1 made, 2 set aside",
+        flag_values=[NOT_MADE, MADE, SET_ASIDE],
+        flag_meanings="not_made made set_aside",
+    )
+    yield variable("scene", "uint16", first_of("scene"), long_name="index into scenes")
+    yield variable("time_s", "float64", first_of("time_s"), long_name="time of transmission", units="s")
+    yield variable(
+        "pose",
+        "float64",
+        lambda rows: table.column(rows, "pose").reshape(-1, 4, 4) @ mount,
+        (4, 4),
+        ("row", "column"),
+        long_name="world_from_sonar",
+        units="metres, x ahead, y to port, z up",
+    )
+    yield variable(
+        "echo", "float64", first_of(("echo", sonar)), long_name="sum of intensity before noise", units="1"
+    )
+    yield variable(
+        "error_estimate",
+        "float64",
+        lambda rows: estimates[table.column(rows, "scene")[:, 0].astype(int)],
+        long_name="share of the echo in wrong bins, in 95 of 100 pings less",
+        units="1",
+    )
+    for group, keys in (("water", table.water), ("noise", table.noise)):
+        for k, key in enumerate(keys):
+            yield variable(
+                f"{group}_{key}",
+                "float64",
+                lambda rows, group=group, k=k: table.column(rows, group)[:, k],
+                long_name=f"{key} of the {group}",
+            )
+    if n_moved:
+        yield variable(
+            "moved_pose",
+            "float64",
+            moved_poses,
+            (n_moved, 4, 4),
+            ("moved", "row", "column"),
+            long_name="world_from_body, NaN for what is not there",
+            bodies=[name for _, name in table.moved],
+            scenes=[scene for scene, _ in table.moved],
+        )
+    if table.with_reflectivity:
+        yield variable(
+            "reflectivity",
+            "float64",
+            lambda rows: table.column(rows, "reflectivity"),
+            (len(table.with_reflectivity),),
+            ("coloured",),
+            long_name="μ of bodies that differ",
+            bodies=[name for _, name in table.with_reflectivity],
+            scenes=[scene for scene, _ in table.with_reflectivity],
+        )
+
+
+def gather_ping_variables(
+    requests: BatchRequests, table: PingTable, manifest: Manifest, folder: Folder
+) -> None:
+    """Write the tables of all parts into the store as arrays."""
+    store = PingStore(folder, len(requests.sonars))
+    variables = {sonar: list(ping_variables(requests, table, manifest, sonar)) for sonar in requests.sonars}
+    for sonar, entries in variables.items():
+        for variable in entries:
+            store.create_variable(sonar, variable, manifest.n_pings)
+    for first, rows in _rows_by_block(folder, manifest):
+        for sonar, entries in variables.items():
+            group = store.group(sonar)
+            for variable in entries:
+                group[variable.name][first : first + len(rows)] = variable.values(rows)

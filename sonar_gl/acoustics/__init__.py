@@ -1,0 +1,1 @@
+"""Formulas of underwater acoustics, and the settings that choose among them."""

@@ -1,0 +1,476 @@
+"""The settings of the acoustic model, and the gains, patterns and kernels that follow from them for a sonar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from sonar_gl.acoustics.beam_pattern import TAPERS, ArrayPattern, gaussian_pattern, line_array_pattern
+from sonar_gl.acoustics.pulse import PULSE_TAPERS, bin_weights
+from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
+from sonar_gl.core.checks import check_choice, check_kind, check_number
+from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.key_values import parse_fields
+
+PROFILES = {  # name: values of the fields that are None
+    "ideal": {"range_law": "constant", "beam_pattern": "box", "specular": False, "bubbles": False},
+    "demarco2015": {"range_law": "printed", "beam_pattern": "box", "specular": False, "bubbles": False},
+    "physical": {
+        "range_law": "sonar_equation",
+        "beam_pattern": "line_array",
+        "specular": True,
+        "bubbles": True,
+    },
+}
+CHOICES = {  # field: allowed names
+    "range_law": ("constant", "printed", "inverse", "sonar_equation"),
+    "beam_pattern": ("box", "line_array", "gaussian"),
+    "absorption_formula": tuple(ABSORPTION_FORMULAS),
+    "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
+    "taper": TAPERS,
+    "steered": ("alike", "straight"),
+    "transmit_taper": TAPERS,
+    "elevation_pattern": ("box", "line_array", "gaussian"),
+    "elevation_taper": TAPERS,
+    "pulse_taper": tuple(PULSE_TAPERS),
+    "multipath": ("none", "incoherent", "coherent"),
+}
+BOUNDS = (  # field, least and greatest value, hint for messages
+    ("temperature_c", -2, 40, "give °C"),
+    ("salinity_psu", 0, 45, "give grams of salt per kilogram of water"),
+    ("depth_m", 0, 12000, "give metres below the surface, positive down"),
+    ("ph", 7, 9, "sea water has about 8"),
+    ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
+    ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
+    ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
+    ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+    ("sonar_sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+    ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
+    ("transmit_width_deg", 1e-3, 180, "give degrees"),
+    ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
+)
+# Fields that describe the water, and that a ping may change.
+WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "sound_speed_m_s"
+
+MIN_SPREADING_RANGE_M = 1e-3  # shorter ranges spread as this one, so that r^-2 is finite at r = 0
+MAX_DECADES = 30.0  # gains stay within 10^±30, so that float32 echoes are finite
+
+MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
+GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
+ELEVATION_SUPPORT_LEVEL = 1e-3  # two-way power in elevation at which the main lobe of a smooth pattern is cut
+MAX_ELEVATION_DEG = 85.0  # above the boresight: a perspective view cannot cover much more
+
+
+@dataclass(frozen=True)
+class Acoustics:
+    """The acoustic model of a ping: water, range gain, beam patterns, pulse and the terms of the echo.
+
+    Parameters
+    ----------
+    profile : "ideal", "demarco2015" or "physical"
+        Determines the fields that are None by default and in this table "by profile". "ideal": the cosine law
+        alone. "demarco2015": the model of DeMarco, West, Howard 2015. "physical": the sonar equation with beams of
+        a line array, specular backscatter and bubbles.
+    range_law : "constant", "printed", "inverse", "sonar_equation" or None
+        Range gain G(r). "constant": 1. "printed": (r / range_max)², eq. (4) of DeMarco, West, Howard 2015 as
+        printed. "inverse": (1 m / r)², at most 1. "sonar_equation": two-way transmission loss and TVG,
+        r^-2 · 10^(−2αr/10) · 10^(TVG/10) with TVG = k log10 r + 2 α_tvg r dB, r in metres, where r below 1 mm
+        counts as 1 mm and the product stays within 10^±30. None: by profile.
+    beam_pattern : "box", "line_array", "gaussian" or None
+        Receive beam pattern in azimuth. None: by profile.
+    temperature_c, salinity_psu, depth_m, ph : float
+        The water, for α and for the speed of sound: °C, practical salinity, metres below the surface, 1.
+    absorption_db_m : float or None
+        α, dB per metre one way. None: by `absorption_formula` at the sonar's frequency.
+    tvg_k : float
+        k of the TVG. 20 with the right α makes G = 1; 40 keeps the level of a point target.
+    tvg_absorption_db_m : float or None
+        α_tvg, the absorption that the TVG assumes, dB per metre one way. None: the right one, α.
+    absorption_formula : "francois_garrison" or "ainslie_mccolm"
+        Formula of α.
+    sound_speed_formula : "mackenzie" or "teos10"
+        Formula of the speed of sound; "teos10" requires gsw.
+    sound_speed_m_s : float or None
+        Speed of sound, metres per second. None: by `sound_speed_formula`.
+    sonar_sound_speed_m_s : float or None
+        Speed of sound that the sonar assumes, metres per second. The ranges that it shows are the true ones times
+        this over the right speed. None: the right speed.
+    taper : "uniform", "hamming", "taylor" or "chebyshev"
+        Taper (shading) of the receiving line array in azimuth.
+    side_lobe_db : float
+        Level of the side lobes of "taylor" and "chebyshev" in all arrays, dB below the main lobe, positive.
+    steered : "alike" or "straight"
+        "alike": every beam has the width of the data sheet. "straight": one straight array forms all beams, which
+        broaden as 1/cos of their steering angle.
+    transmit_width_deg : float or None
+        −3 dB width in azimuth of the transmit beam about the boresight, degrees. None: the fan is insonified
+        evenly. `beam_width_deg` of the sonar stays the width of the receive beams.
+    transmit_taper : "uniform", "hamming", "taylor" or "chebyshev"
+        Taper of the transmitting line array in azimuth.
+    elevation_pattern : "box", "line_array" or "gaussian"
+        Pattern in elevation. "box": 1 within elevation_fov_deg of the sonar, 0 outside. Otherwise transmitter and
+        receiver have the same pattern, and the two-way pattern is elevation_fov_deg wide at −3 dB.
+    elevation_taper : "uniform", "hamming", "taylor" or "chebyshev"
+        Taper of the line array in elevation.
+    bandwidth_hz : float or None
+        Bandwidth of the pulse, hertz. None: no matched filter; an echo falls only into the bin of its range.
+    pulse_taper : "uniform" or "hamming"
+        Weights of the spectrum in the matched filter.
+    specular : bool or None
+        Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
+    bubbles : bool or None
+        Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
+    multipath : "none", "incoherent" or "coherent"
+        Whether echoes by way of planar reflectors are added, and how the two single-bounce paths add up:
+        "incoherent" in power, "coherent" in phase.
+
+    Raises
+    ------
+    Error
+        if a name is unknown, a number is out of bounds, or a straight array is to have box beams.
+
+    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> Acoustics.physical(tvg_k=40.0).range_gain(np.array([1.0, 10.0]), load_sonar("p900-45")).round(9).tolist()
+    [1.0, 100.0]
+    """
+
+    profile: str = "physical"
+    range_law: str | None = None
+    beam_pattern: str | None = None
+    temperature_c: float = 10.0
+    salinity_psu: float = 35.0
+    depth_m: float = 10.0
+    ph: float = 8.0
+    absorption_db_m: float | None = None
+    tvg_k: float = 20.0
+    tvg_absorption_db_m: float | None = None
+    absorption_formula: str = "francois_garrison"
+    sound_speed_formula: str = "mackenzie"
+    sound_speed_m_s: float | None = None
+    sonar_sound_speed_m_s: float | None = None
+    taper: str = "uniform"
+    side_lobe_db: float = 30.0
+    steered: str = "alike"
+    transmit_width_deg: float | None = None
+    transmit_taper: str = "uniform"
+    elevation_pattern: str = "box"
+    elevation_taper: str = "uniform"
+    bandwidth_hz: float | None = None
+    pulse_taper: str = "uniform"
+    specular: bool | None = None
+    bubbles: bool | None = None
+    multipath: str = "none"
+
+    def __post_init__(self):
+        check_choice("profile", self.profile, PROFILES, "acoustics")
+        for key, value in PROFILES[self.profile].items():
+            if getattr(self, key) is None:
+                object.__setattr__(self, key, value)
+        for key, names in CHOICES.items():
+            check_choice(key, getattr(self, key), names, "acoustics")
+        for key in ("specular", "bubbles"):
+            if not isinstance(getattr(self, key), bool):
+                raise Error(f"acoustics: {key} must be True or False (got {getattr(self, key)!r})")
+        for key, low, high, hint in BOUNDS:
+            value = getattr(self, key)
+            if value is None and self.__dataclass_fields__[key].default is None:
+                continue
+            check_number(f"acoustics: {key}", value, low, high, hint)
+        if self.steered == "straight" and self.beam_pattern == "box":
+            raise Error(
+                'acoustics: steered "straight" needs a beam_pattern that a straight array can have '
+                '(got \'box\'; take "line_array" or "gaussian")'
+            )
+
+    @classmethod
+    def ideal(cls) -> Acoustics:
+        """Return the cosine law alone with box beams, the model that closed forms describe."""
+        return cls("ideal")
+
+    @classmethod
+    def demarco2015(cls, range_law: str = "printed") -> Acoustics:
+        """Return the model of DeMarco, West, Howard 2015.
+
+        Parameters
+        ----------
+        range_law : "printed", eq. (4); "constant", as the published code reads; or "inverse"
+        """
+        return cls("demarco2015", range_law=range_law)
+
+    @classmethod
+    def physical(cls, **settings) -> Acoustics:
+        """Return the sonar equation with beams of a line array; settings are the fields, by name."""
+        return cls("physical", **settings)
+
+    @classmethod
+    def needed(cls, *_arguments, **_settings) -> Acoustics:
+        """Moved to `sonar_gl.needed_acoustics`, since choosing the terms simulates pings."""
+        raise Error("Acoustics.needed has moved (call sonar_gl.needed_acoustics with the same arguments)")
+
+    @classmethod
+    def parse(cls, text: str, profile: str = "physical") -> Acoustics:
+        """Return a profile with some fields changed, from the text "key=value,..." of a command line.
+
+        >>> Acoustics.parse("tvg_k=30,elevation_pattern=gaussian").tvg_k
+        30.0
+        """
+        keys = [item.partition("=")[0].strip() for item in text.split(",")]
+        if "needed" in keys:
+            raise Error(f"acoustics {text!r}: needed must stand alone: it chooses the terms itself")
+        if "" in keys:
+            got = "a comma or nothing where a key must be"
+            raise Error(f"acoustics {text!r}: must be key=value, ... (got {got})")
+        _, settings = parse_fields("acoustics", text, cls, without=("profile",))
+        return replace(cls(profile), **settings)
+
+    def meta(self) -> dict:
+        """Return the fields as plain values, for the record of a ping."""
+        return asdict(self)
+
+    # ---- water --------------------------------------------------------------------------------------------
+
+    def in_water(self, water: dict) -> Acoustics:
+        """Return the same model in other water.
+
+        Parameters
+        ----------
+        water : values of any of temperature_c, salinity_psu, depth_m, ph, absorption_db_m, sound_speed_m_s
+
+        Raises
+        ------
+        Error
+            if it has another key, a number is out of bounds, or the ranges that the sonar shows would change.
+
+        >>> Acoustics.physical(ph=7.9).in_water({"temperature_c": 4.0}).sound_speed() < 1470
+        True
+        """
+        check_kind("water", water, dict, 'such as {"temperature_c": 4.0, "salinity_psu": 8.0}')
+        for name in water:
+            if name not in WATER:
+                hint = nearest_names(str(name), WATER)
+                raise Error(
+                    f"water must contain fields of Acoustics that describe the water (got {name!r}; {hint})"
+                )
+        out = replace(self, **water)
+        if out.shown_per_true() != self.shown_per_true():
+            raise Error(
+                "the speed of sound must not change where sonar_sound_speed_m_s is set, since echoes would be "
+                f"shown at other ranges (got {out.sound_speed():.2f} for {self.sound_speed():.2f} m/s; leave "
+                "sonar_sound_speed_m_s out, or make one Simulator for each water)"
+            )
+        return out
+
+    def absorption(self, frequency_hz: float) -> float:
+        """Return the absorption α at a frequency, dB per metre, one way."""
+        if self.absorption_db_m is not None:
+            return float(self.absorption_db_m)
+        water = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
+        return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *water))
+
+    def sound_speed(self) -> float:
+        """Return the speed of sound in this water, metres per second."""
+        if self.sound_speed_m_s is not None:
+            return float(self.sound_speed_m_s)
+        water = (self.temperature_c, self.salinity_psu, self.depth_m)
+        return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*water))
+
+    def shown_per_true(self) -> float:
+        """Return the ratio of shown to true ranges: the speed of sound that the sonar assumes, over the right one.
+
+        >>> round(10 * Acoustics(sonar_sound_speed_m_s=1500.0, sound_speed_m_s=1450.0).shown_per_true(), 4)
+        10.3448
+        """
+        if self.sonar_sound_speed_m_s is None:
+            return 1.0
+        return self.sonar_sound_speed_m_s / self.sound_speed()
+
+    def true_range_sonar(self, sonar):
+        """Return the sonar whose bins lie at true ranges, and whose aperture is the support in elevation.
+
+        Parameters
+        ----------
+        sonar : Sonar, whose bins lie at the ranges that it shows, and whose aperture is the −3 dB width
+        """
+        top_deg, scale = self.elevation_support_deg(sonar), self.shown_per_true()
+        if scale == 1.0 and 2 * top_deg == sonar.elevation_fov_deg:
+            return sonar
+        ranges = {key: getattr(sonar, key) / scale for key in ("range_min_m", "range_max_m")}
+        return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
+
+    # ---- range gain ---------------------------------------------------------------------------------------
+
+    def range_gain(self, range_m, sonar) -> np.ndarray:
+        """Return the range gain G(r): two-way transmission loss and TVG, or the law of another profile.
+
+        The transmission loss depends on the true range; the TVG and the laws "constant" and "printed" depend on the
+        range that the sonar shows.
+
+        Parameters
+        ----------
+        range_m : ranges that the sonar shows, metres, any shape
+        sonar : Sonar
+
+        Returns
+        -------
+        linear power, float64, of the shape of `range_m`
+        """
+        r = np.asarray(range_m, np.float64)
+        if self.range_law == "constant":
+            return np.ones_like(r)
+        if self.range_law == "printed":
+            return (r / sonar.range_max_m) ** 2
+        r = np.maximum(r, MIN_SPREADING_RANGE_M)
+        scale = self.shown_per_true()
+        if self.range_law == "inverse":
+            return np.minimum(1.0, (r / scale) ** -2)
+        absorption, assumed = self._true_and_assumed_absorption(sonar)
+        # one exponent: where TVG and loss cancel they do so exactly, and 10^(-αr) cannot underflow on its own
+        decades = (self.tvg_k / 10 - 2) * np.log10(r) + 2 * math.log10(scale)
+        decades += 2 * (assumed - absorption / scale) * r / 10
+        return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+
+    def tvg(self, range_m, sonar) -> np.ndarray:
+        """Return the TVG without the transmission loss; 1 for range laws other than "sonar_equation".
+
+        Ranges below 1 mm count as 1 mm, and the gain stays within 10^±30.
+
+        Parameters
+        ----------
+        range_m : ranges that the sonar shows, metres, any shape
+        sonar : Sonar
+
+        Returns
+        -------
+        linear power, float64, of the shape of `range_m`
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> Acoustics.physical(tvg_k=30.0, absorption_db_m=0.5).tvg([10.0], load_sonar("p900-45")).tolist()
+        [10000.0]
+        """
+        r = np.asarray(range_m, np.float64)
+        if self.range_law != "sonar_equation":
+            return np.ones_like(r)
+        r = np.maximum(r, MIN_SPREADING_RANGE_M)
+        decades = (self.tvg_k * np.log10(r) + 2 * self._true_and_assumed_absorption(sonar)[1] * r) / 10
+        return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+
+    def _true_and_assumed_absorption(self, sonar) -> tuple[float, float]:
+        """Return α of the water and α of the TVG, dB per metre, one way."""
+        true = self.absorption(sonar.frequency_hz)
+        return true, true if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
+
+    # ---- beam patterns ------------------------------------------------------------------------------------
+
+    def receive_pattern(self, sonar) -> Callable | None:
+        """Return the receive beam pattern in azimuth; None for a box.
+
+        Parameters
+        ----------
+        sonar : Sonar
+
+        Returns
+        -------
+        function (azimuth_rad, steer_azimuth_rad) -> linear one-way power, 1 on the beam's axis
+
+        Raises
+        ------
+        Error
+            if a straight array has to form beams along its own line.
+        """
+        if self.beam_pattern == "box":
+            return None
+        settings = {"beam_width_rad": math.radians(sonar.beam_width_deg), "steered": self.steered}
+        steer_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
+        if self.steered == "straight" and steer_deg > MAX_STEER_DEG:
+            raise Error(
+                f'acoustics: steered "straight" needs beams within ±{MAX_STEER_DEG:g}° of the boresight '
+                f'(got {steer_deg:.4g}°: one array cannot receive along its own line; take "alike")'
+            )
+        if self.beam_pattern == "gaussian":
+            return partial(gaussian_pattern, **settings)
+        return partial(line_array_pattern, taper=self.taper, side_lobe_db=self.side_lobe_db, **settings)
+
+    def receive_support_rad(self, sonar) -> float:
+        """Return the half-width of the receive pattern's support, radians; beyond it from the axis the power is 0.
+
+        A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
+        beam where its power is 1e-4.
+        """
+        half_width = math.radians(sonar.beam_width_deg) / 2
+        if self.beam_pattern == "box":
+            return half_width
+        pattern = ArrayPattern(self.beam_pattern, 2 * half_width, self.taper, self.side_lobe_db)
+        gaussian = self.beam_pattern == "gaussian"
+        sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
+        support = math.asin(min(1.0, sine))
+        if self.steered == "straight":  # widest for the outermost beam, on the side away from the boresight
+            steer = float(np.abs(sonar.azimuth_rad).max())
+            support = max(support, math.asin(min(1.0, math.sin(steer) + sine)) - steer)
+        return support
+
+    def transmit_pattern(self, sonar) -> Callable | None:
+        """Return the transmit beam pattern in azimuth; None if the fan is insonified evenly.
+
+        Parameters
+        ----------
+        sonar : Sonar
+
+        Returns
+        -------
+        function (azimuth_rad) -> linear one-way power, 1 on the boresight
+        """
+        if self.transmit_width_deg is None:
+            return None
+        width = math.radians(self.transmit_width_deg)
+        settings = {"taper": self.transmit_taper, "side_lobe_db": self.side_lobe_db}
+        return partial(line_array_pattern, steer_azimuth_rad=0.0, beam_width_rad=width, **settings)
+
+    def two_way_elevation_pattern(self, sonar) -> Callable | None:
+        """Return the two-way beam pattern in elevation; None for a box.
+
+        Transmitter and receiver have the same pattern, upright and not steered.
+
+        Parameters
+        ----------
+        sonar : Sonar
+
+        Returns
+        -------
+        function (sine of elevation) -> linear two-way power, 1 on the boresight
+        """
+        if self.elevation_pattern == "box":
+            return None
+        one_way = self._one_way_elevation_pattern(sonar)
+        return lambda sine: one_way.power(sine) ** 2
+
+    def elevation_support_deg(self, sonar) -> float:
+        """Return the half-width of the elevation pattern's support, degrees above and below the boresight."""
+        half_width = sonar.elevation_fov_deg / 2
+        if self.elevation_pattern == "box":
+            return half_width
+        sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
+        return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
+
+    def _one_way_elevation_pattern(self, sonar) -> ArrayPattern:
+        width = math.radians(sonar.elevation_fov_deg)
+        return ArrayPattern(
+            self.elevation_pattern, width, self.elevation_taper, self.side_lobe_db, two_way_width=True
+        )
+
+    # ---- pulse --------------------------------------------------------------------------------------------
+
+    def pulse_weights(self, sonar) -> np.ndarray | None:
+        """Return the kernel of the matched filter over bins, `pulse.bin_weights`; None without a bandwidth.
+
+        Returns
+        -------
+        (n,) float32, the share of an echo that falls into each of the bins around its own
+        """
+        if self.bandwidth_hz is None:
+            return None
+        speed_m_s = self.sonar_sound_speed_m_s or self.sound_speed()  # bins lie at shown ranges
+        return bin_weights(sonar.bin_size_m, self.bandwidth_hz, self.pulse_taper, speed_m_s)

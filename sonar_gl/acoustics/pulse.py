@@ -1,0 +1,242 @@
+"""The range response of a pulse of finite bandwidth after its matched filter, as kernels over range bins."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numba import uint64
+
+from sonar_gl.acoustics.beam_pattern import HAMMING, aperture_field
+from sonar_gl.core.checks import check_choice
+from sonar_gl.core.compiled import compiled
+from sonar_gl.core.errors import Error
+
+# F₁, F₂, … of the weights 1 + 2 Σ F_m cos(2πmf/B) of a spectrum, |f| <= B/2
+PULSE_TAPERS = {"uniform": (), "hamming": (HAMMING,)}
+NEGLECTED_ENERGY = 1e-3  # share of the energy that `bin_weights` may leave out
+NEGLECTED_POWER = 1e-4  # share of the power that `field_weights` may leave out
+MAX_FIELD_NULLS = 50  # or the length, in c/2B, at which `field_weights` end
+INTERVALS_PER_NULL = 2  # of integration per c/2B, each with these nodes: accurate to 1e-9
+GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(8)
+MAX_HALF_LENGTH = 1 << 16  # bins to each side of a kernel's centre
+
+
+def _taper_series(taper: str) -> tuple[float, ...]:
+    return PULSE_TAPERS[check_choice("taper", taper, PULSE_TAPERS, "pulse")]
+
+
+def _null_m(bandwidth_hz: float, sound_speed_m_s: float) -> float:
+    """Return c/2B, metres, the distance from the peak to the first null of the untapered response."""
+    for name, value in (("bandwidth_hz", bandwidth_hz), ("sound_speed_m_s", sound_speed_m_s)):
+        if not 0 < value < np.inf:  # NaN too
+            raise Error(f"pulse: {name} must be a number above 0 (got {value:g})")
+    return sound_speed_m_s / (2 * bandwidth_hz)
+
+
+def amplitude_response(range_m, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0):
+    """Return the amplitude of a point's echo after the matched filter, real, 1 at its range.
+
+    Parameters
+    ----------
+    range_m : distance from the range of the point, metres, any shape
+    bandwidth_hz : bandwidth B of the pulse, evenly filled, hertz
+    taper : "uniform": sinc x with x = 2 B r / c, −3 dB width 0.8859 c/2B, side lobes at −13.3 dB. "hamming": the
+        spectrum has the weights 0.54 + 0.46 cos(2πf/B), width 1.303 c/2B, side lobes at −42.7 dB
+    sound_speed_m_s : c, metres per second
+
+    Returns
+    -------
+    float64, of the shape of `range_m`
+
+    Raises
+    ------
+    Error
+        if the taper is unknown, or a number is not above 0.
+
+    Notes
+    -----
+    The Fourier transform of the spectrum: sinc x + Σ F_m (sinc(x − m) + sinc(x + m)).
+
+    Source: Cook, Bernfeld, Radar Signals, 1967; Harris, "On the use of windows for harmonic analysis with the
+    discrete Fourier transform", Proc. IEEE 66, 51-83, 1978
+
+    >>> round(float(amplitude_response(0.885893 / 2 * 0.025, 30e3) ** 2), 5)  # c/2B is 25 mm
+    0.5
+    """
+    x = np.asarray(range_m, np.float64) / _null_m(bandwidth_hz, sound_speed_m_s)
+    return aperture_field(x, _taper_series(taper))
+
+
+def _half_length_within(half_energy: np.ndarray, energy: float) -> int:
+    """Return the bins to each side that contain an energy.
+
+    Parameters
+    ----------
+    half_energy : energy of the bins at 0, 1, … from the centre of a symmetric kernel
+    energy : the energy to contain
+    """
+    inside = half_energy[0] + 2 * np.concatenate([[0.0], np.cumsum(half_energy[1:])])
+    return min(int(np.searchsorted(inside, energy)), len(half_energy) - 1)
+
+
+def _symmetric(half: np.ndarray) -> np.ndarray:
+    """Return a kernel of 2n − 1 values from its n values at 0, 1, … bins from the centre."""
+    return np.concatenate([half[:0:-1], half])
+
+
+def _sufficient_half_length(bin_size_m: float, null_m: float) -> int:
+    """Return bins to each side that contain all but NEGLECTED_ENERGY: beyond x, sinc² has the energy 1/π²x."""
+    if not 0 < bin_size_m < np.inf:  # NaN too
+        raise Error(f"pulse: bin_size_m must be a number above 0 (got {bin_size_m:g})")
+    bins = int(np.ceil(1.1 / (np.pi**2 * NEGLECTED_ENERGY) * null_m / bin_size_m)) + 1
+    return min(MAX_HALF_LENGTH, bins)
+
+
+@lru_cache(maxsize=16)
+def bin_weights(
+    bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
+) -> np.ndarray:
+    """Return the shares of a bin's echo that the matched filter puts into the bins around it.
+
+    The echo of a bin is spread evenly over it, and the receiver samples at the centres of bins: each share is thus
+    the power response integrated over one bin. For bins much coarser than c/2B the result is nearly [1]. The
+    outermost shares, 1e-3 of the energy, are left out.
+
+    Parameters
+    ----------
+    bin_size_m : length of a bin, metres
+    bandwidth_hz, taper, sound_speed_m_s : as for `amplitude_response`
+
+    Returns
+    -------
+    (n,) float32, n odd, symmetric, sum 1, read-only
+
+    >>> bin_weights(0.025, 30e3, "hamming").astype(float).round(3).tolist()
+    [0.001, 0.176, 0.647, 0.176, 0.001]
+    """
+    null_m, series = _null_m(bandwidth_hz, sound_speed_m_s), _taper_series(taper)
+    total_energy = null_m * (1 + 2 * sum(share**2 for share in series))  # Parseval
+    half_length = _sufficient_half_length(bin_size_m, null_m)
+    intervals = int(np.ceil(INTERVALS_PER_NULL * bin_size_m / null_m))
+    if intervals > MAX_HALF_LENGTH:
+        return _read_only_float32(np.ones(1))
+    width = bin_size_m / intervals
+    half = np.zeros(half_length + 1)
+    for interval in range(intervals):
+        middle = (np.arange(half_length + 1) - 0.5) * bin_size_m + (interval + 0.5) * width
+        for node, weight in zip(*GAUSS_LEGENDRE, strict=True):
+            r = middle + node * width / 2
+            half += weight * width / 2 * amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s) ** 2
+    kernel = _symmetric(half[: _half_length_within(half, (1 - NEGLECTED_ENERGY) * total_energy) + 1])
+    return _read_only_float32(kernel / kernel.sum())
+
+
+@lru_cache(maxsize=16)
+def field_weights(
+    bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
+) -> np.ndarray:
+    """Return the kernel that correlates noise, independent from bin to bin, as the pulse does.
+
+    It is the amplitude response at the centres of bins, of unit power. The outermost values are left out: 1e-4 of
+    its power, or what lies beyond 50 c/2B. Bins coarser than c/2B alias the spectrum; the kernel is then the
+    response of the root of the aliased power spectrum, so that the correlation over bins stays that of fine bins,
+    sinc x for "uniform".
+
+    Parameters
+    ----------
+    bin_size_m, bandwidth_hz, taper, sound_speed_m_s : as for `bin_weights`
+
+    Returns
+    -------
+    (n,) float32, n odd, symmetric, sum of squares 1, read-only
+
+    >>> field_weights(0.025, 30e3).tolist()
+    [1.0]
+    """
+    null_m = _null_m(bandwidth_hz, sound_speed_m_s)
+    ratio, series = bin_size_m / null_m, _taper_series(taper)
+    half_length = _sufficient_half_length(bin_size_m, null_m)
+    if ratio <= 1:
+        r = np.arange(half_length + 1) * bin_size_m
+        half = amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s)
+    else:
+        f = (np.arange(4096) + 0.5) / 4096 - 0.5  # in cycles per bin
+        power = np.zeros_like(f)
+        for alias in range(-int(min(ratio, 64)), int(min(ratio, 64)) + 1):
+            z = (f + alias) / ratio  # in bandwidths
+            weight = 1 + 2 * sum(share * np.cos(2 * np.pi * m * z) for m, share in enumerate(series, 1))
+            power += np.where(np.abs(z) <= 0.5, weight**2, 0.0)
+        half = np.cos(2 * np.pi * np.outer(np.arange(half_length + 1), f)) @ np.sqrt(power)
+    half = np.where(np.abs(half) < 1e-9 * half[0], 0.0, half)  # nulls are exactly 0
+    total_power = half[0] ** 2 + 2 * (half[1:] ** 2).sum()
+    half_length = _half_length_within(half**2, (1 - NEGLECTED_POWER) * total_power)
+    half_length = min(half_length, int(MAX_FIELD_NULLS / min(ratio, 1)))
+    kernel = _symmetric(half[: half_length + 1])
+    return _read_only_float32(kernel / np.sqrt((kernel**2).sum()))
+
+
+def _read_only_float32(kernel: np.ndarray) -> np.ndarray:
+    kernel = kernel.astype(np.float32)
+    kernel.setflags(write=False)
+    return kernel
+
+
+@compiled
+def _convolve(rows, weights, out):
+    """Convolve rows (R, K + n − 1) with n weights into out (R, K); n is a multiple of 4."""
+    last = uint64(out.shape[1])
+    for r in range(uint64(len(rows))):
+        row, to = rows[r], out[r]
+        for k in range(last):
+            to[k] = 0
+        for j in range(
+            0, uint64(len(weights)), 4
+        ):  # four at a time, since out is then read and written less often
+            a, b, c, d = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
+            one, two, three, four = row[j:], row[j + 1 :], row[j + 2 :], row[j + 3 :]
+            for k in range(last):
+                to[k] += a * one[k] + b * two[k] + c * three[k] + d * four[k]
+
+
+def convolve(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return rows convolved with weights, without the ends.
+
+    Parameters
+    ----------
+    rows : (R, K + n − 1) float32
+    weights : (n,) float32, symmetric
+
+    Returns
+    -------
+    (R, K) float32
+    """
+    n, padding = len(weights), -len(weights) % 4
+    out = np.empty((len(rows), rows.shape[1] - n + 1), np.float32)
+    padded = np.zeros((len(rows), rows.shape[1] + padding), np.float32)
+    padded[:, : rows.shape[1]] = rows
+    _convolve(padded, np.concatenate([weights, np.zeros(padding, np.float32)]), out)
+    return out
+
+
+def matched_filter(intensity: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return echoes spread along range by the pulse; energy that leaves the first or the last bin is lost.
+
+    Parameters
+    ----------
+    intensity : (B, K) float32, linear power
+    weights : (n,) float32 of `bin_weights`, any odd n
+
+    Returns
+    -------
+    (B, K) float32, linear power
+
+    >>> matched_filter(np.float32([[0, 0, 4, 0]]), np.float32([0.25, 0.5, 0.25])).tolist()
+    [[0.0, 1.0, 2.0, 1.0]]
+    """
+    B, K = intensity.shape
+    half_length = min(len(weights) // 2, K - 1)
+    centre = len(weights) // 2
+    padded = np.zeros((B, K + 2 * half_length), np.float32)
+    padded[:, half_length : half_length + K] = intensity
+    return convolve(padded, weights[centre - half_length : centre + half_length + 1])

@@ -1,0 +1,1 @@
+"""Reference by ray casting, verification, and the price of acoustic terms."""

@@ -1,0 +1,365 @@
+"""The reference: the same integral by stratified ray casting in Embree. It shares no code with `beamform`, which it
+judges.
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sonar_gl._version import __version__
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.pulse import matched_filter
+from sonar_gl.analysis.rays import (
+    Aperture,
+    Bins,
+    Nodes,
+    Rays,
+    RayScene,
+    add_echoes,
+    form_beams,
+    generate_rays,
+)
+from sonar_gl.core.checks import check_kind, check_number
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.noise.noise import check_seed
+from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.fan import NEAR_M
+from sonar_gl.sonar.sampling import WORST_BODY
+from sonar_gl.sonar.sonar import Sonar
+
+AGREEMENT = 10  # the difference of the two halves is this many times smaller than the error that they judge
+MIN_BODY_SHARE = 1e-3  # of the total echo: the error of a body that returns less is not judged by itself
+FIRST_RAYS = 2**19  # of each half, before the halves are compared for the first time
+BATCH = 2**13  # rays at once: they and their hits fit the processor's cache
+NODES_PER_WIDTH = 64  # linear interpolation of a smooth pattern is then off by 2e-4 of its peak at most
+WIDEST_DEG = 16.0  # limits the distance of nodes for wide beams, whose patterns end in a step
+
+
+def reference_ping(
+    scene: Scene,
+    sonar: Sonar,
+    pose,
+    acoustics: Acoustics | None = None,
+    error: float = 0.01,
+    max_rays: int = 400_000_000,
+    seed: int = 0,
+) -> Ping:
+    """Return a ping by ray casting, to judge those of `Simulator`: slow, and as exact as requested.
+
+    Parameters
+    ----------
+    scene, sonar, acoustics : as for `Simulator`
+    pose : (4, 4) world_from_sonar
+    error : 1e-4..0.5, the error that is to be judged. Rays are added until two independent halves of them
+        differ by no more than a tenth of it, and by half of it in the echo of any single body
+    max_rays : 1e6 or more, the limit on the number of rays
+    seed : seed of the rays; the same seed gives the same bytes
+
+    Returns
+    -------
+    Ping
+        the mean of the two halves, with `body_echo`. In its meta, `difference` is the difference of the halves
+        A and B, Σ|A − B| over Σ(A + B)/2; `body_difference` is that of the worst body among those that return
+        more than a thousandth of the echo; `n_rays` is the number of rays; `converged` says whether both
+        differences are small enough
+
+    Raises
+    ------
+    Error
+        if an argument is of the wrong kind or out of bounds, if the acoustics include multipath or bubbles,
+        which the reference does not model, or if Embree is missing.
+
+    Warns
+    -----
+    UserWarning
+        if max_rays were too few.
+    """
+    acoustics = _check(scene, sonar, acoustics, error, max_rays)
+    check_known(acoustics)
+    _check_bubbles(scene, acoustics)
+    pose, seed = check_pose(pose), check_seed(seed)
+    ray_scene, fan = RayScene(scene, pose, acoustics.specular), _make_fan(sonar, acoustics)
+    halves = [_Half(ray_scene, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
+    found = _refine(halves, fan, error, max_rays) if scene.bodies else _Convergence(0, 0.0, 0.0)
+    if found.difference > error / AGREEMENT:
+        warnings.warn(
+            f"the reference can judge errors above {AGREEMENT * found.difference:.2g} only, not {error:g}: after "
+            f"{found.n_rays} rays its halves still differ by {found.difference:.2g} (give more max_rays)",
+            stacklevel=2,
+        )
+    meta = {
+        "sonar": asdict(sonar),
+        "acoustics": acoustics.meta(),
+        "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
+        "sound_speed_m_s": acoustics.sound_speed(),
+        "profile": acoustics.profile,
+        "bin_size_m": sonar.bin_size_m,
+        "scene": scene.name,
+        "bodies": [body.name for body in scene.bodies],
+        "seed": seed,
+        "version": __version__,
+        "n_rays": found.n_rays,
+        "difference": found.difference,
+        "body_difference": found.body_difference,
+        "converged": found.worst <= error / AGREEMENT,
+    }
+    ray_sr = fan.solid_angle_sr / max(found.n_rays, 1)
+    intensity = ((halves[0].beam_sums + halves[1].beam_sums) * (fan.bins.gain * ray_sr)).astype(np.float32)
+    if (weights := acoustics.pulse_weights(sonar)) is not None:
+        intensity = matched_filter(intensity, weights)
+    body_echo = (halves[0].body_sums + halves[1].body_sums) * ray_sr
+    for array in (intensity, body_echo):
+        array.setflags(write=False)
+    return Ping(
+        intensity,
+        sonar.azimuth_rad,
+        sonar.range_m,
+        pose=pose,
+        meta=meta,
+        body_echo=body_echo,
+        sonar=sonar,
+        acoustics=acoustics,
+    )
+
+
+def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
+    """Return the acoustics, or raise an Error about the first argument that is wrong."""
+    acoustics = Acoustics.physical() if acoustics is None else acoustics
+    check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
+    check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+    check_kind("acoustics", acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()")
+    check_number("error of a reference", error, 1e-4, 0.5)
+    check_number("max_rays of a reference", max_rays, 1e6, 2**33)
+    return acoustics
+
+
+def check_known(acoustics: Acoustics) -> None:
+    """Raise an Error if the acoustics include multipath, which the reference does not model."""
+    if acoustics.multipath != "none":
+        got = acoustics.multipath
+        raise Error(f"the reference does not model multipath (got multipath {got!r}; give multipath=none)")
+
+
+def _check_bubbles(scene: Scene, acoustics: Acoustics) -> None:
+    """Raise an Error if the acoustics include the scene's bubble plumes: rays meet no bubbles."""
+    if scene.plumes and acoustics.bubbles:
+        raise Error(
+            f"the reference does not model bubbles (got {scene.plumes[0].name!r} in the scene; leave them out of "
+            "both pings by acoustics with bubbles=False)"
+        )
+
+
+@dataclass(frozen=True)
+class _Convergence:
+    """How far the two halves A and B differ after `n_rays` rays.
+
+    Attributes
+    ----------
+    n_rays : of both halves together
+    difference : Σ|A − B| over Σ(A + B)/2, over beams and bins
+    body_difference : the largest |A − B| over (A + B)/2 of the echo of a body
+    """
+
+    n_rays: int
+    difference: float
+    body_difference: float
+
+    @property
+    def worst(self) -> float:
+        """The difference that binds: a body's own echo may be off by WORST_BODY times as much."""
+        return max(self.difference, self.body_difference / WORST_BODY)
+
+
+def _refine(halves: list[_Half], fan: _Fan, error: float, max_rays: int) -> _Convergence:
+    """Add rays to both halves, each in a thread of its own, until they agree or there are max_rays."""
+    n_blocks = len(fan.blocks)
+    most = max(1, int(max_rays) // (2 * n_blocks))
+    per_block = min(most, max(1, FIRST_RAYS // n_blocks))
+    stop = threading.Event()
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            while True:
+                list(pool.map(lambda half, n=per_block: half.refine(n, stop), halves))
+                found = _Convergence(2 * n_blocks * per_block, *_differences(halves, fan))
+                excess = found.worst * AGREEMENT / error
+                if excess <= 1 or per_block >= most:
+                    return found
+                # The difference falls about as n^-0.75. The first estimates of it are poor, so n at most doubles.
+                growth = excess ** (4 / 3)
+                per_block = min(int(per_block * np.clip(growth, 1.25, 2)) + 1, most)
+        finally:
+            stop.set()  # on an interrupt the threads need not finish their rays
+
+
+def _differences(halves: list[_Half], fan: _Fan) -> tuple[float, float]:
+    """Return `difference` and `body_difference` of `_Convergence`."""
+    a, b = (half.beam_sums * fan.bins.gain for half in halves)
+    mean = (a.sum() + b.sum()) / 2
+    difference = float(np.abs(a - b).sum() / mean) if mean > 0 else 0.0
+    a, b = (half.body_sums for half in halves)
+    mean = (a + b) / 2
+    counts = mean > MIN_BODY_SHARE * mean.sum()
+    return difference, float((np.abs(a - b)[counts] / mean[counts]).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """One of the 2^k intervals of azimuth that have equally many rays.
+
+    Attributes
+    ----------
+    nodes : Nodes, N of them
+    beams : (b,) int64 indices of the beams that receive echoes from the block
+    weights : (b, N) float64 weight of an echo at each node in each of these beams, per steradian
+    """
+
+    nodes: Nodes
+    beams: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Fan:
+    """What rays need of a sonar with B beams and K bins.
+
+    Attributes
+    ----------
+    aperture : Aperture
+    bins : Bins
+    blocks : 2^log2_blocks of _Block, by rising azimuth
+    n_beams : B
+    transmit : beam pattern of the transmitter, function of azimuths, radians; None if it is even
+    elevation : two-way beam pattern in elevation, function of sines of elevation; None if it is even
+    """
+
+    aperture: Aperture
+    bins: Bins
+    blocks: tuple[_Block, ...]
+    log2_blocks: int
+    n_beams: int
+    transmit: Callable | None
+    elevation: Callable | None
+
+    @property
+    def solid_angle_sr(self) -> float:
+        """The solid angle that the rays fill."""
+        return self.aperture.span_rad * 2 * self.aperture.max_sine
+
+
+def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
+    """Return the fan, with the beam patterns evaluated at its nodes."""
+    axes, pattern = sonar.azimuth_rad, acoustics.receive_pattern(sonar)
+    support_rad = acoustics.receive_support_rad(sonar)
+    start, stop = axes[0] - support_rad, axes[-1] + support_rad
+    if stop - start >= 2 * np.pi:
+        start, stop = -np.pi, np.pi
+    span = stop - start
+    true_range_sonar = acoustics.true_range_sonar(sonar)
+    max_sine = np.sin(np.radians(true_range_sonar.elevation_fov_deg) / 2)
+    middles = (np.arange(1024) + 0.5) / 512 - 1  # of equal parts of -1..1
+    if pattern is None:  # no box beam begins or ends between two nodes
+        ends = _wrap(np.concatenate([axes - support_rad, axes + support_rad]), start)
+        node_azimuths = np.unique(np.clip(np.append(ends, [start, stop]), start, stop))
+        mean_pattern = 1.0
+    else:
+        step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
+        node_azimuths = np.linspace(start, stop, int(np.ceil(span / step)) + 1)
+        mean_pattern = pattern(axes[:, None] + support_rad * middles, axes[:, None]).mean(axis=1)
+    height, elevation = 2 * max_sine, acoustics.two_way_elevation_pattern(sonar)
+    if elevation is not None:
+        height *= elevation(max_sine * middles).mean()
+    beam_sr = np.broadcast_to(mean_pattern * 2 * support_rad * height, len(axes))
+
+    def make_block(low_rad: float, high_rad: float) -> _Block:
+        first = max(np.searchsorted(node_azimuths, low_rad, side="right") - 1, 0)
+        last = min(np.searchsorted(node_azimuths, high_rad, side="left") + 1, len(node_azimuths))
+        nodes = places = node_azimuths[first:last]
+        if pattern is None:  # a node stands for the interval up to the next one
+            places = np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
+        offset = _wrap(places - axes[:, None], -np.pi)
+        weights = (np.abs(offset) <= support_rad * (1 + 1e-9)).astype(float)
+        beams = np.flatnonzero(weights.any(axis=1))
+        weights, offset = weights[beams], offset[beams]
+        if pattern is not None:
+            weights *= pattern(axes[beams, None] + offset, axes[beams, None])
+        weights /= beam_sr[beams, None]
+        return _Block(Nodes(nodes, pattern is not None, weights.sum(axis=0)), beams, weights)
+
+    log2_blocks = int(np.clip(np.ceil(np.log2(len(node_azimuths) / 8)), 3, 10))
+    return _Fan(
+        aperture=Aperture(start, span, max_sine),
+        bins=Bins(
+            true_range_sonar.range_min_m,
+            1 / true_range_sonar.bin_size_m,
+            acoustics.range_gain(sonar.range_m, sonar),
+        ),
+        blocks=tuple(make_block(*ends) for ends in pairwise(np.linspace(start, stop, 2**log2_blocks + 1))),
+        log2_blocks=log2_blocks,
+        n_beams=sonar.n_beams,
+        transmit=acoustics.transmit_pattern(sonar),
+        elevation=elevation,
+    )
+
+
+def _wrap(azimuth_rad, first_rad):
+    """Return the same directions within one turn from `first_rad` on."""
+    return (azimuth_rad - first_rad) % (2 * np.pi) + first_rad
+
+
+class _Half:
+    """One of the two independent estimates.
+
+    Attributes
+    ----------
+    beam_sums : (B, K) float64 echo of the rays so far, without gain
+    body_sums : (M + 1,) float64 echo by number of the body, with gain
+    """
+
+    def __init__(self, scene: RayScene, fan: _Fan, seeds: np.random.SeedSequence):
+        self.beam_sums = np.zeros((fan.n_beams, len(fan.bins.gain)))
+        self.body_sums = np.zeros(scene.n_bodies + 1)
+        self._scene, self._fan, self._keys = scene, fan, seeds.generate_state(4, np.uint32)
+        self._rays = Rays(np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32), NEAR_M)
+        self._ones, self._done = np.ones(BATCH), 0  # rays of each block
+        first_azimuth = [self._generate(block, 0, 1).azimuth_rad[0] for block in range(len(fan.blocks))]
+        self._numbers = np.argsort(first_azimuth)  # of the blocks in the sequence
+
+    def refine(self, per_block: int, stop: threading.Event) -> None:
+        """Add rays until each block has `per_block`, or `stop` is set."""
+        fan = self._fan
+        for number, block in zip(self._numbers, fan.blocks, strict=True):
+            if stop.is_set():
+                return
+            node_sums = np.zeros((len(block.nodes.azimuth_rad), len(fan.bins.gain)))
+            for first in range(self._done, per_block, BATCH):
+                rays = self._generate(number, first, min(BATCH, per_block - first))
+                hits, weights = self._scene.hits(rays), self._weights(rays)
+                surfaces = self._scene.surfaces
+                add_echoes(rays, hits, weights, surfaces, block.nodes, fan.bins, node_sums, self.body_sums)
+            form_beams(node_sums, block.beams, block.weights, self.beam_sums)
+        self._done = per_block
+
+    def _weights(self, rays: Rays) -> np.ndarray:
+        """Return the product of the transmit and the two-way elevation pattern for each ray."""
+        fan, weights = self._fan, self._ones[: len(rays.azimuth_rad)]
+        if fan.transmit is not None:
+            weights = weights * fan.transmit(rays.azimuth_rad)
+        if fan.elevation is not None:
+            weights = weights * fan.elevation(rays.direction[:, 2])
+        return weights
+
+    def _generate(self, block: int, first: int, count: int) -> Rays:
+        """Return `count` rays of a block from index `first` on, valid until the next call."""
+        azimuth, origin, direction, start_m = self._rays
+        rays = Rays(azimuth[:count], origin[:count], direction[:count], start_m)
+        generate_rays(rays, first, block, self._fan.log2_blocks, self._keys, self._fan.aperture)
+        return rays

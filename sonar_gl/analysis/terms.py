@@ -1,0 +1,396 @@
+"""The terms of acoustics and noise: how each is switched, what it changes in the image of a scene, what it costs."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.engine.sequence import several_poses
+from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import check_tolerance
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_POSES = 5  # of a sequence, at which terms are judged
+# Changes are judged with coarser samples than the tolerance needs: times the tolerance, and these bounds of it.
+COARSER, MIN_COARSE, MAX_COARSE = 5.0, 0.05, 0.5
+TURNS = 7  # of timing
+UNMET = "tolerance .* cannot be met"  # the warning is for callers that make pings
+SEED = 0  # of the noise: the same with and without a term
+
+
+# ---- the terms and their switches --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One term, and how to switch it.
+
+    Attributes
+    ----------
+    name : as in reports
+    on : function (acoustics, noise, sonar) -> fields that switch the term on; {} if it is on
+    off : fields that switch it off
+    of_noise : True if these are fields of Noise, False if of Acoustics
+    acts_in : function Scene -> False if the scene has nothing that the term could act on
+    """
+
+    name: str
+    on: Callable[[Acoustics, Noise, Sonar], dict]
+    off: dict
+    of_noise: bool = False
+    acts_in: Callable[[Scene], bool] = lambda scene: True
+
+
+def _field_on(name: str, on, off) -> Callable:
+    """Return `Term.on` of a term that is off where one field of Acoustics has the value `off`."""
+    return lambda acoustics, noise, sonar: {name: on} if getattr(acoustics, name) == off else {}
+
+
+def _absorption_on(acoustics, noise, sonar) -> dict:
+    return {"absorption_db_m": None} if acoustics.absorption_db_m == 0 else {}
+
+
+def _pulse_on(acoustics, noise, sonar) -> dict:
+    """A pulse as long as a bin; tapered, since the side lobes of one without a taper reach over hundreds of bins."""
+    if acoustics.bandwidth_hz is not None:
+        return {}
+    speed_m_s = acoustics.sonar_sound_speed_m_s or acoustics.sound_speed()
+    return {"bandwidth_hz": speed_m_s / (2 * sonar.bin_size_m), "pulse_taper": "hamming"}
+
+
+def _speckle_on(acoustics, noise, sonar) -> dict:
+    return {} if noise.speckle else {"speckle": True}
+
+
+def _receiver_noise_on(acoustics, noise, sonar) -> dict:
+    if noise.electronic_db is None and noise.ambient_db is None:
+        return {"electronic_db": Noise.physical().electronic_db}
+    return {}
+
+
+SPECKLE = Term(
+    "speckle",
+    on=_speckle_on,
+    off={"speckle": False, "speckle_shape": None, "looks": 1, "follow_motion": False},
+    of_noise=True,
+)
+TERMS = (
+    # without absorption the TVG remains as it is, so one that assumes the right absorption assumes none
+    Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}),
+    Term(
+        "azimuth pattern",
+        on=_field_on("beam_pattern", "line_array", off="box"),
+        off={"beam_pattern": "box", "steered": "alike"},  # a straight array has no box beams
+    ),
+    Term(
+        "elevation pattern",
+        on=_field_on("elevation_pattern", "line_array", off="box"),
+        off={"elevation_pattern": "box"},
+    ),
+    Term("pulse", on=_pulse_on, off={"bandwidth_hz": None}),
+    Term(
+        "lobes",
+        on=_field_on("specular", True, off=False),
+        off={"specular": False},
+        acts_in=lambda scene: any(body.specular for body in scene.bodies),
+    ),
+    Term(
+        "bubbles",
+        on=_field_on("bubbles", True, off=False),
+        off={"bubbles": False},
+        acts_in=lambda scene: bool(scene.plumes),
+    ),
+    Term("multipath", on=_field_on("multipath", "incoherent", off="none"), off={"multipath": "none"}),
+    SPECKLE,
+    Term(
+        "receiver noise",
+        on=_receiver_noise_on,
+        off={"electronic_db": None, "ambient_db": None},
+        of_noise=True,
+    ),
+)
+
+
+def everything_on(acoustics: Acoustics, noise: Noise, sonar: Sonar) -> tuple[Acoustics, Noise]:
+    """Return both with every term on; a term that is on stays as it is."""
+    for term in TERMS:
+        changes = term.on(acoustics, noise, sonar)
+        if term.of_noise:
+            noise = replace(noise, **changes)
+        else:
+            acoustics = replace(acoustics, **changes)
+    return acoustics, noise
+
+
+def without(acoustics: Acoustics, noise: Noise, terms: Iterable[Term]) -> tuple[Acoustics, Noise]:
+    """Return both with some terms off."""
+    for term in terms:
+        if term.of_noise:
+            noise = replace(noise, **term.off)
+        else:
+            acoustics = replace(acoustics, **term.off)
+    return acoustics, noise
+
+
+# ---- what they change and cost -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Price:
+    """What a term changes in the image, and what it costs.
+
+    Attributes
+    ----------
+    name : of the term
+    changes : Σ|with − without| / Σ with, over beams and bins; the largest over the poses
+    worst_bin : the largest |with − without| of a bin over the strongest bin of the image; likewise
+    time_ms : what it adds to the time of a ping, milliseconds; 0 if it changes nothing
+    on : whether it is needed to keep the tolerance
+    """
+
+    name: str
+    changes: float
+    worst_bin: float
+    time_ms: float
+    on: bool
+
+
+def differs(full, reduced) -> tuple[float, float]:
+    """Return Σ|with − without| / Σ with, and the largest |with − without| over the strongest bin; 0 of no echo.
+
+    Parameters
+    ----------
+    full, reduced : (B, K) intensities with a term and without it
+
+    >>> differs(np.array([[4.0, 1.0]]), np.array([[3.0, 2.0]]))
+    (0.4, 0.25)
+    """
+    e, t = np.asarray(full, np.float64), np.asarray(reduced, np.float64)
+    if e.sum() <= 0:
+        return 0.0, 0.0
+    difference = np.abs(e - t)
+    return float(difference.sum() / e.sum()), float(difference.max() / e.max())
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """What terms are judged by.
+
+    Attributes
+    ----------
+    scene : Scene, or a Simulator whose world is shared
+    sonar : Sonar
+    acoustics, noise : Acoustics and Noise with every term on
+    poses : (4, 4) world_from_sonar, MAX_POSES at most
+    tolerance : how much the image may change
+    """
+
+    scene: Scene | Simulator
+    sonar: Sonar
+    acoustics: Acoustics
+    noise: Noise
+    poses: list[np.ndarray]
+    tolerance: float
+
+
+def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _Case:
+    """Check the arguments of `price` and `needed_acoustics`; return the case that they describe."""
+    check_tolerance(tolerance)
+    check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")
+    check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+    if poses is None:
+        described = scene.scene if isinstance(scene, Simulator) else scene
+        if described.sonar_pose is None:
+            raise Error(f"scene {described.name!r} has no sonar in it; give a pose")
+        poses = [described.sonar_pose]
+    elif not hasattr(poses, "__len__"):
+        poses = list(several_poses(poses))
+    if not len(poses):
+        raise Error("poses must hold at least one pose (got none)")
+    picked = np.unique(np.linspace(0, len(poses) - 1, MAX_POSES).round().astype(int))
+    acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical(), sonar)
+    return _Case(scene, sonar, acoustics, noise, [check_pose(poses[k]) for k in picked], tolerance)
+
+
+class _Comparison:
+    """Pings of a case with every term on and without some of them, all with the same samples.
+
+    Parameters
+    ----------
+    stack : closes the simulators
+    case : _Case
+    planned_tolerance : tolerance for which the samples are chosen, with every term on
+    """
+
+    def __init__(self, stack: ExitStack, case: _Case, planned_tolerance: float):
+        self._stack, self._case, self._simulators, self._pings = stack, case, {}, {}
+        self.planner = stack.enter_context(
+            Simulator(case.scene, case.sonar, case.acoustics, tolerance=planned_tolerance)
+        )
+        self.planner.plan(case.poses)
+
+    def judge(self) -> list[Price]:
+        """Return the price of each term of TERMS, with a time of 0.
+
+        The terms that change least are switched off first, as long as the image without all of them stays
+        within the tolerance.
+        """
+        scene, tolerance = self.planner.scene, self._case.tolerance
+        changes = {term: self._change([term]) if term.acts_in(scene) else (0.0, 0.0) for term in TERMS}
+        off = [term for term in TERMS if changes[term][0] == 0]
+        for term in sorted(TERMS, key=lambda term: changes[term][0]):
+            if term in off:
+                continue
+            if changes[term][0] > tolerance or self._change([*off, term])[0] > tolerance:
+                break
+            off.append(term)
+        return [Price(term.name, *change, 0.0, term not in off) for term, change in changes.items()]
+
+    def added_times_ms(self, terms: list[Term]) -> dict[str, float]:
+        """Return what each term adds to the time of a ping with its noise, milliseconds, by name.
+
+        Pings with and without the terms take turns, so that a change of the machine's load affects all alike.
+        """
+        case = self._case
+        variants = {term: without(case.acoustics, case.noise, [term]) for term in terms}
+        variants[None] = case.acoustics, case.noise
+        times_s = {variant: [] for variant in variants}
+        for turn in range(TURNS):
+            pose = case.poses[turn % len(case.poses)]
+            for variant, (acoustics, noise) in variants.items():
+                simulator = self._simulator(acoustics)
+                simulator.ping(pose)  # not timed: the other simulators left the caches cold
+                start = time.perf_counter()
+                ping = simulator.ping(pose)
+                pinged = time.perf_counter()
+                add_noise(ping, noise, SEED)
+                times_s[variant].append((pinged - start, time.perf_counter() - pinged))
+        out = {}
+        for term in terms:
+            added_ms = 1e3 * np.subtract(times_s[None], times_s[term])
+            # noise costs less than the time of a ping varies, and does not change that time
+            out[term.name] = float(np.median(added_ms[:, 1] if term.of_noise else added_ms.sum(1)))
+        return out
+
+    def _simulator(self, acoustics: Acoustics) -> Simulator:
+        """Return a simulator with these samples. The tolerance decides which planar reflectors it includes."""
+        if acoustics not in self._simulators:
+            self._simulators[acoustics] = self._stack.enter_context(
+                Simulator(
+                    self.planner, self._case.sonar, acoustics, self.planner.sampling, self._case.tolerance
+                )
+            )
+        return self._simulators[acoustics]
+
+    def _pings_with(self, acoustics: Acoustics) -> list[Ping]:
+        """Return a ping from each pose, without noise."""
+        if acoustics not in self._pings:
+            simulator = self._simulator(acoustics)
+            self._pings[acoustics] = [simulator.ping(pose) for pose in self._case.poses]
+        return self._pings[acoustics]
+
+    def _mean_images(self, terms: Iterable[Term]) -> list[np.ndarray]:
+        """Return the (B, K) mean of many pings without these terms, from each pose.
+
+        Speckle has the mean 1; noise adds its mean power, raised by the TVG.
+        """
+        acoustics, noise = without(self._case.acoustics, self._case.noise, terms)
+        levels_db = noise.electronic_db, noise.ambient_db
+        power = sum([10 ** (db / 10) for db in levels_db if db is not None])
+        power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
+        return [ping.intensity + power for ping in self._pings_with(acoustics)]
+
+    def _change(self, terms: list[Term]) -> tuple[float, float]:
+        """Return how the image without these terms differs, as `differs` does; the largest over the poses."""
+        full, reduced = self._mean_images(()), self._mean_images(terms)
+        if SPECKLE in terms:  # a single ping against the mean; no tolerance leaves speckle out
+            full = [
+                add_noise(ping, self._case.noise, SEED).intensity
+                for ping in self._pings_with(self._case.acoustics)
+            ]
+        shares, bins = zip(*map(differs, full, reduced), strict=True)
+        return max(shares), max(bins)
+
+
+def price(
+    scene: Scene | Simulator,
+    sonar: Sonar,
+    tolerance: float = 0.01,
+    poses=None,
+    acoustics: Acoustics | None = None,
+    noise: Noise | None = None,
+) -> list[Price]:
+    """Measure what each term changes in the image of a scene, and what it costs.
+
+    Parameters
+    ----------
+    scene : Scene, or a Simulator whose world is shared
+    sonar : Sonar
+    tolerance : 0.001..0.5, how much the image may change; changes are measured with samples for five times as much
+    poses : several (4, 4) world_from_sonar, of which five at most are used; None = the scene's own
+    acoustics, noise : settings of the terms that are on; None is `Acoustics.physical()` and `Noise.physical()`.
+        Terms that are off in them are measured as a line array in elevation, a pulse as short as the bins,
+        incoherent multipath
+
+    Returns
+    -------
+    list of Price, one per term, in the order of TERMS. Images are means of many pings, to which noise adds its
+    mean power; for speckle, one ping is compared with that mean
+
+    Raises
+    ------
+    Error
+        if there is no pose, or an argument is wrong.
+    """
+    case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", UNMET)
+        coarse = _Comparison(stack, case, _coarser(tolerance))
+        prices = coarse.judge()
+        fine = _Comparison(stack, replace(case, scene=coarse.planner), tolerance)
+        acting = [term for term, found in zip(TERMS, prices, strict=True) if found.changes > 0]
+        times_ms = fine.added_times_ms(acting)
+    return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices]
+
+
+def needed_acoustics(scene, sonar, tolerance: float = 0.01, pose=None) -> Acoustics:
+    """Return `Acoustics.physical` with only those terms on that a scene needs.
+
+    The terms that are left out change the image by no more than the tolerance, all together. The same arguments
+    give the same terms: times do not matter.
+
+    Parameters
+    ----------
+    scene, sonar : Scene, or a Simulator of it, and Sonar
+    tolerance : 0.001..0.5, the share of the echo that may differ from that with every term on
+    pose : (4, 4) world_from_sonar, or several of a sequence, of which five at most are used; None = the scene's
+
+    Raises
+    ------
+    Error
+        if there is no pose, or an argument is wrong.
+    """
+    poses = [pose] if pose is not None and np.ndim(pose) == 2 else pose
+    case = _make_case(scene, sonar, tolerance, poses)
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", UNMET)
+        prices = _Comparison(stack, case, _coarser(tolerance)).judge()
+    off = [term for term, found in zip(TERMS, prices, strict=True) if not found.on and not term.of_noise]
+    return without(case.acoustics, case.noise, off)[0]
+
+
+def _coarser(tolerance: float) -> float:
+    """Return the tolerance for the samples with which changes are judged."""
+    return min(max(COARSER * tolerance, MIN_COARSE), MAX_COARSE)

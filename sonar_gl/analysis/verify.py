@@ -1,0 +1,225 @@
+"""The error of a ping, judged by the reference: numbers and a picture."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.analysis.reference import AGREEMENT, MIN_BODY_SHARE, reference_ping
+from sonar_gl.imaging.axes import draw_axes
+from sonar_gl.imaging.fan_image import colorize, fan_image
+from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import WORST_BODY, Sampling
+from sonar_gl.sonar.sonar import Sonar
+
+N_TIMED = 9  # pings whose median time is reported
+FIRST_ERROR = (
+    0.05  # the first reference is refined to judge this error, the next one to judge the error found
+)
+MARGIN = 0.8  # of an error that holds some of the reference's own
+MAX_ROUNDS = 3  # of refining the reference
+COLOUR_PERCENTILE = 99  # of the errors of bins: from there on the picture has full colour
+SPAN_DB = 50.0  # of the fan images
+
+
+def ping_error(ping: Ping, truth: Ping) -> float:
+    """Return the share of the echo that lies in wrong bins, Σ|E − T| / ΣT over beams and bins.
+
+    It is 0 if both pings are empty, and infinite if only the truth is.
+    """
+    e, t = (np.asarray(p.intensity, np.float64) for p in (ping, truth))
+    wrong, total = np.abs(e - t).sum(), t.sum()
+    if total > 0:
+        return float(wrong / total)
+    return float("inf") if wrong > 0 else 0.0
+
+
+def worst_body(ping: Ping, truth: Ping) -> tuple[float, int]:
+    """Return the largest relative error of a body's own echo and that body's number; (0, 0) if no body counts.
+
+    Only bodies that return more than a thousandth of the true echo count. Both pings must have `body_echo`, as
+    with labels.
+    """
+    e, t = (np.asarray(p.body_echo, np.float64) for p in (ping, truth))
+    counts = t > MIN_BODY_SHARE * t.sum()
+    if not counts.any():
+        return 0.0, 0
+    errors = np.where(counts, np.abs(e - t) / np.where(counts, t, 1.0), -1.0)
+    worst = int(errors.argmax())
+    return float(errors[worst]), worst
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """A ping and its truth, without noise. B beams, K bins.
+
+    Attributes
+    ----------
+    ping, truth : the ping of `Simulator` and that of `reference_ping`, both with `body_echo`
+    tolerance : the share of the echo that may lie in wrong bins
+    error : Σ|E − T| / ΣT
+    worst_body_error : the largest relative error of a body's own echo
+    worst_body : the name of that body, "" if none counts
+    time_ms : median time of `Simulator.ping`, without labels, milliseconds
+    reference_s : time of the reference, seconds
+    """
+
+    ping: Ping
+    truth: Ping
+    tolerance: float
+    error: float
+    worst_body_error: float
+    worst_body: str
+    time_ms: float
+    reference_s: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the error is within the tolerance, and that of the worst body within five times as much."""
+        return self.error <= self.tolerance and self.worst_body_error <= WORST_BODY * self.tolerance
+
+    @property
+    def difference(self) -> float:
+        """The difference of the reference's two halves, Σ|A − B| over ΣT."""
+        return self.truth.meta["difference"]
+
+    @property
+    def certain(self) -> bool:
+        """Whether the reference is exact enough: its halves differ by no more than a tenth of the error."""
+        return self.difference * AGREEMENT <= self.error
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """(B, K) float64, |E − T|."""
+        return np.abs(self.ping.intensity.astype(np.float64) - self.truth.intensity)
+
+
+def verify(
+    scene: Scene,
+    sonar: Sonar,
+    pose,
+    acoustics: Acoustics | None = None,
+    tolerance: float = 0.01,
+    sampling: Sampling | None = None,
+) -> Verification:
+    """Judge a ping by the reference, which is refined until its own error is well below the one found.
+
+    Parameters
+    ----------
+    scene, sonar, acoustics, tolerance, sampling : as for `Simulator`
+    pose : (4, 4) world_from_sonar
+
+    Raises
+    ------
+    Error
+        as `Simulator` and `reference_ping` do.
+    """
+    with Simulator(scene, sonar, acoustics, sampling, tolerance) as simulator:
+        ping = simulator.ping(pose, labels=True)
+        times_s = []
+        for _ in range(N_TIMED):
+            start = time.perf_counter()
+            simulator.ping(pose)
+            times_s.append(time.perf_counter() - start)
+    start, error = time.perf_counter(), FIRST_ERROR
+    for _ in range(MAX_ROUNDS):
+        with warnings.catch_warnings():
+            # `Verification.certain` reports too few rays
+            warnings.filterwarnings("ignore", "the reference can judge")
+            truth = reference_ping(scene, sonar, pose, acoustics, error)
+        error = ping_error(ping, truth)
+        if truth.meta["difference"] * AGREEMENT <= error or not truth.meta["converged"]:
+            break
+        # this error holds some of the reference's own: the next will be smaller
+        error = float(np.clip(MARGIN * error, 1e-4, 0.5))
+    reference_s = time.perf_counter() - start
+    worst, number = worst_body(ping, truth)
+    return Verification(
+        ping=ping,
+        truth=truth,
+        tolerance=tolerance,
+        error=ping_error(ping, truth),
+        worst_body_error=worst,
+        worst_body=scene.bodies[number - 1].name if number else "",
+        time_ms=1e3 * float(np.median(times_s)),
+        reference_s=reference_s,
+    )
+
+
+class _Panel(NamedTuple):
+    """One of the three parts of the picture: (H, W, 3) uint8 image, title, and a line that explains its colours."""
+
+    image: np.ndarray
+    title: str
+    scale: str
+
+
+def error_picture(verification: Verification, height: int = 800) -> np.ndarray:
+    """Draw the ping, the reference and their difference side by side, to show where in the fan the error lies.
+
+    Parameters
+    ----------
+    verification : Verification
+    height : height of a fan, pixels
+
+    Returns
+    -------
+    (H, W, 3) uint8 RGB; in the difference red is too much echo, blue too little, on a linear scale
+    """
+    v = verification
+    strongest = float(v.truth.intensity.max())
+    top_db = 10 * np.log10(strongest) if strongest > 0 else 0.0
+    scale = f"from {top_db - SPAN_DB:.0f} dB (blue) to {top_db:.0f} dB (red)"
+
+    def draw(ping: Ping) -> np.ndarray:
+        image = fan_image(ping, height, "db", (top_db - SPAN_DB, top_db))
+        return draw_axes(colorize(image, "jet"), ping)
+
+    n_rays = v.truth.meta["n_rays"]
+    return _join(
+        [
+            _Panel(draw(v.ping), f"fast ping, {v.time_ms:.3g} ms", scale),
+            _Panel(draw(v.truth), f"reference, {n_rays / 1e6:.3g} million rays", scale),
+            _difference_panel(v, height),
+        ]
+    )
+
+
+def _difference_panel(v: Verification, height: int) -> _Panel:
+    """Draw the difference, with full colour from a percentile of the errors on."""
+    wrong = v.wrong[v.wrong > 0]
+    limit = float(np.percentile(wrong, COLOUR_PERCENTILE)) if wrong.size else 1.0
+    signed = (v.ping.intensity.astype(np.float64) - v.truth.intensity) / limit
+    more, less = (
+        fan_image(replace(v.ping, intensity=part.clip(0, 1).astype(np.float32)), height, "linear")
+        for part in (signed, -signed)
+    )
+    colour = 1 - np.stack([less, np.maximum(more, less), more], axis=-1)
+    return _Panel(
+        draw_axes(np.rint(255 * colour.clip(0, 1)).astype(np.uint8), v.ping),
+        f"difference: {100 * v.error:.2g} % of the echo",
+        f"red too much, blue too little; in full at {limit:.1e}, percentile {COLOUR_PERCENTILE}",
+    )
+
+
+def _join(panels: list[_Panel]) -> np.ndarray:
+    """Return the panels side by side below their titles, in letters that fit the widest of them."""
+    width, font = panels[0].image.shape[1], cv2.FONT_HERSHEY_SIMPLEX
+    texts = [text for panel in panels for text in (panel.title, panel.scale)]
+    widest = max(cv2.getTextSize(text, font, 1.0, 1)[0][0] for text in texts)
+    letter = min(1.2, 0.94 * width / widest)
+    line = round(36 * letter)
+    head = np.zeros((round(2.6 * line), len(panels) * width, 3), np.uint8)
+    for number, panel in enumerate(panels):
+        for row, text in enumerate((panel.title, panel.scale)):
+            place = (round((number + 0.03) * width), round((row + 1.0) * line))
+            cv2.putText(head, text, place, font, letter, (235 - 50 * row,) * 3, 1, cv2.LINE_AA)
+    return np.vstack([head, np.hstack([panel.image for panel in panels])])

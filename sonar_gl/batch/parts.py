@@ -1,0 +1,393 @@
+"""The steps of a batch in one process: plan it, create its store, make a part, finalize it."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import groupby
+
+import numpy as np
+
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import Job
+from sonar_gl.batch.manifest import (
+    DONE_NAME,
+    Manifest,
+    PartRecord,
+    default_pings_per_part,
+    table_name,
+)
+from sonar_gl.batch.outputs import make_outputs
+from sonar_gl.batch.requests import BatchRequest, BatchRequests
+from sonar_gl.batch.schema import Schema
+from sonar_gl.batch.store import (
+    MADE,
+    SET_ASIDE,
+    PingTable,
+    SonarGroup,
+    consolidate,
+    create_arrays,
+    gather_ping_variables,
+    rows_to_bytes,
+    shared_files,
+)
+from sonar_gl.core.errors import Error
+from sonar_gl.engine.adaptive import MAX_POSES
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.sequence import make_pings
+from sonar_gl.engine.sequence import plan as plan_sampling
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.ping import Ping
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import Sampling
+
+TRIES = 2  # of a ping that fails, before it is set aside
+
+# A step reports its progress by calls of report(kind, value):
+#   "sequence", number : pings from this one on are being made, several at once
+#   "started", number  : this ping is being made, and no other
+#   "finished", number : this ping is made
+#   "warning", text
+Report = Callable[[str, object], None]
+
+
+def no_report(_kind: str, _value) -> None:
+    """Report nothing."""
+
+
+class Batch:
+    """A job and the folder of its data set, as one process needs them. Call `close()` at the end.
+
+    Parameters
+    ----------
+    job : Job
+    folder : folder of the batch
+    device : index of an EGL device, or None for the default
+
+    Attributes
+    ----------
+    requests, schema, table : built once, and checked, as they load and hash every scene of the job
+
+    Raises
+    ------
+    Error
+        if the job is invalid.
+    """
+
+    def __init__(self, job: Job, folder: Folder, device: int | None = None):
+        self.folder, self.device = folder, device
+        self.requests = BatchRequests(job)
+        self.schema = Schema(self.requests)
+        self.table = PingTable(self.requests)
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """The manifest in the folder, which must be there."""
+        if (manifest := Manifest.load(self.folder)) is None:
+            raise Error(f"{self.folder.url}: must hold the manifest of a batch (got none)")
+        return manifest
+
+    @cached_property
+    def maker(self) -> PartMaker:
+        """The maker of parts of this process, whose simulators stay open."""
+        return PartMaker(self)
+
+    def close(self) -> None:
+        """Close the simulators."""
+        if "maker" in vars(self):
+            self.maker.close()
+
+
+# ---- steps ------------------------------------------------------------------------------------------
+
+
+def plan_manifest(batch: Batch, report: Report = no_report) -> Manifest:
+    """Choose the sampling of each scene and sonar, by a few pings spread over the job."""
+    requests, schema, samplings, estimates, renderer = batch.requests, batch.schema, [], [], ""
+    for scene, name in enumerate(requests.job.scenes):
+        samplings.append({})
+        estimates.append({})
+        spread = [requests[number] for number in _spread_numbers(requests, scene)]
+        with ExitStack() as stack, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            for sonar, simulator in _open_simulators(batch, scene, stack).items():
+                mount = requests.mounts[sonar]
+                plan = plan_sampling(simulator.run, [request.for_sonar(mount) for request in spread])
+                samplings[-1][sonar] = asdict(plan.sampling)
+                estimates[-1][sonar] = plan.error_estimate
+                renderer = simulator.gl_info["renderer"]
+        for warning in caught:
+            report("warning", f"scene {name!r}: {warning.message}")
+    job = requests.job
+    return Manifest(
+        job.plain,
+        schema.digest,
+        len(requests),
+        job.pings_per_part or default_pings_per_part(schema.bytes_per_ping),
+        samplings,
+        estimates,
+        gl_renderer=renderer,
+    )
+
+
+def create_store(batch: Batch, report: Report = no_report) -> None:
+    """Create the store, empty, as far as it does not exist."""
+    schema, manifest, groups = batch.schema, batch.manifest, {}
+    for name, sonar in batch.requests.sonars.items():
+        groups[name] = SonarGroup(sonar, schema.arrays(name), schema.sonar_attributes(manifest, name))
+    create_arrays(batch.folder, manifest, groups, schema.attributes(manifest))
+
+
+def make_part(
+    batch: Batch,
+    part: int,
+    set_aside: dict[int, str] | None = None,
+    one_by_one: bool = False,
+    report: Report = no_report,
+) -> PartRecord:
+    """Make a part, see `PartMaker.make`."""
+    return batch.maker.make(part, set_aside, one_by_one, report)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time and size of a ping."""
+
+    seconds_per_ping: float
+    bytes_per_ping: float
+
+
+def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
+    """Make the first part twice, since only the second time is typical, and return what a ping costs."""
+    make_part(batch, 0, report=report)
+    begin_s = time.perf_counter()
+    record = make_part(batch, 0, report=report)
+    taken_s, folder = time.perf_counter() - begin_s, batch.folder
+    sizes = [folder.fs.size(folder.path(name)) for name, checksum in record.files.items() if checksum]
+    return Cost(taken_s / record.pings, sum(sizes) / record.pings)
+
+
+def finalize(batch: Batch, report: Report = no_report) -> None:
+    """Join the files of all parts, and write the file that says that the batch is complete."""
+    requests, schema, manifest, folder = batch.requests, batch.schema, batch.manifest, batch.folder
+    gather_ping_variables(requests, batch.table, manifest, folder)
+    consolidate(folder)
+    files = [name for output in make_outputs(requests, schema, folder) for name in output.join(manifest)]
+    part_arrays = {array.name for sonar in requests.sonars for array in schema.arrays(sonar)}
+    files += shared_files(folder, part_arrays)
+    checksums = {name: folder.checksum(name) for name in sorted(files)}
+    folder.put_json(DONE_NAME, {"parts": manifest.n_parts, "pings": manifest.n_pings, "files": checksums})
+
+
+# The steps by name, as pools and clusters run them: function (batch, *arguments, report).
+STEPS = {
+    "plan": plan_manifest,
+    "create": create_store,
+    "make": make_part,
+    "measure": measure_cost,
+    "finalize": finalize,
+}
+
+
+def _spread_numbers(requests: BatchRequests, scene: int) -> list[int]:
+    """Return numbers of pings spread evenly over those of a scene."""
+    ranges = [run.numbers for run in requests.runs if run.scene == scene]
+    starts = np.cumsum([0, *map(len, ranges)]).tolist()
+    picked = np.unique(np.linspace(0, starts[-1] - 1, MAX_POSES).round().astype(int)).tolist()
+    runs = [bisect_right(starts, index) - 1 for index in picked]
+    return [ranges[run][index - starts[run]] for run, index in zip(runs, picked, strict=True)]
+
+
+def _open_simulators(
+    batch: Batch, scene: int, stack: ExitStack, samplings: dict[str, dict] | None = None
+) -> dict[str, Simulator]:
+    """Open a simulator for each sonar, all with one OpenGL context. Without samplings the tolerance holds."""
+    requests, shared, simulators = batch.requests, batch.requests.scene(scene), {}
+    for name, sonar in requests.sonars.items():
+        if samplings is None:
+            accuracy = {"tolerance": requests.job.tolerance}
+        else:
+            accuracy = {"sampling": Sampling(**samplings[name])}
+        shared = Simulator(shared, sonar, requests.acoustics, device=batch.device, **accuracy)
+        simulators[name] = stack.enter_context(shared)
+    return simulators
+
+
+# ---- parts ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part that is being made.
+
+    Attributes
+    ----------
+    numbers : numbers of its pings
+    requests : their requests
+    rows : (pings, width) rows of the ping table
+    failed : number of each ping that is set aside -> why; grows
+    one_by_one : whether each ping is reported before it is made
+    """
+
+    numbers: range
+    requests: list[BatchRequest]
+    rows: np.ndarray
+    failed: dict[int, str]
+    one_by_one: bool
+    report: Report
+
+
+class PartMaker:
+    """Makes the parts of a batch. The simulators of the last scene stay open until `close()`."""
+
+    def __init__(self, batch: Batch):
+        self._batch, self.folder = batch, batch.folder
+        self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
+        self._stack, self._scene, self._simulators = ExitStack(), None, {}
+
+    def _simulators_of(self, scene: int) -> dict[str, Simulator]:
+        """Return the simulators of a scene, one for each sonar."""
+        if scene != self._scene:
+            self.close()
+            samplings = self._batch.manifest.samplings[scene]
+            self._simulators = _open_simulators(self._batch, scene, self._stack, samplings)
+            self._scene = scene
+        return self._simulators
+
+    def close(self) -> None:
+        """Close the simulators."""
+        self._stack.close()
+        self._simulators, self._scene = {}, None
+
+    def make(
+        self,
+        part: int,
+        set_aside: dict[int, str] | None = None,
+        one_by_one: bool = False,
+        report: Report = no_report,
+    ) -> PartRecord:
+        """Make a part and write its files, the record last.
+
+        Parameters
+        ----------
+        set_aside : numbers of pings to leave out -> why
+        one_by_one : make and report each ping alone, so that it is known which one kills the process
+        report : see `Report`
+
+        Raises
+        ------
+        Error
+            if every ping of the part fails for the same reason.
+        OSError
+            if a file cannot be written.
+        """
+        batch, numbers = self._batch, self._batch.manifest.numbers(part)
+        requests = [batch.requests[number] for number in numbers]
+        rows = np.array([batch.table.row(request) for request in requests])
+        task = _Part(numbers, requests, rows, dict(set_aside or {}), one_by_one, report)
+        for output in self.outputs:
+            output.begin(part, numbers)
+        for scene, run in groupby(requests, lambda request: request.scene):
+            run = list(run)
+            for sonar in batch.requests.sonars:
+                for request, ping in self._pings(task, scene, sonar, run):
+                    self._store(task, request, sonar, ping)
+        reasons = set(task.failed.values())
+        if len(task.failed) == len(numbers) > 1 and not set_aside and len(reasons) == 1:
+            raise Error(f"no ping of part {part} could be made ({reasons.pop()})")
+        return self._finish(part, task)
+
+    def _store(self, task: _Part, request: BatchRequest, sonar: str, ping: Ping) -> None:
+        """Give a ping to the outputs, and enter its numbers into the table."""
+        table, row = self._batch.table, task.rows[request.number - task.numbers[0]]
+        table.column(row, "status")[:] = MADE
+        table.column(row, ("has_echo", sonar))[:] = ping.meta["has_echo"]
+        table.column(row, ("echo", sonar))[:] = ping.intensity.sum(dtype=np.float64)
+        noise_seed = self._batch.requests.noise_seed(sonar)
+        noisy = add_noise(ping, request.noise, noise_seed, request.number)
+        for output in self.outputs:
+            output.add(request, sonar, noisy)
+
+    def _finish(self, part: int, task: _Part) -> PartRecord:
+        """Write what is left of a part's files, and its record."""
+        table, rows, first = self._batch.table, task.rows, task.numbers[0]
+        for number in task.failed:
+            table.column(rows[number - first], "status")[:] = SET_ASIDE
+        files = [name for output in self.outputs for name in output.end()]
+        files.append(table_name(part))
+        self.folder.put(files[-1], rows_to_bytes(rows))
+        has_echo = [table.column(rows, ("has_echo", sonar)) == 1 for sonar in self._batch.requests.sonars]
+        is_silent = (table.column(rows, "status") == MADE) & ~np.any(has_echo, axis=0)
+        record = PartRecord(
+            part,
+            first,
+            len(task.numbers),
+            {str(number): why for number, why in sorted(task.failed.items())},
+            int(is_silent.sum()),
+            {file: self.folder.checksum(file) for file in files},
+        )
+        record.save(self.folder)
+        return record
+
+    def _pings(
+        self, task: _Part, scene: int, sonar: str, requests: list[BatchRequest]
+    ) -> Iterator[tuple[BatchRequest, Ping]]:
+        """Yield the pings of consecutive requests in one scene. Those that fail are added to task.failed."""
+        run, mount = self._simulators_of(scene)[sonar].run, self._batch.requests.mounts[sonar]
+        labels = self._batch.requests.job.labels is not None
+        background = self._batch.schema.background(scene)
+
+        def for_sonar(request: BatchRequest) -> PingRequest:
+            return request.for_sonar(mount, labels, background)
+
+        remaining = deque(request for request in requests if request.number not in task.failed)
+        if remaining and not task.one_by_one:
+            task.report("sequence", remaining[0].number)
+            pings = make_pings(run, map(for_sonar, list(remaining)))
+            try:
+                while remaining:
+                    yield remaining[0], _report_warnings(lambda: next(pings), task.report)
+                    task.report("finished", remaining.popleft().number)
+            except (OSError, MemoryError):
+                raise
+            except Exception:  # of one of several pings; made alone, the one shows
+                pings.close()
+        for request in remaining:
+            ping = self._make_alone(task, request, lambda r: make_ping(run, for_sonar(r)))
+            if ping is not None:
+                yield request, ping
+                task.report("finished", request.number)
+
+    def _make_alone(
+        self, task: _Part, request: BatchRequest, make: Callable[[BatchRequest], Ping]
+    ) -> Ping | None:
+        """Make a ping, in several tries. Return None after the last, with the reason in task.failed."""
+        reason = ""
+        for _ in range(TRIES):
+            task.report("started", request.number)
+            try:
+                return _report_warnings(lambda: make(request), task.report)
+            except (OSError, MemoryError):
+                raise
+            except Exception as why:
+                kind = "" if isinstance(why, Error) else f"{type(why).__name__}: "
+                reason = f"{kind}{why}"
+        task.failed[request.number] = reason
+        return None
+
+
+def _report_warnings(make: Callable[[], Ping], report: Report) -> Ping:
+    """Make a ping and report its warnings, but not that it has no echo, which the table says."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        ping = make()
+    for warning in caught if ping.meta["has_echo"] else ():
+        report("warning", str(warning.message))
+    return ping

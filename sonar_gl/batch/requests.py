@@ -1,0 +1,290 @@
+"""The request for each ping of a job, computed from the ping's number alone: any worker can make any ping."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import WATER, Acoustics
+from sonar_gl.batch.job import Job, SonarTable, build, matching_names
+from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
+from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.noise.noise import Noise
+from sonar_gl.scene.load import load_scene
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+VARY_STREAM, NOISE_STREAM = 101, 102  # of random numbers; never renumber: the bytes of data sets would change
+GAP_S = 1.0  # between the last ping of a run and the first of the next
+SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+NOISE_PRESETS = {"none": Noise.none, "demarco2015": Noise.demarco2015, "physical": Noise.physical}
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRequest:
+    """The request for one ping of a batch, common to all sonars of the job.
+
+    Attributes
+    ----------
+    number : number of the ping in the job, from 0 on
+    scene : index into the job's scenes
+    time_s : time of transmission
+    vehicle_pose : (4, 4) world_from_vehicle
+    bodies, reflectivity, water : changes in this ping, as in `PingRequest`
+    noise : noise of this ping
+    """
+
+    number: int
+    scene: int
+    time_s: float
+    vehicle_pose: np.ndarray
+    bodies: dict
+    reflectivity: dict
+    water: dict
+    noise: Noise
+
+    def for_sonar(
+        self, mount: np.ndarray, labels: bool = False, background: list[str] | None = None
+    ) -> PingRequest:
+        """Return the request for one sonar, without noise.
+
+        Parameters
+        ----------
+        mount : (4, 4) vehicle_from_sonar
+        labels, background : as in `PingRequest`
+        """
+        return PingRequest(
+            pose=self.vehicle_pose @ mount,
+            labels=labels,
+            background=background,
+            bodies=self.bodies,
+            time_s=self.time_s,
+            reflectivity=self.reflectivity,
+            water=self.water or None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Consecutive pings along one trajectory in one scene.
+
+    Attributes
+    ----------
+    scene : index into the job's scenes
+    numbers : numbers of the pings in the job
+    delay_s : added to the times of the trajectory
+    """
+
+    scene: int
+    trajectory: Trajectory
+    numbers: range
+    delay_s: float
+
+
+class BatchRequests(Sequence):
+    """The requests of a job, a sequence by ping number.
+
+    Attributes
+    ----------
+    job : Job
+    sonars : name -> Sonar, in the order of the job
+    mounts : name -> (4, 4) vehicle_from_sonar
+    acoustics, noise : those of the job, before variation
+    runs : the runs of the job, in order: along each trajectory, one for each scene
+
+    Raises
+    ------
+    Error
+        if the job names something unknown or invalid; the message names file and table.
+    """
+
+    def __init__(self, job: Job):
+        self.job = job
+        self.sonars, self.mounts = _load_sonars(job)
+        self.noise = _load_noise(job)
+        self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
+        trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
+        _check_varied_fields(job, self.acoustics, self.noise)
+        if job.ros is not None:
+            _check_times_for_bag(job, trajectories)
+        self.runs = _runs(trajectories, len(job.scenes))
+        self._starts = [run.numbers.start for run in self.runs]
+        self._scenes, self._moved_names = {}, {}
+
+    def _load_trajectory(self, index: int) -> Trajectory:
+        table = dict(self.job.poses[index])
+        if "file" in table:
+            table["file"] = str(self.job.path(str(table["file"])))
+        if table.get("kind") == "random_views":
+            table.setdefault("seed", self.job.seed)
+        return build_trajectory(table, self.job.where, index)
+
+    def __len__(self) -> int:
+        return self.runs[-1].numbers.stop
+
+    def __getitem__(self, number: int) -> BatchRequest:
+        if not 0 <= number < len(self):
+            raise IndexError(f"a job has pings 0..{len(self) - 1} (got {number})")
+        run = self.runs[bisect_right(self._starts, number) - 1]
+        time_s, vehicle_pose = run.trajectory[number - run.numbers.start]
+        key = np.random.SeedSequence(self.job.seed, spawn_key=(VARY_STREAM, number))
+        random = np.random.Generator(np.random.SFC64(key))
+        vary = self.job.vary  # the order of the draws below decides the bytes of data sets
+        water = {key: _draw(random, value) for key, value in sorted(vary.water.items())}
+        noise = {key: _draw(random, value) for key, value in sorted(vary.noise.items())}
+        if "looks" in noise:
+            noise["looks"] = int(noise["looks"])
+        bodies, reflectivity = self._draw_bodies(run.scene, random) if vary.bodies else ({}, {})
+        return BatchRequest(
+            number,
+            run.scene,
+            time_s + run.delay_s,
+            vehicle_pose,
+            bodies,
+            reflectivity,
+            water,
+            replace(self.noise, **noise),
+        )
+
+    def _draw_bodies(self, scene: int, random) -> tuple[dict, dict]:
+        """Draw the poses of bodies that move in a ping, and their reflectivities."""
+        bodies, reflectivity = {}, {}
+        known = self.bodies_and_plumes(scene)
+        for k, table in enumerate(self.job.vary.bodies):
+            names = self.moved_names(scene, k)
+            for group in [[name] for name in names] if table.apart else [names]:
+                draws = np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
+                shift, turn = np.split(draws, 2)
+                is_present = random.random() < table.there
+                mu = None if table.reflectivity is None else _draw(random, table.reflectivity)
+                if not group or (is_present and not draws.any() and mu is None):
+                    continue
+                pivot = known[group[0]].pose
+                move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
+                move[:3, 3] += shift
+                for name in group:
+                    bodies[name] = move @ known[name].pose if is_present else None
+                    if mu is not None and is_present and hasattr(known[name], "reflectivity"):
+                        reflectivity[name] = mu
+        return bodies, reflectivity
+
+    def scene(self, index: int) -> Scene:
+        """Return a scene of the job. The last two are cached."""
+        if index not in self._scenes:
+            name = self.job.scenes[index]
+            path = self.job.path(name)
+            folders = [self.job.path(folder) for folder in self.job.resource_paths]
+            with errors_at(f"{self.job.where}: scenes[{index}]"):
+                scene = load_scene(str(path) if path.is_file() else name, folders, self.job.skip_missing)
+            while len(self._scenes) > 1:
+                self._scenes.pop(next(iter(self._scenes)))
+            self._scenes[index] = scene
+        return self._scenes[index]
+
+    def bodies_and_plumes(self, scene: int) -> dict:
+        """Return the bodies and plumes of a scene by name."""
+        loaded = self.scene(scene)
+        return {entry.name: entry for entry in (*loaded.bodies, *loaded.plumes)}
+
+    def moved_names(self, scene: int, table: int) -> list[str]:
+        """Return the bodies of a scene that a table of moved bodies matches; it may be none of this scene."""
+        if (scene, table) not in self._moved_names:
+            patterns = self.job.vary.bodies[table].names
+            self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
+        return self._moved_names[scene, table]
+
+    def noise_seed(self, sonar: str) -> int:
+        """Return the seed of a sonar's noise; each sonar has its own."""
+        index = list(self.sonars).index(sonar)
+        key = np.random.SeedSequence(self.job.seed, spawn_key=(NOISE_STREAM, index))
+        return int(key.generate_state(1, np.uint32)[0])
+
+
+def _draw(random, value) -> float:
+    """Return a varied value. A constant takes a draw, too, so that later draws do not depend on it."""
+    share = random.random()
+    return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
+
+
+def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[Run]:
+    """Return the runs of a job. Each begins GAP_S after the one before has ended."""
+    runs, first, delay_s, last_s = [], 0, 0.0, None
+    for trajectory in trajectories:
+        for scene in range(n_scenes):
+            if last_s is not None:
+                delay_s = last_s + GAP_S - trajectory[0][0]
+            runs.append(Run(scene, trajectory, range(first, first + len(trajectory)), delay_s))
+            first += len(trajectory)
+            last_s = trajectory[len(trajectory) - 1][0] + delay_s
+    return runs
+
+
+def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
+    """Return the sonars of a job by name, and their mounts."""
+    sonars, mounts = {}, {}
+    for k, table in enumerate(job.sonars):
+        where = f"{job.where}: sonars[{k}]"
+        sonar = _load_sonar(job, table, where)
+        plain = "".join(c if c.isalnum() else "_" for c in sonar.name)
+        name = table.name or (plain if plain[:1].isalpha() else f"sonar_{plain}")
+        if name in sonars:
+            raise Error(f"{where}.name must differ from those before (got {name!r})")
+        sonars[name], mounts[name] = sonar, make_pose(*table.mount)
+    return sonars, mounts
+
+
+def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
+    path = job.path(table.sonar.partition("#")[0])
+    with errors_at(where):
+        sonar = load_sonar(str(job.path(table.sonar)) if path.is_file() else table.sonar)
+        sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
+        return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
+
+
+def _load_noise(job: Job) -> Noise:
+    settings, where = dict(job.noise), f"{job.where}: noise"
+    if (preset := settings.pop("preset", "none")) not in NOISE_PRESETS:
+        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {preset!r})")
+    build(Noise, settings, where)  # with unknown keys named before the preset's are added
+    return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
+
+
+def _fields_of(record) -> dict:
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
+    """Check the tables vary.water and vary.noise, and that both ends of their ranges are allowed."""
+    where, vary = job.where, job.vary
+    for key in vary.water:
+        if key not in WATER:
+            raise Error(f"{where}: vary.water: unknown key (got {key!r}; {nearest_names(key, WATER)})")
+    if "median" in vary.noise:
+        raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
+    for end in (0, -1):
+        for base, table, name in ((acoustics, vary.water, "water"), (noise, vary.noise, "noise")):
+            values = {key: np.ravel(value)[end].item() for key, value in table.items()}
+            if "looks" in values:
+                values["looks"] = int(values["looks"])
+            build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
+    if vary.water and acoustics.sonar_sound_speed_m_s is not None:
+        raise Error(
+            f"{where}: vary.water must stand without acoustics.sonar_sound_speed_m_s "
+            "(got both; ranges would differ from ping to ping)"
+        )
+
+
+def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
+    """Check that the times of files never fall and, in the first run, are not negative: bags need both."""
+    for k, trajectory in enumerate(trajectories):
+        if isinstance(trajectory, FileTrajectory):
+            times_s = trajectory.times_s if k else np.append(0.0, trajectory.times_s)
+            if (falls := np.flatnonzero(np.diff(times_s) < 0)).size:
+                former, latter = times_s[falls[0] : falls[0] + 2]
+                where, got = f"{job.where}: poses[{k}].file", f"{latter:g} s after {former:g} s"
+                raise Error(f"{where} must hold times from 0 on that never fall, for a bag (got {got})")

@@ -1,0 +1,365 @@
+"""What a job stores of its pings: arrays and their encoding, numbers of bodies and classes, attributes.
+
+Arrays have as few bits as their meaning needs, in forms that readers of CF conventions decode.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from sonar_gl._version import __version__
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.batch.job import check_patterns, matching_names
+from sonar_gl.batch.manifest import Manifest
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.core.compiled import compiled
+from sonar_gl.core.errors import Error
+from sonar_gl.ping import Ping
+from sonar_gl.sonar.sonar import Sonar
+
+BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
+ELEVATION_STEP_RAD, NO_ELEVATION = 1e-4, -32768
+INCIDENCE_STEP_RAD, NO_INCIDENCE = math.pi / 2 / 254, 255
+
+# ---- arrays and their encoding ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """One array of the store, with a first dimension of pings.
+
+    Attributes
+    ----------
+    name, dtype : of the array
+    shape, dims : lengths and names of the dimensions beyond the first
+    fill : value where nothing is stored
+    attributes : attributes of the array: its long name, units, the scale by which readers multiply
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int, ...]
+    dims: tuple[str, ...]
+    fill: float
+    attributes: dict
+
+    @property
+    def bytes_per_ping(self) -> int:
+        return np.dtype(self.dtype).itemsize * math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Layer(ArraySpec):
+    """An array with a value for each bin, (ping, beam, range).
+
+    Attributes
+    ----------
+    encode : function (ping, class_id, first_body) -> (B, K) array of `dtype`; class_id is (bodies of the
+        scene + 1,), the class of each body's number, and first_body the number of bodies in earlier scenes
+    """
+
+    encode: Callable[[Ping, np.ndarray, int], np.ndarray]
+
+
+def round_mantissa(values: np.ndarray, bits: int) -> np.ndarray:
+    """Round float32 values to the nearest with so many bits of mantissa; halves round up.
+
+    The relative error is 2^-(bits + 1) at most, and 0 stays 0. The bits dropped are 0, which packs well.
+
+    >>> round_mantissa(np.float32([1.0, 1.01, 0.0]), 5).tolist()
+    [1.0, 1.0, 0.0]
+    """
+    if bits >= 23:
+        return values
+    drop = 23 - bits
+    rounded = np.ascontiguousarray(values, np.float32).view(np.uint32) + np.uint32(1 << (drop - 1))
+    rounded &= np.uint32((0xFFFFFFFF << drop) & 0xFFFFFFFF)
+    return rounded.view(np.float32)
+
+
+def _quantize(values: np.ndarray, step: float, missing: int, dtype) -> np.ndarray:
+    """Return values as numbers of steps, rounded, and `missing` for NaN."""
+    out = np.empty(values.shape, dtype)
+    _count_steps(values.ravel(), np.float32(1 / step), missing, out.ravel())
+    return out
+
+
+@compiled
+def _count_steps(values, per_step, missing, out):
+    """Quantize in one pass; NumPy would need five."""
+    for k in range(values.size):
+        value = values[k]
+        out[k] = missing if value != value else np.int32(np.rint(value * per_step))
+
+
+def _take(table: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Return table[numbers]."""
+    out = np.empty(numbers.shape, table.dtype)
+    _take_each(table, numbers.ravel(), out.ravel())
+    return out
+
+
+@compiled
+def _take_each(table, numbers, out):
+    """Look up in one pass; NumPy would first make 64-bit indices."""
+    for k in range(numbers.size):
+        out[k] = table[numbers[k]]
+
+
+def bin_layers(
+    names: Iterable[str],
+    sonar: Sonar,
+    acoustics: Acoustics,
+    mantissa_bits: int,
+    n_bodies: int,
+    n_classes: int,
+) -> list[Layer]:
+    """Return the layers of a sonar: intensity, and those of `job.LAYERS` that are named.
+
+    n_bodies counts the bodies of all scenes.
+    """
+    range_step_m = acoustics.true_range_sonar(sonar).range_max_m * 1.001 / 65535
+    body_dtype = "uint16" if n_bodies < 65536 else "uint32"
+    class_dtype = "uint8" if n_classes < 256 else "uint16"
+    error = 2.0 ** -(mantissa_bits + 1) if mantissa_bits < 23 else 0.0
+
+    def encode_body(ping, _class_id, first):
+        found = ping.body_id.astype(body_dtype)
+        return np.where(found > 0, found + np.asarray(first, body_dtype), found) if first else found
+
+    def layer(name, dtype, fill, encode, **attributes):
+        return Layer(name, dtype, (sonar.n_beams, sonar.n_bins), ("beam", "range"), fill, attributes, encode)
+
+    def quantized(name, dtype, missing, step, long_name, units, names_missing=True):
+        """The field `name` of a ping, in steps."""
+        attributes = {"long_name": long_name, "units": units, "scale_factor": step}
+        attributes |= {"_FillValue": missing} if names_missing else {}
+        return layer(
+            name,
+            dtype,
+            missing,
+            lambda ping, *_: _quantize(getattr(ping, name), step, missing, dtype),
+            **attributes,
+        )
+
+    known = {
+        "intensity": layer(
+            "intensity",
+            "float32",
+            0.0,
+            lambda ping, *_: round_mantissa(ping.intensity, mantissa_bits),
+            long_name="echo intensity",
+            units="1",
+            comment="linear, power-like; a sphere of reflectivity μ about the sonar reads μ G(r)",
+            mantissa_bits=mantissa_bits,
+            relative_error_max=error,
+        ),
+        "body": layer(
+            "body_id",
+            body_dtype,
+            0,
+            encode_body,
+            long_name="body of the strongest echo, 0 for none",
+        ),
+        "class": layer(
+            "class_id",
+            class_dtype,
+            0,
+            lambda ping, class_id, _first: _take(class_id, ping.body_id),
+            long_name="class of the body of the strongest echo, 0 for none",
+        ),
+        "elevation": quantized(
+            "elevation_rad",
+            "int16",
+            NO_ELEVATION,
+            ELEVATION_STEP_RAD,
+            "elevation of the strongest echo",
+            "rad",
+        ),
+        "range": quantized(
+            "true_range_m", "uint16", 0, range_step_m, "slant range of the strongest echo", "m"
+        ),
+        "incidence": quantized(
+            "incidence_rad",
+            "uint8",
+            NO_INCIDENCE,
+            INCIDENCE_STEP_RAD,
+            "incidence of the strongest echo",
+            "rad",
+        ),
+        "share": quantized(
+            "share", "uint8", 0, 1 / 255, "share of the strongest body in the echo", "1", names_missing=False
+        ),
+        "shadow": layer(
+            "shadow",
+            "uint8",
+            0,
+            lambda ping, *_: ping.shadow.astype(np.uint8),
+            long_name="1 where the background would echo but for a body before it",
+            units="1",
+        ),
+    }
+    return [layer for name, layer in known.items() if name == "intensity" or name in names]
+
+
+def body_arrays(n_bodies: int, image_height: int) -> list[ArraySpec]:
+    """Return the arrays with a few numbers for each body: echo, bins, bounding boxes."""
+    n = n_bodies
+    return [
+        ArraySpec("body_echo", "float32", (n,), ("body",), 0.0, {"long_name": "sum of the body's echo"}),
+        ArraySpec("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins where it is the strongest"}),
+        ArraySpec("body_box", "int32", (n, 4), ("body", "box"), -1, {
+            "long_name": "first and last beam, first and last bin of these, -1 for none"}),
+        ArraySpec("body_pixels", "int32", (n, 4), ("body", "rectangle"), -1, {
+            "long_name": "left, top, width, height of these in the fan image, -1 for none",
+            "fan_image_height": image_height}),
+    ]  # fmt: skip
+
+
+# ---- the schema of a job ----------------------------------------------------------------------------
+
+
+class Schema:
+    """Arrays, bodies and classes of a job. Build it once per process: it loads and hashes every scene.
+
+    Attributes
+    ----------
+    bodies : names of the bodies of all scenes; those of scene k begin at first_body[k]. The number of a body
+        in the arrays is 1 + its index here
+    classes : names of the classes; the number of a class is 1 + its index
+    class_id : (bodies + 1,), the class of each body's number, 0 for none
+    body_arrays : arrays with a few numbers for each body, the same for each sonar; empty without the layer
+        `boxes`
+    digest : SHA-256 of the job and of its scenes' bodies, whose meshes may come from files of their own
+
+    Raises
+    ------
+    Error
+        if labels match no body; names table and key.
+    """
+
+    def __init__(self, requests: BatchRequests):
+        self._requests, self._job, self._labels = requests, requests.job, requests.job.labels
+        self.first_body, self.bodies, self._names_by_scene = [], [], []
+        digest = hashlib.sha256(self._job.digest.encode())
+        for index in range(len(self._job.scenes)):
+            bodies = requests.scene(index).bodies
+            self.first_body.append(len(self.bodies))
+            self._names_by_scene.append([body.name for body in bodies])
+            self.bodies += self._names_by_scene[-1]
+            for body in bodies:
+                digest.update(body.name.encode())
+                for array in (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity):
+                    digest.update(np.ascontiguousarray(array).tobytes())
+        self.digest = digest.hexdigest()
+        self.classes, of_body = self._number_classes()
+        self.class_id = np.array([0, *of_body], np.uint8 if len(self.classes) < 256 else np.uint16)
+        self._backgrounds = [self._find_background(index) for index in range(len(self._job.scenes))]
+        has_boxes = self._labels is not None and "boxes" in self._labels.layers
+        self.body_arrays = body_arrays(len(self.bodies), self._labels.height) if has_boxes else []
+
+    def _number_classes(self) -> tuple[list[str], list[int]]:
+        """Return the names of classes, and the number of the class of each body, 0 for none."""
+        patterns_of = self._labels.classes if self._labels else {}
+        if not patterns_of:  # bodies whose names differ only by a final number form a class
+            stems = [re.sub(r"[_\W]*\d+$", "", name) or name for name in self.bodies]
+            classes = list(dict.fromkeys(stems))
+            return classes, [1 + classes.index(stem) for stem in stems]
+        numbers, classes = [0] * len(self.bodies), list(patterns_of)
+        for number, (name, patterns) in enumerate(patterns_of.items(), 1):
+            where = f"{self._job.where}: labels.classes.{name}"
+            check_patterns(patterns, dict.fromkeys(self.bodies), where)
+            matched = set(matching_names(patterns, self.bodies))
+            for index in (k for k, body in enumerate(self.bodies) if body in matched):
+                if numbers[index]:
+                    other = classes[numbers[index] - 1]
+                    raise Error(
+                        f"{where} must hold bodies of no other class (got {self.bodies[index]!r}, which is "
+                        f"in {other!r})"
+                    )
+                numbers[index] = number
+        return classes, numbers
+
+    def _find_background(self, scene: int) -> list[str] | None:
+        """Return the background of a scene: that of the job, or else bodies named like a floor or wall."""
+        if self._labels is None or "shadow" not in self._labels.layers:
+            return None
+        names, patterns = self._names_by_scene[scene], self._labels.background
+        where = f"{self._job.where}: labels.background"
+        if patterns is not None:
+            check_patterns(patterns, dict.fromkeys(self.bodies), where)
+            found = matching_names(patterns, names)
+        else:
+            found = [name for name in names if any(word in name.lower() for word in BACKGROUND_WORDS)]
+        if not found:
+            raise Error(
+                f"{where} must name the bodies on which shadows fall, for the layer shadow (got none of "
+                f"scene {self._job.scenes[scene]!r}, which has {', '.join(names)[:200]}; without this key "
+                "they are the bodies named like a floor or a wall)"
+            )
+        return found
+
+    def background(self, scene: int) -> list[str] | None:
+        """Return the names of the bodies on which shadows fall, or None without the layer `shadow`."""
+        return self._backgrounds[scene]
+
+    def scene_class_id(self, scene: int) -> np.ndarray:
+        """Return the class of each body of a scene by its number in that scene, (bodies + 1,) or longer."""
+        first = self.first_body[scene]
+        return np.concatenate([self.class_id[:1], self.class_id[1 + first :]])
+
+    def layers(self, sonar: str) -> list[Layer]:
+        """Return the arrays of a sonar with a value for each bin."""
+        return bin_layers(
+            self._labels.layers if self._labels else [],
+            self._requests.sonars[sonar],
+            self._requests.acoustics,
+            self._job.arrays.mantissa_bits,
+            len(self.bodies),
+            len(self.classes),
+        )
+
+    def arrays(self, sonar: str) -> list[ArraySpec]:
+        """Return all arrays of a sonar that are written part by part."""
+        return [*self.layers(sonar), *self.body_arrays]
+
+    @property
+    def bytes_per_ping(self) -> int:
+        """Size of all sonars' arrays before compression."""
+        return sum(array.bytes_per_ping for sonar in self._requests.sonars for array in self.arrays(sonar))
+
+    def sonar_attributes(self, manifest: Manifest, sonar: str) -> dict:
+        """Return the attributes of a sonar's group; tables are JSON text, since netCDF has no nested ones."""
+        requests = self._requests
+        tables = {
+            "specification": asdict(requests.sonars[sonar]),
+            "mount": requests.mounts[sonar].tolist(),
+            "acoustics": requests.acoustics.meta(),
+            "noise": asdict(requests.noise),
+            "samplings": [by_sonar[sonar] for by_sonar in manifest.samplings],
+        }
+        attributes = {"sonar": sonar, "noise_seed": requests.noise_seed(sonar)}
+        return attributes | {name: json.dumps(table) for name, table in tables.items()}
+
+    def attributes(self, manifest: Manifest) -> dict:
+        """Return the attributes of the whole data set."""
+        return {
+            "Conventions": "CF-1.11",
+            "title": self._job.name,
+            "source": f"sonar_gl {__version__}",
+            "gl_renderer": manifest.gl_renderer,
+            "seed": self._job.seed,
+            "tolerance": self._job.tolerance,
+            "scenes": self._job.scenes,
+            "bodies": self.bodies,
+            "classes": self.classes,
+            "class_of_body": self.class_id[1:].tolist(),
+            "digest": manifest.digest,
+        }

@@ -1,0 +1,1 @@
+"""Samples to beams and range bins."""

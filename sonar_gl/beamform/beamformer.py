@@ -1,0 +1,314 @@
+"""Samples to ping: samples are summed into columns and range bins, and columns into beams."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform import kernels
+from sonar_gl.beamform.labels import Labeller, Labels
+from sonar_gl.core.array_pool import ArrayPool
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.sonar.fan import Fan, make_fan
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
+from sonar_gl.sonar.sampling import Sampling, extend_rows
+from sonar_gl.sonar.sector import SHEAR
+from sonar_gl.sonar.sonar import Sonar
+
+# Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
+# column's bin with its weight: less is done in one thread.
+FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
+NO_GAIN = np.empty(0, np.float32)
+# Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at
+# most.
+ELEVATIONS = 2049
+
+
+@dataclass(frozen=True, eq=False)
+class BeamWeights:
+    """Beams as weighted sums of columns.
+
+    Attributes
+    ----------
+    first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
+    weights : (B, W) float32, 1/sr, rows of equal length
+    """
+
+    first: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BeamEcho:
+    """The echo in beams and bins.
+
+    Attributes
+    ----------
+    intensity : (B, K) float32, linear
+    total : its sum
+    """
+
+    intensity: np.ndarray
+    total: float
+
+    def with_more(self, other: BeamEcho | None) -> BeamEcho:
+        """Return the sum of both, in the array of this one: fresh memory would cost as much as adding."""
+        if other is None:
+            return self
+        if other.total:
+            np.add(self.intensity, other.intensity, out=self.intensity)
+        return BeamEcho(self.intensity, self.total + other.total)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSourceView:
+    """What the sonar, or its image behind a planar reflector, sees, to be summed as multipath echoes.
+
+    Attributes
+    ----------
+    samples : of each sector
+    reflections : kernels.Reflection of each sector
+    """
+
+    samples: Sequence[SectorSamples]
+    reflections: Sequence[kernels.Reflection]
+
+
+def beam_weights(
+    fan: Fan,
+    pattern: Callable | None,
+    reach_rad: float,
+    transmit_pattern: Callable | None = None,
+    elevation_pattern: Callable | None = None,
+) -> BeamWeights:
+    """Weigh columns by the beam pattern, over the solid angle of each beam.
+
+    Parameters
+    ----------
+    pattern : function (azimuth_rad, steer_rad) -> receive power pattern, 1 on the axis, or None for a box
+    reach_rad : the pattern counts as zero further than this from the axis
+    transmit_pattern : function (azimuth_rad) -> power pattern of the projector, or None for a uniform one.
+        The beam's solid angle leaves it out: beams are weak where the projector is
+    elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
+    """
+    sonar, n_columns = fan.sonar, fan.n_columns
+    edges, axes = fan.column_edges_rad, sonar.azimuth_rad
+    reach_rad = min(reach_rad, math.pi)
+    # the columns laid out three times round, so that the columns of a beam never break at the seam
+    turns = np.array([-2 * math.pi, 0, 2 * math.pi])[:, None]
+    if edges[-1] - edges[0] > 2 * math.pi - 1e-9:
+        edges = np.append((edges[:-1] + turns).ravel(), edges[-1] + 2 * math.pi)
+        origin = n_columns
+    else:
+        origin = 0
+    first = np.searchsorted(edges, axes - reach_rad + 1e-12, side="right") - 1
+    last = np.searchsorted(edges, axes + reach_rad - 1e-12, side="left")
+    first, last = np.maximum(first, 0), np.minimum(last, len(edges) - 1)
+    width = int((last - first).max())
+    first = np.minimum(first, len(edges) - 1 - width)
+    low = edges[first[:, None] + np.arange(width)] - axes[:, None]
+    high = edges[first[:, None] + np.arange(width) + 1] - axes[:, None]
+    low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
+    received = high - low
+    nodes, node_weights = np.polynomial.legendre.leggauss(8)
+    steer, power = axes[:, None, None], 1.0
+    azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
+    if pattern is not None:
+        power = pattern(azimuths, steer)
+        received = received * (power @ (node_weights / 2))
+    top = math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+    height = 2 * top
+    if elevation_pattern is not None:
+        sines, sine_weights = np.polynomial.legendre.leggauss(64)
+        height = top * (elevation_pattern(top * sines) @ sine_weights)
+    solid_angle = received.sum(axis=1) * height
+    if transmit_pattern is not None:
+        received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
+    # the sums of a column hold its whole width in azimuth
+    share = received / np.diff(edges)[first[:, None] + np.arange(width)]
+    return BeamWeights(first - origin, np.ascontiguousarray(share / solid_angle[:, None], np.float32))
+
+
+def make_beamformer(
+    sonar: Sonar,
+    acoustics: Acoustics,
+    sampling: Sampling,
+    thread: SecondThread | None = None,
+    shear: float = SHEAR,
+    max_column_width: float = 0.5,
+) -> Beamformer:
+    """Return the beamformer of a sonar with this sampling; `shear` and `max_column_width` as for `make_fan`."""
+    reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
+    true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
+    is_box = pattern is None
+    fan = make_fan(
+        true_range, extend_rows(sampling, sonar, true_range), reach, is_box, shear, max_column_width
+    )
+    weights = beam_weights(fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation)
+    return Beamformer(fan, weights, elevation, thread, is_box)
+
+
+class Beamformer:
+    """Turns samples of a fan into beams and bins; owns the arrays that every ping uses again.
+
+    Two halves of the columns are summed separately, in two threads if there is enough to do, so that the sums
+    do not depend on which thread is faster.
+
+    Parameters
+    ----------
+    fan, weights : Fan and BeamWeights
+    elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
+    thread : for the second half; None does both halves in the caller's thread
+    is_box : beams are boxes, which end where columns end
+
+    Attributes
+    ----------
+    elevation_table : (ELEVATIONS,) two-way power pattern at even sines over the aperture; of no length for a
+        box
+    """
+
+    def __init__(
+        self,
+        fan: Fan,
+        weights: BeamWeights,
+        elevation_pattern: Callable | None = None,
+        thread: SecondThread | None = None,
+        is_box: bool = True,
+    ):
+        self.fan, self.is_box, self._thread = fan, is_box, thread
+        shape = len(weights.first), fan.sonar.n_bins
+        self._pool = ArrayPool(shape)
+        self._top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
+        sines = np.linspace(-self._top, self._top, ELEVATIONS)
+        is_even = elevation_pattern is None
+        self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
+        self._first = weights.first
+        self._weights = np.pad(weights.weights, ((0, 0), (0, -weights.weights.shape[1] % 4)))
+        self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
+        self._sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
+        self._spans = np.tile([0, fan.sonar.n_bins], (fan.n_columns, 1))  # bins where a row may differ from 0
+        self._spread = fan.sampling.reducer == "footprint"
+        middle = (len(weights.first) + 1) // 2
+        self._beams = slice(0, middle), slice(middle, None)
+        received = np.zeros(fan.n_columns, bool)
+        for w in range(weights.weights.shape[1]):
+            received[(weights.first[weights.weights[:, w] > 0] + w) % fan.n_columns] = True
+        self._strips = tuple(
+            [_strips_within(sector.strips, half, received) for sector in fan.sectors]
+            for half in np.array_split(np.arange(fan.n_columns), 2)
+        )
+        weighted_elevation = np.arcsin(sines) * (1.0 if is_even else self.elevation_table)
+        self._labeller = None
+        self._make_labeller = partial(
+            Labeller, fan, weights.first, self._weights, self._bins, self.elevation_table, weighted_elevation
+        )
+
+    def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
+        """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
+        surfaces = self.sum_footprints(view.sectors, gain)
+        return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
+
+    def sum_footprints(self, samples: Sequence[SectorSamples], gain=NO_GAIN) -> BeamEcho:
+        """Return the echo of surfaces, times the (K,) float32 gain."""
+
+        def work(half):
+            for one, strips in zip(samples, self._strips[half], strict=True):
+                kernels.sum_footprints(
+                    whole_rows(one.plane_echo),
+                    one.lattice,
+                    strips,
+                    self._bins,
+                    self._spread,
+                    self.elevation_table,
+                    self._sums,
+                    self._spans,
+                )
+
+        self._run(work, self._rows(samples) < FEW_ROWS)
+        return self.weigh(gain)
+
+    def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
+        """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
+        edges_rad, edges_m = self.fan.column_edges_rad, self._bins[0]
+        arrays = self.elevation_table, self._top, not self.is_box, self._sums, self._spans
+        kernels.sum_points(points, edges_rad, edges_m, *arrays)
+        return self.weigh(gain)
+
+    def sum_image_sources(self, views: Sequence[ImageSourceView], gain=NO_GAIN) -> BeamEcho:
+        """Return the multipath echoes of several views, added up."""
+
+        def work(half):
+            for number, view in enumerate(views):
+                for one, reflection, strips in zip(
+                    view.samples, view.reflections, self._strips[half], strict=True
+                ):
+                    kernels.sum_image_source(
+                        whole_rows(one.plane_echo),
+                        one.lattice,
+                        strips,
+                        self._bins,
+                        self.elevation_table,
+                        number == 0,
+                        tuple(reflection),
+                        self._sums,
+                        self._spans,
+                    )
+
+        self._run(work)
+        return self.weigh(gain)
+
+    def label(self, samples: Sequence[SectorSamples], gain, n_bodies: int, background=None) -> Labels:
+        """Return labels of samples that hold bodies' numbers.
+
+        Parameters
+        ----------
+        gain : (K,) float32
+        n_bodies : the highest number of a body
+        background : None, or (n_bodies + 1,) bool by number, and the samples of these bodies alone
+        """
+        if self._labeller is None:
+            self._labeller = self._make_labeller()
+        run = partial(self._run, serial=self._rows(samples) < FEW_ROWS)
+        if background is None:
+            return self._labeller.find(samples, self._strips, run, gain, n_bodies)
+        mask, alone = background
+        unshadowed = self.sum_footprints(alone).intensity
+        return self._labeller.find(samples, self._strips, run, gain, n_bodies, mask, unshadowed)
+
+    def _run(self, work, serial: bool = False) -> None:
+        """Do work(0) and work(1)."""
+        if serial or self._thread is None:
+            work(0)
+            work(1)
+        else:
+            self._thread.run_halves(work)
+
+    def _rows(self, samples) -> float:
+        """Return about how many rows of strips there are in all."""
+        pairs = zip(self.fan.sectors, samples, strict=True)
+        return sum(len(s.strips.u) / s.columns * one.plane_echo[..., 0].size for s, one in pairs)
+
+    def weigh(self, gain) -> BeamEcho:
+        """Return beams as weighted sums of the columns."""
+        out = self._pool.zeros()
+
+        def work(half):
+            part = self._beams[half]
+            kernels.weigh_columns(
+                self._sums, self._spans, self._first[part], self._weights[part], gain, out[part]
+            )
+
+        bins = np.maximum(self._spans[:, 1] - self._spans[:, 0], 0).mean()
+        self._run(work, self._weights.size * bins < FEW_PRODUCTS)
+        return BeamEcho(out, float(out.sum(dtype=np.float64)))
+
+
+def _strips_within(strips, columns, received) -> tuple:
+    """Return a plain kernels.StripTable of the strips in these columns, as far as a beam receives them."""
+    mine = np.isin(strips.column, columns) & received[strips.column]
+    return strips.column[mine], strips.u[mine], strips.width[mine]

@@ -1,0 +1,198 @@
+"""What plumes of bubbles do to a ping: the echoes of the bubbles, and the attenuation of what lies behind.
+
+The sum of the bubbles' extinction cross sections over the cross section of a cell of directions at its range
+is the optical depth τ; sound that travels there and back is attenuated by exp(−2τ). The shadow of a bubble is
+spread over some centimetres, or a cell: about the Fresnel zone, √(λr) at most, and the aperture of a sonar,
+which looks around what is near. Narrower shadows do not form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sonar_gl.acoustics.boundary import bubble_backscattering, bubble_extinction
+from sonar_gl.beamform import kernels
+from sonar_gl.core.compiled import compiled
+from sonar_gl.sonar.fan import Fan
+
+CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
+SHADOW_M = 0.05  # width of a bubble's shadow, or a cell's width if that is more
+LAYERS = 64  # of range, between the nearest bubble and the furthest
+MIN_LAYER_M = 0.01
+MAX_HALF_RAD = math.radians(80.0)  # more than half of any sector
+MIN_RANGE_M = 0.1  # nearer bubbles count as if they were here: σ / r² would exceed all directions
+
+
+@compiled
+def _share(i, x, half):
+    """Return the share of cell i in what is spread evenly within `half` of x, in cells; half is 0.5 or more."""
+    return max(min(x + half, i + 0.5) - max(x - half, i - 0.5), 0.0) / (2 * half)
+
+
+@compiled
+def _add_depth(points, grid, tau):
+    """Share the extinction of bubbles among the cells about each, then sum τ over range.
+
+    Parameters
+    ----------
+    points : (n, 5) of `attenuate_behind_bubbles`
+    grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
+    tau : (I, J, L + 1), zeros; at the far end of each layer
+    """
+    solid_angle = grid[3] * grid[4]
+    for n in range(points.shape[0]):
+        x, y = (points[n, 0] - grid[0]) / grid[3], (points[n, 1] - grid[1]) / grid[4]
+        layer = min(int((points[n, 2] - grid[2]) / grid[5]), tau.shape[2] - 2) + 1
+        r = max(points[n, 2], MIN_RANGE_M)
+        depth, half = points[n, 4] / (r * r * solid_angle), max(0.5, SHADOW_M / (2 * r * CELL_RAD))
+        for i in range(max(int(x + 0.5 - half), 0), min(int(x + 1.5 + half), tau.shape[0])):
+            across = depth * _share(i, x, half)
+            for j in range(max(int(y + 0.5 - half), 0), min(int(y + 1.5 + half), tau.shape[1])):
+                tau[i, j, layer] += across * _share(j, y, half)
+    for i in range(tau.shape[0]):
+        for j in range(tau.shape[1]):
+            for k in range(1, tau.shape[2]):
+                tau[i, j, k] += tau[i, j, k - 1]
+
+
+@compiled
+def _depth(azimuth, sine, r, grid, tau):
+    """Return τ on the way to a position, azimuth as in `points`; 0 outside the plume."""
+    x, y = (azimuth - grid[0]) / grid[3], (sine - grid[1]) / grid[4]
+    if not (0.0 <= x < tau.shape[0] - 1 and 0.0 <= y < tau.shape[1] - 1) or r <= grid[2]:
+        return 0.0
+    i, j = int(x), int(y)
+    z = min((r - grid[2]) / grid[5], tau.shape[2] - 1.0)
+    k = min(int(z), tau.shape[2] - 2)
+    x, y, z, out = x - i, y - j, z - k, 0.0
+    for a in range(2):
+        for b in range(2):
+            share = (x if a else 1 - x) * (y if b else 1 - y)
+            near, far = tau[i + a, j + b, k], tau[i + a, j + b, k + 1]
+            out += share * (near + z * (far - near))
+    return out
+
+
+@compiled
+def _attenuate(plane_echo, sectors, middle, grid, tau):
+    """Multiply the echo of each sample of a view by exp(−2τ), in place.
+
+    Parameters
+    ----------
+    plane_echo, sectors : of kernels.ViewIndex; middle : azimuth from which those of the grid count
+    """
+    half, last = grid[3] * (tau.shape[0] - 1) / 2, grid[1] + grid[4] * (tau.shape[1] - 1)
+    for k in range(sectors.shape[0]):
+        t = sectors[k]
+        # the middle of the grid, from the sector's axis
+        beside = grid[0] + half + middle - math.atan2(t[1], t[0])
+        beside -= 2 * math.pi * math.floor(beside / (2 * math.pi) + 0.5)
+        low_u = -math.tan(min(beside + half, MAX_HALF_RAD))
+        high_u = -math.tan(max(beside - half, -MAX_HALF_RAD))
+        for row in range(int(t[16])):
+            start = t[4] + t[6] * row
+            first = max(math.ceil((low_u - start) / t[5]), 0.0)
+            end = min(math.floor((high_u - start) / t[5]) + 1.0, t[15])
+            for column in range(int(first), int(end)):
+                at = plane_echo[row, int(t[14]) + column]
+                if at[0] <= 0.0:
+                    continue
+                u, v = start + t[5] * column, t[7] + t[8] * column + t[9] * row
+                length = math.sqrt(1.0 + u * u + v * v)
+                if grid[1] * length < v < last * length and length > at[0] * grid[2]:
+                    azimuth = grid[0] + half - beside - math.atan(u)
+                    depth = _depth(azimuth, v / length, length / at[0], grid, tau)
+                    at[3] *= math.exp(-2.0 * depth)
+
+
+@compiled
+def _find_directions(points, middle, out):
+    """Fill (n, 3) `out` with unit vectors to the bubbles in the sonar's frame."""
+    for n in range(points.shape[0]):
+        azimuth, sine = points[n, 0], points[n, 1]
+        level, true = math.sqrt(max(1.0 - sine * sine, 0.0)), azimuth + middle
+        out[n, 0], out[n, 1], out[n, 2] = level * math.cos(true), level * math.sin(true), sine
+
+
+@compiled
+def _find_echoes(points, middle, grid, tau, surfaces, out):
+    """Find azimuth, sine of elevation, range and echo of each bubble that no surface hides.
+
+    surfaces : (n,) inverse distance of the surface in the direction of each bubble; −1 outside the fan
+    out : (n, 4), filled from the front; returns how many there are
+    """
+    count = 0
+    for n in range(points.shape[0]):
+        azimuth, sine, r = points[n, 0], points[n, 1], points[n, 2]
+        if surfaces[n] < 0.0 or surfaces[n] * r > 1.0:
+            continue
+        tau_here = _depth(azimuth, sine, r, grid, tau)
+        # less what the bubble itself has contributed
+        across, up = (azimuth - grid[0]) / grid[3], (sine - grid[1]) / grid[4]
+        along = (r - grid[2]) / grid[5]
+        along -= min(int(along), tau.shape[2] - 2)
+        held = max(r, MIN_RANGE_M)
+        half, i, j = max(0.5, SHADOW_M / (2 * held * CELL_RAD)), int(across), int(up)
+        own = (i + 1 - across) * _share(i, across, half) + (across - i) * _share(i + 1, across, half)
+        own *= (j + 1 - up) * _share(j, up, half) + (up - j) * _share(j + 1, up, half)
+        own *= along
+        tau_here -= own * points[n, 4] / (held * held * grid[3] * grid[4])
+        true = azimuth + middle
+        turns = math.floor(true / (2 * math.pi) + 0.5)
+        out[count, 0], out[count, 1], out[count, 2] = true - 2 * math.pi * turns, sine, r
+        out[count, 3] = math.pi * points[n, 3] / (held * held) * math.exp(-2.0 * max(tau_here, 0.0))
+        count += 1
+    return count
+
+
+def _wrapped(azimuth_rad):
+    """Return the same directions within ±π."""
+    return (azimuth_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose, fan: Fan) -> np.ndarray:
+    """Attenuate the samples of a view behind bubbles, in place; return the bubbles as point scatterers.
+
+    A bubble of backscattering cross section σ_bs adds π σ_bs / r² to the sum over solid angle of μ cos θ: a
+    small area dA at θ adds μ cos²θ dA / r², and its σ_bs is μ cos²θ dA / π.
+
+    Parameters
+    ----------
+    view : of the ping's samples
+    bubbles : (n, 4) x y z in the world and radius, metres
+    pose : (4, 4) world_from_sonar
+
+    Returns
+    -------
+    (m, 4) float64 : azimuth, sine of elevation, range, and steradians, of those that no surface hides
+    """
+    positions = (bubbles[:, :3] - pose[:3, 3]) @ pose[:3, :3]
+    r = np.maximum(np.linalg.norm(positions, axis=1), 1e-6)
+    sine, azimuth = positions[:, 2] / r, np.arctan2(positions[:, 1], positions[:, 0])
+    edges, top = fan.column_edges_rad, math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
+    off = np.abs(_wrapped(azimuth - (edges[0] + edges[-1]) / 2))
+    reach = np.maximum(SHADOW_M / (2 * np.maximum(r, MIN_RANGE_M)), CELL_RAD)  # of a bubble's shadow
+    near = (off < (edges[-1] - edges[0]) / 2 + reach) & (np.abs(sine) < top + reach)
+    near &= r < fan.sonar.range_max_m
+    if not near.any():
+        return np.empty((0, 4))
+    # azimuths count from the middle of the plumes, so that they wrap where there are none
+    x, y, _ = positions[near].mean(axis=0)
+    middle, radii = math.atan2(y, x), bubbles[near, 3]
+    points = np.column_stack([_wrapped(azimuth - middle), sine, r])[near]
+    apart = np.outer(reach[near], [1, 1, 0])
+    low, high = (points - apart).min(axis=0), (points + apart).max(axis=0)
+    steps = np.array([CELL_RAD, CELL_RAD, max((high[2] - low[2]) / LAYERS, MIN_LAYER_M)])
+    low[:2] -= CELL_RAD
+    cells = (np.ceil((high - low) / steps)[:2] + 2).astype(int)
+    grid, tau = np.concatenate([low, steps]), np.zeros((*cells, LAYERS + 1))
+    points = np.column_stack([points, bubble_backscattering(radii), bubble_extinction(radii)])
+    _add_depth(points, grid, tau)
+    directions, surfaces, out = np.empty((len(points), 3)), np.empty(len(points)), np.empty((len(points), 4))
+    _find_directions(points, middle, directions)
+    kernels.find_surfaces(directions, tuple(view), surfaces)
+    count = _find_echoes(points, middle, grid, tau, surfaces, out)
+    _attenuate(view.plane_echo, view.sectors, middle, grid, tau)
+    return out[:count]

@@ -1,0 +1,1319 @@
+"""The compiled sums: samples into columns and range bins, columns into beams, for echoes, labels and
+multipath.
+
+All of these share one walk over the strips of a sector (`find_strip`). The functions stand in one file
+because Numba keeps machine code by the file of a function alone: a function that calls one of another file
+would run with what that one was before its file changed.
+
+Entry functions take plain tuples where inner ones take the NamedTuples below, and name them on their first
+line: Numba finds the type of a plain tuple in 0.1 µs, that of a NamedTuple in 9 µs.
+
+Loops over a strip's samples have no branches, so that the compiler can vectorise them. Indices are unsigned:
+an index that may be negative prevents vectorisation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import uint64
+
+from sonar_gl.core.compiled import compiled, inlined
+from sonar_gl.sonar.fan import FAR_FACTOR
+from sonar_gl.sonar.samples import ViewSamples
+
+SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well below what matters
+
+
+class Lattice(NamedTuple):
+    """Directions of a sector's samples: (3,) u and (3,) v, and the tangent of half the aperture; see
+    `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    tan_elevation: float
+    columns: int
+
+
+class StripTable(NamedTuple):
+    """Strips of a sector, (P,) arrays by rising azimuth: column of the fan, middle and width in u; see
+    `Strips`.
+    """
+
+    column: np.ndarray
+    u: np.ndarray
+    width: np.ndarray
+
+
+class BinTable(NamedTuple):
+    """Range bins: their edges, and tables of `bin_table`.
+
+    edges_m : (K + 1,) slant range
+    s : (K + 1,) s = 1/r at the edges, falling
+    density, density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of
+        height 1 that covers the bin; in float64 and float32
+    middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
+    q_unseen : 1/x at which surfaces are no longer drawn
+    """
+
+    edges_m: np.ndarray
+    s: np.ndarray
+    density: np.ndarray
+    density32: np.ndarray
+    middle_m: np.ndarray
+    q_unseen: float
+
+
+class Strip(NamedTuple):
+    """One strip, and the samples of it that returned an echo.
+
+    column, u, width : as in `StripTable`
+    v_limit : v of the aperture's edge
+    nearest, step : the sample of row j nearest to the strip is column int(nearest − step j) of the window
+    bottom_row : row of the window that is row 0 of `work`
+    first, last : samples of `work` with an echo, from `first` to before `last`
+    """
+
+    column: int
+    u: float
+    width: float
+    v_limit: float
+    nearest: float
+    step: float
+    bottom_row: int
+    first: int
+    last: int
+
+
+# Rows of `work`, one entry per sample of a strip. Found by `_gather_samples`: 1/x on the ray, 0 where it met
+# nothing; the plane that it met, in the middle of the strip: 1/x at v = 0 and its slopes along v and u; v of
+# the ray; the echo per steradian. By `_find_borders`: v where the sample's footprint begins. By
+# `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r. By
+# `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and
+# incidence, radians.
+Q, REST, ALONG_V, ALONG_U, V_RAY, ECHO, BORDER = range(7)
+ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(7, 18)
+FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE + 1
+
+
+def bin_table(bin_edges_m: np.ndarray) -> BinTable:
+    """Return the tables of range bins; (K + 1,) edges, metres, rising."""
+    s = 1.0 / np.maximum(bin_edges_m, 1e-6)
+    density = (s[:-1] ** 2 - s[1:] ** 2) / 2
+    middle_m, q_unseen = 2.0 / (s[:-1] + s[1:]), float(1.0 / (FAR_FACTOR * bin_edges_m[-1]))
+    return BinTable(bin_edges_m, s, density, density.astype(np.float32), middle_m, q_unseen)
+
+
+# ---- strips ------------------------------------------------------------------------------------------
+
+
+@compiled
+def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
+    """Return the Strip number `p` of a sector, with its samples and their borders in `work`.
+
+    A sample stands for a rectangle of an upright strip of the image plane. Of each row of samples the one
+    nearest to the strip stands for it. A strip without any echo has `first` = `last`.
+
+    This is the walk over samples that all sums share. It is no generator, since Numba never frees the arrays
+    that a generator holds.
+
+    Parameters
+    ----------
+    work : (rows, R + 1) float64, overwritten
+    plane_echo : (R, C, 4) float32, as the shader writes it; contiguous, see `whole_rows`
+    lattice, strips : Lattice and StripTable
+    q_unseen : of BinTable
+    """
+    u, v, tan_elevation, columns = lattice
+    R, uc = plane_echo.shape[0], strips.u[p]
+    v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)
+    nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
+    last_row, bottom_row, first, last = nearest - step * R, 0, 0, -1
+    if max(nearest, last_row) > -1.0 and min(nearest, last_row) < columns:  # not beside the window
+        # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
+        bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
+        bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
+        n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
+        first, last = _gather_samples(work, plane_echo, columns, u, v, uc, nearest, step, bottom_row, n)
+        if first <= last:
+            work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
+            _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_limit)
+    last = max(last + 1, first)
+    return Strip(strips.column[p], uc, strips.width[p], v_limit, nearest, step, bottom_row, first, last)
+
+
+@compiled
+def _gather_samples(work, plane_echo, columns, u, v, uc, nearest, step, bottom_row, n):
+    """Gather the samples of a strip from row `bottom_row` on; return the first and the last with an echo."""
+    q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
+    v_ray, echo = work[V_RAY], work[ECHO]
+    lowest, highest = 0, -1
+    for m in range(n):
+        j = bottom_row + m
+        i = int(nearest - step * j)
+        v_ray[m] = v[0] + v[1] * i + v[2] * j
+        q[m] = rest[m] = along_v[m] = along_u[m] = echo[m] = 0.0
+        if 0 <= i < columns and plane_echo[j, i, 0] > 0:
+            q[m], along_u[m], along_v[m] = plane_echo[j, i, 0], plane_echo[j, i, 1], plane_echo[j, i, 2]
+            rest[m] = q[m] + along_u[m] * (uc - u[0] - u[1] * i - u[2] * j) - along_v[m] * v_ray[m]
+            if plane_echo[j, i, 3] > 0:
+                echo[m] = plane_echo[j, i, 3]
+                lowest, highest = m if highest < 0 else lowest, m
+    return lowest, highest
+
+
+@compiled
+def _find_borders(work, first, last, q_unseen, v_limit):
+    """Find v where each of a strip's footprints begins, from `first` to before `last`."""
+    q, rest, along_v, v_ray, border = work[Q], work[REST], work[ALONG_V], work[V_RAY], work[BORDER]
+    for m in range(uint64(first), uint64(last)):
+        below = uint64(m - 1)
+        low, high = v_ray[below], v_ray[m]
+        met_low, met_high = q[below] > 0.0, q[m] > 0.0
+        border_here = (low + high) / 2
+        # two planes that meet between their rays make an edge there, otherwise the border is half way;
+        # nearer than SAME they are one plane, and where they meet is noise
+        turn = along_v[below] - along_v[m]
+        meet = (rest[m] - rest[below]) / turn
+        noise = SAME * (max(q[below], q[m]) + abs(along_v[below]))  # of a plane and of its slope
+        is_clear = abs((meet - border_here) * turn) > noise
+        is_edge = met_low & met_high & (low < meet) & (meet < high) & is_clear
+        # a plane that is beyond the range where the other ray looks extends to there or to its horizon
+        along = along_v[below] if met_low else along_v[m]
+        plane = rest[below] if met_low else rest[m]
+        is_lost = (met_low != met_high) & (plane + along * (high if met_low else low) < q_unseen)
+        border_here = meet if is_edge else border_here
+        border_here = min(max(-plane / along, low), high) if is_lost else border_here
+        border[m] = min(max(border_here, -v_limit), v_limit)
+
+
+@compiled
+def _clear_row(c, sums, spans):
+    """Set a row to zero, as far as its span says that it may differ from it."""
+    for k in range(uint64(spans[c, 0]), uint64(max(spans[c, 0], spans[c, 1]))):
+        sums[c, k] = 0.0
+    spans[c, 0], spans[c, 1] = sums.shape[1], 0
+
+
+@compiled
+def _clear_rows(columns, sums, spans):
+    """Set the rows of these columns to zero."""
+    for p in range(columns.shape[0]):
+        c = columns[p]
+        if p == 0 or columns[p - 1] != c:
+            _clear_row(c, sums, spans)
+
+
+# ---- footprints --------------------------------------------------------------------------------------
+
+
+@compiled
+def _find_footprints(work, first, last, uc, width, v_limit, elevation_pattern):
+    """Find energy, centre and half-widths of a strip's footprints, from `first` to before `last`.
+
+    elevation_pattern : (n,) two-way beam pattern at even sines across the aperture, or of no length
+    """
+    rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
+    u2 = 1.0 + uc * uc
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, height = (low + high) / 2, max(high - low, 0.0)
+        one_over_L2 = 1.0 / (u2 + vc * vc)
+        one_over_L = math.sqrt(one_over_L2)
+        at = rest[m] + along_v[m] * vc
+        work[ENERGY, m] = echo[m] * width * height * one_over_L * one_over_L2
+        work[S, m] = at * one_over_L
+        work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * width / 2
+        work[B, m] = abs(along_v[m] - at * vc * one_over_L2) * one_over_L * height / 2
+    middle, v2 = (elevation_pattern.shape[0] - 1) / 2, v_limit * v_limit
+    for m in range(first, last if elevation_pattern.shape[0] else first):
+        vc = (border[m] + border[m + 1]) / 2
+        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
+        i = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
+        work[ENERGY, m] *= elevation_pattern[i] + (place - i) * (
+            elevation_pattern[i + 1] - elevation_pattern[i]
+        )
+
+
+@compiled
+def _ramp(s, start):
+    """Integrate (s - start) s ds from `start` on."""
+    t = max(s - start, 0.0)
+    return t * t * (t / 3 + start / 2)
+
+
+@compiled
+def _below(s, middle, wide, thin):
+    """Return 4 wide thin times the energy up to s of the convolution of boxes on ±wide and ±thin."""
+    rise = _ramp(s, middle - wide - thin) - _ramp(s, middle - wide + thin)
+    return rise - (_ramp(s, middle + wide - thin) - _ramp(s, middle + wide + thin))
+
+
+@compiled
+def _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin):
+    """Add a footprint with ramps of more than a fraction of a bin to a row of bins; return first and last
+    bin.
+    """
+    K = sums.shape[1]
+    low, high = max(s - wide - thin, bins_s[K]), min(s + wide + thin, bins_s[0])
+    if high <= low:
+        return uint64(K), uint64(0)
+    scale = energy / (4 * wide * thin)
+    if (
+        s < wide + thin
+    ):  # a plane beyond its horizon: the energy of the middle is spread over the part in view
+        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
+    row, first = uint64(c), uint64(int((1.0 / high - r_first) * per_metre))
+    last = uint64(min(int((1.0 / low - r_first) * per_metre), K - 1))
+    nearer = _below(high, s, wide, thin)
+    for k in range(first, last):
+        further = _below(bins_s[uint64(k + 1)], s, wide, thin)
+        sums[row, k] += np.float32(scale * (nearer - further))
+        nearer = further
+    sums[row, last] += np.float32(scale * (nearer - _below(low, s, wide, thin)))
+    return first, last
+
+
+@compiled
+def _find_intervals(work, first, last, s_first, s_last, r_first, per_metre):
+    """Find both ends of footprints, their heights and bins, ramps neglected, from `first` to before `last`."""
+    energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
+    for m in range(uint64(first), uint64(last)):
+        wide = max(a[m], b[m], 1e-9 * s[m])
+        near, far = s[m] + wide, s[m] - wide
+        past = far < 0.0  # beyond the horizon, as in `_spread_trapezoid`
+        half_height = energy[m] * (s[m] if past else 0.25) / (near * near if past else wide)
+        near, far = min(near, s_first), max(far, s_last)
+        inverse = 1.0 / (near * far)  # one division for both ranges
+        work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m] = near, far, half_height
+        work[NEAR_BIN, m] = (far * inverse - r_first) * per_metre
+        work[FAR_BIN, m] = (near * inverse - r_first) * per_metre
+
+
+@compiled
+def spread_footprints(work, start, stop, sums, spans, c, bins_s, density32, r_first, per_metre):
+    """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
+
+    On a plane the cosine of incidence is proportional to s, and so is the energy's density.
+
+    Parameters
+    ----------
+    work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A and B, from `start` to before `stop`, are read
+    spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
+    """
+    K = sums.shape[1]
+    _find_intervals(work, start, stop, bins_s[0], bins_s[K], r_first, per_metre)
+    row, lowest, highest = uint64(c), uint64(K), uint64(0)
+    for m in range(uint64(start), uint64(stop)):
+        energy, s = work[ENERGY, m], work[S, m]
+        if energy == 0.0 or s <= 0.0:
+            continue
+        wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
+        # short ramps are neglected: those of neighbouring samples overlap and add up to the same
+        if 8 * thin * per_metre >= s * s:
+            first, last = _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin)
+            lowest, highest = min(lowest, first), max(highest, last)
+            continue
+        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
+        if near <= far:  # outside the bins
+            continue
+        # written out here: a call for each sample takes as long as all the rest
+        first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
+        lowest, highest = min(lowest, first), max(highest, last)
+        if first >= last:
+            sums[row, last] += np.float32(half_height * (near - far) * (near + far))
+            continue
+        sums[row, first] += np.float32(half_height * (near * near - bins_s[uint64(first + 1)] ** 2))
+        sums[row, last] += np.float32(half_height * (bins_s[last] ** 2 - far * far))
+        height = np.float32(2 * half_height)
+        for k in range(uint64(first + 1), last):
+            sums[row, k] += height * density32[k]
+    if lowest <= highest:
+        spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
+
+
+@inlined
+def _bin_points(work, sums, spans, u, strip, r_first, per_metre):
+    """Add each of a strip's samples to the one bin that holds the range of its ray."""
+    c = strip.column
+    for m in range(strip.first, strip.last):
+        j = strip.bottom_row + m
+        u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
+        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
+        k = (1.0 / s - r_first) * per_metre
+        if 0.0 <= k < sums.shape[1]:
+            sums[c, int(k)] += work[ENERGY, m] * s
+            spans[c, 0], spans[c, 1] = min(spans[c, 0], int(k)), max(spans[c, 1], int(k) + 1)
+
+
+@compiled
+def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern, sums, spans):
+    """Sum some of one sector's samples into columns and bins.
+
+    The surface in a sample's rectangle is the plane that its ray met. There 1/r is linear in (u, v) but for
+    the slow length of the ray: the share before r is that of two convolved boxes, exact for planes. It is cut
+    at the aperture, at columns and at edges of planes.
+
+    Parameters
+    ----------
+    plane_echo : (R, C, 4) float32, as the shader writes it; contiguous, see `whole_rows`
+    lattice, strips, bins : tuples of Lattice, StripTable and BinTable
+    spread : True spreads each sample over its footprint, False adds it to one bin
+    elevation_pattern : (n,) two-way beam pattern at even sines across the aperture, or of no length
+    sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are overwritten
+    spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; overwritten
+    """
+    lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
+    K = sums.shape[1]
+    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
+    per_metre = K / (r_last - r_first)
+    _clear_rows(strips.column, sums, spans)
+    work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
+    for p in range(strips.u.shape[0]):
+        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        first, last = strip.first, strip.last
+        if first == last:
+            continue
+        _find_footprints(work, first, last, strip.u, strip.width, strip.v_limit, elevation_pattern)
+        if spread:
+            c = strip.column
+            spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)
+        else:
+            _bin_points(work, sums, spans, lattice.u, strip, r_first, per_metre)
+
+
+@compiled
+def _column_at(column_edges_rad, azimuth_rad):
+    """Return the column that holds an azimuth; −1 and the number of columns outside."""
+    low, high = 0, column_edges_rad.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if azimuth_rad < column_edges_rad[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    return low - 1
+
+
+@compiled
+def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, shared, sums, spans):
+    """Sum point scatterers into columns and bins; `sums` and `spans` as in `sum_footprints`.
+
+    points : (n, 4) azimuth, sine of elevation, range, steradians
+    elevation_pattern : as in `sum_footprints`; top : sine of the aperture's half height
+    shared : share each point between the two columns whose middles it lies between, instead of one
+    """
+    K, n_columns = sums.shape[1], sums.shape[0]
+    for c in range(n_columns):
+        _clear_row(c, sums, spans)
+    per_metre = K / (bin_edges_m[K] - bin_edges_m[0])
+    for n in range(points.shape[0]):
+        c = _column_at(column_edges_rad, points[n, 0])
+        bin_ = math.floor((points[n, 2] - bin_edges_m[0]) * per_metre)
+        if not (0 <= c < n_columns and 0 <= bin_ < K and abs(points[n, 1]) < top):
+            continue
+        k, energy, share = int(bin_), points[n, 3], 0.0
+        if elevation_pattern.shape[0]:
+            place = (points[n, 1] / top + 1.0) * (elevation_pattern.shape[0] - 1) / 2
+            m = min(int(place), elevation_pattern.shape[0] - 2)
+            energy *= elevation_pattern[m] + (place - m) * (elevation_pattern[m + 1] - elevation_pattern[m])
+        middle = (column_edges_rad[c] + column_edges_rad[c + 1]) / 2
+        other = c + 1 if points[n, 0] > middle else c - 1
+        if shared and 0 <= other < n_columns:
+            apart = (column_edges_rad[other] + column_edges_rad[other + 1]) / 2 - middle
+            share = (points[n, 0] - middle) / apart
+            sums[other, k] += share * energy
+            spans[other, 0], spans[other, 1] = min(spans[other, 0], k), max(spans[other, 1], k + 1)
+        sums[c, k] += (1 - share) * energy
+        spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
+
+
+@compiled
+def weigh_columns(column_sums, spans, first, weights, gain, out):
+    """Add beams as weighted sums of columns, times a gain, to `out`.
+
+    column_sums : (columns, K), zero outside of spans, (columns, 2); first : (B,); weights : (B, W), of
+    `beam_weights`, W a multiple of 4; gain : (K,) or of no length; out : (B, K), zeros
+    """
+    n_columns = column_sums.shape[0]
+    for b in range(out.shape[0]):
+        row, begin, end = uint64(b), column_sums.shape[1], 0
+        for w in range(0, weights.shape[1], 4):  # four at a time: a beam is read and written less often
+            w0, w1, w2, w3 = weights[b, w], weights[b, w + 1], weights[b, w + 2], weights[b, w + 3]
+            c0, c1 = uint64((first[b] + w) % n_columns), uint64((first[b] + w + 1) % n_columns)
+            c2, c3 = uint64((first[b] + w + 2) % n_columns), uint64((first[b] + w + 3) % n_columns)
+            low = min(spans[c0, 0], spans[c1, 0], spans[c2, 0], spans[c3, 0])
+            high = max(spans[c0, 1], spans[c1, 1], spans[c2, 1], spans[c3, 1])
+            begin, end = min(begin, low), max(end, high)
+            for k in range(uint64(low), uint64(max(low, high))):
+                near = w0 * column_sums[c0, k] + w1 * column_sums[c1, k]
+                out[row, k] += near + (w2 * column_sums[c2, k] + w3 * column_sums[c3, k])
+        if gain.shape[0]:
+            for k in range(uint64(begin), uint64(max(begin, end))):
+                out[row, k] *= gain[k]
+
+
+# ---- labels: the echo of each body, and its moments ---------------------------------------------------
+
+# Columns of a cell, which is one body in one bin. HEIGHT .. COUNT: what begins or ends there of footprints
+# that fill bins (height, height times elevation and incidence, number). CELL_ECHO ..: what lies in the bin of
+# those that do not (echo; echo times elevation, incidence, and range less `middle_m`). A footprint that fills
+# a bin has the bin's `middle_m` for its mean range.
+HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT = range(4)
+CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4, 8)
+CELL, MOMENTS = 8, 4  # the last four are what a run holds
+BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(
+    5
+)  # of a run: one body in one column; PLACE: where in the pool
+RUN = 5
+
+
+@compiled
+def acos(c):
+    """Return arccos of 0..1 to 2e-8; unlike the library's, the compiler can vectorise it.
+
+    Source: Abramowitz, Stegun, "Handbook of Mathematical Functions", 4.4.46
+    """
+    p = -0.0012624911 * c + 0.0066700901
+    p = ((p * c - 0.0170881256) * c + 0.0308918810) * c - 0.0501743046
+    p = ((p * c + 0.0889789874) * c - 0.2145988016) * c + 1.5707963050
+    return math.sqrt(max(1.0 - c, 0.0)) * p
+
+
+@inlined
+def _find_angles(work, first, last, uc, v_limit, weighted_elevation, elevation_pattern):
+    """Find elevation and incidence of a strip's samples from `first` to before `last`."""
+    rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
+    for m in range(uint64(first), uint64(last)):
+        x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
+        size = math.sqrt(x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m])
+        work[INCIDENCE, m] = acos(min(max(s[m], 0.0) / size, 1.0))
+    u2, v2, middle = 1.0 + uc * uc, v_limit * v_limit, (weighted_elevation.shape[0] - 1) / 2
+    for m in range(first, last):
+        vc = (border[m] + border[m + 1]) / 2
+        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
+        i = min(max(int(place), 0), weighted_elevation.shape[0] - 2)
+        step = weighted_elevation[i + 1] - weighted_elevation[i]
+        work[ELEVATION, m] = weighted_elevation[i] + (place - i) * step
+        if elevation_pattern.shape[0] and work[ENERGY, m] > 0.0:  # the table is weighted by the pattern
+            pattern = elevation_pattern[i] + (place - i) * (elevation_pattern[i + 1] - elevation_pattern[i])
+            work[ELEVATION, m] /= pattern
+
+
+@inlined
+def _slot_of(body, slots, n_slots, cells):
+    """Return the slot of a body's cells in a column, a new one at first; and slots and cells, grown if full."""
+    slot = 0
+    while slot < n_slots and slots[slot, 0] != body:
+        slot += 1
+    if slot < n_slots:
+        return slot, slots, n_slots, cells
+    if n_slots == slots.shape[0]:
+        more_cells = np.zeros((2 * n_slots, cells.shape[1], CELL))
+        more_slots = np.empty((2 * n_slots, 3), np.int64)
+        for old in range(n_slots):
+            for k in range(cells.shape[1]):
+                for n in range(CELL):
+                    more_cells[old, k, n] = cells[old, k, n]
+            for n in range(3):
+                more_slots[old, n] = slots[old, n]
+        cells, slots = more_cells, more_slots
+    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
+    return slot, slots, n_slots + 1, cells
+
+
+@inlined
+def _store_run(cells, slot, first, past, density, pool, place):
+    """Write the moments of a body's cells of one column to the pool, MOMENTS rows, and clear the cells."""
+    n, slot, first, place = uint64(past - first), uint64(slot), uint64(first), uint64(place)
+    height = by_elevation = by_incidence = count = 0.0
+    for i in range(n):
+        k, at = first + i, place + i
+        count += cells[slot, k, COUNT]
+        # where no footprint covers the bin, what remains of the sums is rounding
+        height = height + cells[slot, k, HEIGHT] if count > 0.0 else 0.0
+        by_elevation = by_elevation + cells[slot, k, HEIGHT_ELEVATION] if count > 0.0 else 0.0
+        by_incidence = by_incidence + cells[slot, k, HEIGHT_INCIDENCE] if count > 0.0 else 0.0
+        pool[at] = cells[slot, k, CELL_ECHO] + height * density[k]
+        pool[at + n] = cells[slot, k, CELL_ELEVATION] + by_elevation * density[k]
+        pool[at + uint64(2) * n] = cells[slot, k, CELL_INCIDENCE] + by_incidence * density[k]
+        pool[at + uint64(3) * n] = cells[slot, k, CELL_RANGE]
+        for number in range(uint64(CELL)):
+            cells[slot, k, number] = 0.0
+
+
+@inlined
+def _store_runs(cells, slots, n_slots, column, density, runs, pool, n_runs, used):
+    """Write a column's cells to runs and pool; return both, grown if full, and how much of them is used."""
+    for slot in range(n_slots):
+        first, past = slots[slot, 1], slots[slot, 2]
+        if first >= past:
+            continue
+        if n_runs == runs.shape[0]:
+            more_runs = np.empty((2 * n_runs, RUN), np.int64)
+            for old in range(n_runs):
+                for n in range(RUN):
+                    more_runs[old, n] = runs[old, n]
+            runs = more_runs
+        wanted = used + MOMENTS * (past - first)
+        if wanted > pool.shape[0]:
+            larger = np.empty(2 * wanted, np.float32)
+            for old in range(used):
+                larger[old] = pool[old]
+            pool = larger
+        _store_run(cells, slot, first, past, density, pool, used)
+        runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
+        runs[n_runs, FIRST_BIN], runs[n_runs, PAST_BIN], runs[n_runs, PLACE] = first, past, used
+        n_runs, used = n_runs + 1, wanted
+    return runs, pool, n_runs, used
+
+
+@compiled
+def _ramp_range(s, start):
+    """As `_ramp`, for (s - start) ds."""
+    t = max(s - start, 0.0)
+    return t * t / 2
+
+
+@compiled
+def _below_range(s, middle, wide, thin):
+    """As `_below`, for range times energy."""
+    rise = _ramp_range(s, middle - wide - thin) - _ramp_range(s, middle - wide + thin)
+    return rise - (_ramp_range(s, middle + wide - thin) - _ramp_range(s, middle + wide + thin))
+
+
+@inlined
+def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_metre):
+    """As `_spread_trapezoid`, with moments; return the first bin and past the last."""
+    K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
+    wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
+    low, high = max(s - wide - thin, bins_s[K]), min(s + wide + thin, bins_s[0])
+    if high <= low:
+        return K, 0
+    scale = energy / (4 * wide * thin)
+    if s < wide + thin:
+        scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
+    first, last = int((1.0 / high - r_first) * per_metre), int((1.0 / low - r_first) * per_metre)
+    last = min(last, K - 1)
+    nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
+    for k in range(uint64(first), uint64(last + 1)):
+        edge = bins_s[k + uint64(1)] if k < last else low
+        further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
+        echo = scale * (nearer - further)
+        cells[k, CELL_ECHO] += echo
+        cells[k, CELL_ELEVATION] += echo * work[ELEVATION, m]
+        cells[k, CELL_INCIDENCE] += echo * work[INCIDENCE, m]
+        cells[k, CELL_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
+        nearer, range_nearer = further, range_further
+    return first, last + 1
+
+
+@inlined
+def _spread_moments(work, start, stop, cells, bins_s, middle_m, r_first, per_metre):
+    """As `spread_footprints`, into one body's cells; return the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(uint64(start), uint64(stop)):
+        energy, s = work[ENERGY, m], work[S, m]
+        if energy == 0.0 or s <= 0.0:
+            continue
+        if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
+            first, past = _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_metre)
+            lowest, highest = min(lowest, first), max(highest, past)
+            continue
+        near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
+        if near <= far:
+            continue
+        elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
+        first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
+        lowest, highest = min(lowest, int(first)), max(highest, int(last) + 1)
+        after = first + uint64(1)
+        inner = bins_s[after] if first < last else far
+        part = half_height * (near - inner)
+        echo = part * (near + inner)
+        cells[first, CELL_ECHO] += echo
+        cells[first, CELL_ELEVATION] += echo * elevation
+        cells[first, CELL_INCIDENCE] += echo * incidence
+        cells[first, CELL_RANGE] += 2 * part - echo * middle_m[first]
+        if first >= last:
+            continue
+        outer, height = bins_s[last], 2 * half_height
+        part = half_height * (outer - far)
+        echo = part * (outer + far)
+        cells[last, CELL_ECHO] += echo
+        cells[last, CELL_ELEVATION] += echo * elevation
+        cells[last, CELL_INCIDENCE] += echo * incidence
+        cells[last, CELL_RANGE] += 2 * part - echo * middle_m[last]
+        if after < last:
+            cells[after, HEIGHT] += height
+            cells[after, HEIGHT_ELEVATION] += height * elevation
+            cells[after, HEIGHT_INCIDENCE] += height * incidence
+            cells[after, COUNT] += 1.0
+            cells[last, HEIGHT] -= height
+            cells[last, HEIGHT_ELEVATION] -= height * elevation
+            cells[last, HEIGHT_INCIDENCE] -= height * incidence
+            cells[last, COUNT] -= 1.0
+    return lowest, highest
+
+
+@inlined
+def _bin_moments(work, start, stop, cells, middle_m, u, strip, r_first, per_metre):
+    """As `_bin_points`, into one body's cells; return the first bin and past the last."""
+    K = middle_m.shape[0]
+    lowest, highest = K, 0
+    for m in range(start, stop):
+        j = strip.bottom_row + m
+        u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
+        s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
+        k = (1.0 / s - r_first) * per_metre
+        if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
+            cell, echo = cells[int(k)], work[ENERGY, m] * s
+            cell[CELL_ECHO] += echo
+            cell[CELL_ELEVATION] += echo * work[ELEVATION, m]
+            cell[CELL_INCIDENCE] += echo * work[INCIDENCE, m]
+            cell[CELL_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]
+            lowest, highest = min(lowest, int(k)), max(highest, int(k) + 1)
+    return lowest, highest
+
+
+@compiled
+def sum_bodies(
+    plane_echo, body_id, lattice, strips, bins, spread, elevation_pattern, weighted_elevation, cells, runs,
+    pool, used,
+):  # fmt: skip
+    """Sum some of one sector's samples into columns and bins, for each body by itself.
+
+    Parameters
+    ----------
+    plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    body_id : (R, C) uint16
+    weighted_elevation : (n,) elevation, radians, times the two-way beam pattern, at even sines across the
+        aperture
+    cells : (slots, K, CELL) float64, zeros before and after
+    runs : (n, RUN) int64, BODY .. PLACE
+    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
+        and range less `middle_m`
+    used : (runs, numbers of the pool) that are in use
+
+    Returns
+    -------
+    cells, runs, pool : or larger ones, where they were full
+    used
+    """
+    lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
+    n_runs, n_pool = used
+    K = bins.edges_m.shape[0] - 1
+    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
+    per_metre = K / (r_last - r_first)
+    work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
+    slots, n_slots, column = np.empty((cells.shape[0], 3), np.int64), 0, -1
+    for p in range(strips.u.shape[0]):
+        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        if strip.first == strip.last:
+            continue
+        if strip.column != column:
+            runs, pool, n_runs, n_pool = _store_runs(
+                cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
+            )
+            n_slots, column = 0, strip.column
+        first, last, uc, v_limit = strip.first, strip.last, strip.u, strip.v_limit
+        _find_footprints(work, first, last, uc, strip.width, v_limit, elevation_pattern)
+        _find_angles(work, first, last, uc, v_limit, weighted_elevation, elevation_pattern)
+        _find_intervals(work, first, last, bins.s[0], bins.s[K], r_first, per_metre)
+        start = first
+        while start < last:  # consecutive samples of one body at a time
+            j = strip.bottom_row + start
+            body = body_id[j, int(strip.nearest - strip.step * j)]
+            stop = start + 1
+            while stop < last:
+                j = strip.bottom_row + stop
+                if work[ENERGY, stop] > 0.0 and body_id[j, int(strip.nearest - strip.step * j)] != body:
+                    break
+                stop += 1
+            slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
+            if spread:
+                low, high = _spread_moments(
+                    work, start, stop, cells[slot], bins.s, bins.middle_m, r_first, per_metre
+                )
+            else:
+                low, high = _bin_moments(
+                    work, start, stop, cells[slot], bins.middle_m, lattice.u, strip, r_first, per_metre
+                )
+            slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
+            start = stop
+    runs, pool, n_runs, n_pool = _store_runs(
+        cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
+    )
+    return cells, runs, pool, (n_runs, n_pool)
+
+
+# ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
+
+# Beams at a time, so that what is read of columns serves several; bins at a time, so that the sums of several
+# beams stay in fast memory; and the moments of these bins, one row after the other.
+TILE_BEAMS, TILE_BINS = 4, 64
+TILE_ROW = MOMENTS * TILE_BINS
+
+
+class Runs(NamedTuple):
+    """Runs of all bodies, sorted by body and column.
+
+    bodies : (m,) numbers, rising; begins : (m + 1,) where the runs of each begin and end
+    table : (n, RUN) of `sum_bodies`; owner : (n,) which of the two pools holds each
+    pools : two, of `sum_bodies`
+    """
+
+    bodies: np.ndarray
+    begins: np.ndarray
+    table: np.ndarray
+    owner: np.ndarray
+    pools: tuple
+
+
+class BeamTiles(NamedTuple):
+    """Weights of TILE_BEAMS beams at a time: see `beam_tiles`.
+
+    first : (T,) int64, column where each tile begins, may be negative; weights : (T, W', TILE_BEAMS) float32
+    """
+
+    first: np.ndarray
+    weights: np.ndarray
+
+
+class StrongestEcho(NamedTuple):
+    """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
+
+    echo, share : float32, that body's echo, and its share of all; body_id : uint16
+    background : float32, zeros: the echo of background bodies
+    means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
+    """
+
+    echo: np.ndarray
+    share: np.ndarray
+    body_id: np.ndarray
+    background: np.ndarray
+    means: np.ndarray
+
+
+def beam_tiles(first, weights) -> BeamTiles:
+    """Lay the weights of beams side by side, TILE_BEAMS at a time; arguments as `beam_weights` returns them."""
+    (B, W), corners = weights.shape, range(0, len(first), TILE_BEAMS)
+    starts = np.array([first[b : b + TILE_BEAMS].min() for b in corners])
+    stops = np.array([first[b : b + TILE_BEAMS].max() for b in corners])
+    out = np.zeros((len(starts), W + TILE_BEAMS + (stops - starts).max(), TILE_BEAMS), np.float32)
+    for b in range(B):
+        at = first[b] - starts[b // TILE_BEAMS]
+        out[b // TILE_BEAMS, at : at + W, b % TILE_BEAMS] = weights[b]
+    return BeamTiles(starts, out)
+
+
+@inlined
+def _weigh_tile(panel, low, high, origin, start, weights, rows):
+    """Weigh columns into the beams of one tile, in one block of bins; return whether there is any echo.
+
+    panel : (columns * TILE_ROW,), from column `origin` on, zeros for TILE_BEAMS columns from `high` on
+    low, high : columns of it with an echo; start, weights : of the tile; rows : (TILE_BEAMS * TILE_ROW,)
+    """
+    low, high = max(low, start), min(high, start + weights.shape[0] - TILE_BEAMS)
+    if low >= high:
+        return False
+    for k in range(uint64(rows.shape[0])):
+        rows[k] = 0.0
+    for x in range(low, high, 4):
+        at, w = uint64((x - origin) * TILE_ROW), weights[uint64(x - start) : uint64(x - start + 4)]
+        a0, a1, a2, a3 = w[0, 0], w[0, 1], w[0, 2], w[0, 3]
+        b0, b1, b2, b3 = w[1, 0], w[1, 1], w[1, 2], w[1, 3]
+        c0, c1, c2, c3 = w[2, 0], w[2, 1], w[2, 2], w[2, 3]
+        d0, d1, d2, d3 = w[3, 0], w[3, 1], w[3, 2], w[3, 3]
+        for k in range(uint64(TILE_ROW)):
+            a, b = panel[at + k], panel[at + uint64(TILE_ROW) + k]
+            c, d = panel[at + uint64(2 * TILE_ROW) + k], panel[at + uint64(3 * TILE_ROW) + k]
+            rows[k] += (a0 * a + b0 * b) + (c0 * c + d0 * d)
+            rows[uint64(TILE_ROW) + k] += (a1 * a + b1 * b) + (c1 * c + d1 * d)
+            rows[uint64(2 * TILE_ROW) + k] += (a2 * a + b2 * b) + (c2 * c + d2 * d)
+            rows[uint64(3 * TILE_ROW) + k] += (a3 * a + b3 * b) + (c3 * c + d3 * d)
+    return True
+
+
+@inlined
+def _pack_runs(runs, begin, end_run, k0, n_columns, origin, end, panel):
+    """Lay a body's runs in a block of bins side by side; return the columns between which there is an echo."""
+    table = runs.table
+    low, high = end, origin
+    for n in range(begin, end_run):
+        if table[n, FIRST_BIN] < k0 + TILE_BINS and table[n, PAST_BIN] > k0:
+            for x in range(origin + (table[n, COLUMN] - origin) % n_columns, end, n_columns):
+                low, high = min(low, x), max(high, x + 1)
+    if low < high:
+        for k in range(uint64((low - origin) * TILE_ROW), uint64((high - origin + TILE_BEAMS) * TILE_ROW)):
+            panel[k] = 0.0
+    for n in range(begin, end_run):
+        first, past = max(table[n, FIRST_BIN], k0), min(table[n, PAST_BIN], k0 + TILE_BINS)
+        if first < past:
+            pool, length = runs.pools[runs.owner[n]], table[n, PAST_BIN] - table[n, FIRST_BIN]
+            # columns repeat where the fan is a circle
+            for x in range(origin + (table[n, COLUMN] - origin) % n_columns, end, n_columns):
+                for moment in range(MOMENTS):
+                    from_ = uint64(table[n, PLACE] + moment * length + first - table[n, FIRST_BIN])
+                    at = uint64((x - origin) * TILE_ROW + moment * TILE_BINS + first - k0)
+                    for k in range(uint64(past - first)):
+                        panel[at + k] = pool[from_ + k]
+    return low, high
+
+
+@inlined
+def _divide_moments(rows, at, middle_m, k0, n):
+    """Turn a beam's moments, which begin at `at`, into means, in place."""
+    at, k0 = uint64(at), uint64(k0)
+    for k in range(uint64(n)):
+        over = np.float32(1.0) / rows[at + k]
+        rows[at + uint64(TILE_BINS) + k] *= over
+        rows[at + uint64(2 * TILE_BINS) + k] *= over
+        rows[at + uint64(3 * TILE_BINS) + k] = rows[at + uint64(3 * TILE_BINS) + k] * over + middle_m[k0 + k]
+
+
+@inlined
+def _set_first(rows, at, body, b, k0, n, strongest):
+    """Write echo and means of the first body in a beam's bins, which begin at `at`."""
+    at, b, k0 = uint64(at), uint64(b), uint64(k0)
+    echo, share, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
+    for moment in range(uint64(1), uint64(MOMENTS)):
+        mine, which = at + moment * uint64(TILE_BINS), moment - uint64(1)
+        for k in range(uint64(n)):
+            means[which, b, k0 + k] = rows[mine + k] if rows[at + k] > np.float32(0.0) else np.float32(np.nan)
+    for k in range(uint64(n)):
+        echo[b, k0 + k] = max(rows[at + k], np.float32(0.0))
+        share[b, k0 + k] = np.float32(1.0) if rows[at + k] > np.float32(0.0) else np.float32(0.0)
+    for k in range(uint64(n)):
+        body_id[b, k0 + k] = body if rows[at + k] > np.float32(0.0) else 0
+
+
+@inlined
+def _set_stronger(rows, at, body, b, k0, n, is_second, strongest):
+    """Compare another body's echo with the strongest in a beam's bins; `share` holds the total meanwhile."""
+    at, b, k0 = uint64(at), uint64(b), uint64(k0)
+    echo, total, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
+    for moment in range(uint64(1), uint64(MOMENTS)):
+        mine, which = at + moment * uint64(TILE_BINS), moment - uint64(1)
+        for k in range(uint64(n)):
+            stronger = rows[at + k] > echo[b, k0 + k]
+            means[which, b, k0 + k] = rows[mine + k] if stronger else means[which, b, k0 + k]
+    for k in range(uint64(n)):
+        stronger = rows[at + k] > echo[b, k0 + k]
+        body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]
+    for k in range(uint64(n)):
+        total[b, k0 + k] = rows[at + k] + (echo[b, k0 + k] if is_second else total[b, k0 + k])
+        echo[b, k0 + k] = max(rows[at + k], echo[b, k0 + k])
+
+
+@inlined
+def _sum_echo(rows, at, gain, k0, n):
+    """Return the sum of a beam's echo times the gain."""
+    at, k0, first, second = uint64(at), uint64(k0), 0.0, 0.0
+    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):  # two: each addition waits for the one before
+        first += np.float64(rows[at + k]) * gain[k0 + k]
+        second += np.float64(rows[at + k + uint64(1)]) * gain[k0 + k + uint64(1)]
+    if n % 2:
+        first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
+    return first + second
+
+
+@compiled
+def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, body_echo, strongest):
+    """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
+
+    Parameters
+    ----------
+    runs, tiles, strongest : tuples of Runs, BeamTiles and StrongestEcho
+    part : (2,) first and past the last of the tiles that are done
+    n_columns : of the fan
+    gain : (K,); middle_m : (K,) float32, of BinTable
+    is_background : (numbers,) bool
+    body_echo : (numbers,) float64, added to: the echo with the gain
+    """
+    runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
+    B, K = strongest.echo.shape
+    t0, t1 = part
+    if t0 >= t1:  # of few beams the other half has all
+        return
+    table, begins = runs.table, runs.begins
+    origin, end = tiles.first[t0], 0
+    for t in range(t0, t1):
+        origin, end = min(origin, tiles.first[t]), max(end, tiles.first[t] + tiles.weights.shape[1])
+    panel = np.zeros((end - origin + TILE_BEAMS) * TILE_ROW, np.float32)
+    rows = np.empty(TILE_BEAMS * TILE_ROW, np.float32)
+    n_bodies = np.zeros((B, K // TILE_BINS + 1), np.int64)
+    for m in range(runs.bodies.shape[0]):
+        body = runs.bodies[m]
+        k_first, k_past = K, 0
+        for n in range(begins[m], begins[m + 1]):
+            k_first, k_past = min(k_first, table[n, FIRST_BIN]), max(k_past, table[n, PAST_BIN])
+        for k0 in range(k_first // TILE_BINS * TILE_BINS, k_past, TILE_BINS):
+            low, high = _pack_runs(runs, begins[m], begins[m + 1], k0, n_columns, origin, end, panel)
+            n_bins = min(TILE_BINS, K - k0)
+            for t in range(t0, t1):
+                if not _weigh_tile(panel, low, high, origin, tiles.first[t], tiles.weights[t], rows):
+                    continue
+                for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)):
+                    at, count = (b - TILE_BEAMS * t) * TILE_ROW, n_bodies[b, k0 // TILE_BINS]
+                    body_echo[body] += _sum_echo(rows, at, gain, k0, n_bins)
+                    _divide_moments(rows, at, middle_m, k0, n_bins)
+                    if count == 0:
+                        _set_first(rows, at, body, b, k0, n_bins, strongest)
+                    else:
+                        _set_stronger(rows, at, body, b, k0, n_bins, count == 1, strongest)
+                    n_bodies[b, k0 // TILE_BINS] = min(count + 1, 2)
+                    if is_background[body]:
+                        for k in range(n_bins):
+                            strongest.background[b, k0 + k] += rows[at + k]
+    echo, share, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
+    for b in range(TILE_BEAMS * t0, min(TILE_BEAMS * t1, B)):
+        for k0 in range(0, K, TILE_BINS):
+            k1 = min(k0 + TILE_BINS, K)
+            if n_bodies[b, k0 // TILE_BINS] == 0:
+                for k in range(uint64(k0), uint64(k1)):
+                    share[b, k], body_id[b, k] = 0.0, 0
+                    for moment in range(uint64(MOMENTS - 1)):
+                        means[moment, b, k] = np.nan
+            elif n_bodies[b, k0 // TILE_BINS] > 1:
+                for k in range(uint64(k0), uint64(k1)):
+                    part_of_all = min(echo[b, k] / share[b, k], np.float32(1.0))
+                    share[b, k] = part_of_all if echo[b, k] > 0.0 else np.float32(0.0)
+
+
+# ---- image sources: multipath echoes by way of a planar reflector ---------------------------------------
+#
+# S is the sonar, S' its image behind the reflector. S' sees through the reflector what S sees in it. The
+# samples of each are summed and looked up in the view of the other: an echo that goes straight one way and by
+# way of the reflector the other needs both ways open.
+
+# Two views of one place may differ by so much of its distance; less on a reflector, which is flat.
+SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
+MIN_REFLECTED = 1e-4  # of the intensity: what reflects less is no reflector
+GRID = 24  # directions to each side of a sector that are tried
+HORIZON = 1e-9  # 1/x of a plane past its horizon
+# Rows of `other_leg`: position of each sample for the other of S and S', its range from there, whether that
+# is before the surface; sine of the grazing angle at the reflector; reflected intensity; the bistatic echo.
+X, Y, Z, RANGE, SIDE, SINE, REFLECTED, BISTATIC = range(8)
+OTHER_LEG_ROWS = 8
+
+
+class ViewIndex(NamedTuple):
+    """All samples of one view of the fan, to find what it sees in a direction.
+
+    plane_echo : (H, W, 4) float32, the windows of sectors side by side
+    sectors : (n, 17) azimuth's cosine and sine, tangents of half the width and of the elevation, lattice u
+        and v, its inverse; then first column in `plane_echo`, columns and rows
+    """
+
+    plane_echo: np.ndarray
+    sectors: np.ndarray
+
+
+def view_index(view: ViewSamples) -> ViewIndex:
+    """Return the index of a view, of its own arrays."""
+    rows = []
+    for (sector, _, _), left in zip(view.sectors, view.left, strict=True):
+        u, v = sector.u, sector.v
+        inverse = np.linalg.inv(np.array([[u[1], u[2]], [v[1], v[2]]]))
+        azimuth = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
+        limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_elevation
+        rows.append([*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows])
+    return ViewIndex(view.plane_echo, np.array(rows, np.float64))
+
+
+class Reflection(NamedTuple):
+    """Geometry of the image source behind one planar reflector, for the samples of one sector.
+
+    own, other : (3, 4) from this sector's frame to that of its own sonar (S or S'), and to the other's
+    ceiling : (4,) a · x > offset of what lies above the water's surface, in this sector's frame
+    from_image : these are samples of S': echoes by way of the reflector both ways are summed, too
+    single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
+    index, other_index : plain tuples of ViewIndex of S, and of the other one
+    plane : (4,) normal and offset of normal · x = offset in the frame of S, offset > 0
+    is_body : the reflector is a body and must be seen there; the water's surface is not seen
+    loss : (n,) reflected intensity by the sine of the grazing angle, 0 to 1
+    """
+
+    own: np.ndarray
+    other: np.ndarray
+    ceiling: np.ndarray
+    from_image: bool
+    single_bounce: float
+    index: tuple
+    other_index: tuple
+    plane: np.ndarray
+    is_body: bool
+    loss: np.ndarray
+
+
+@compiled
+def find_surface(x, y, z, view):
+    """Return 1/x of the surface that a ViewIndex shows in the direction (x, y, z), and the direction's own x.
+
+    The result is −1, 0 outside the fan. All are in the frame of a sector.
+    """
+    plane_echo, sectors = view
+    # number by number: a row taken out would be reference-counted by both threads
+    for k in range(sectors.shape[0]):
+        c, s = sectors[k, 0], sectors[k, 1]
+        ahead, beside = c * x + s * y, c * y - s * x
+        if ahead <= 0.0 or abs(beside) > sectors[k, 2] * ahead:
+            continue
+        u, v = -beside / ahead, z / ahead
+        if v * v > sectors[k, 3] * sectors[k, 3] * (1.0 + u * u):
+            return -1.0, 0.0
+        du, dv = u - sectors[k, 4], v - sectors[k, 7]
+        i = math.floor(sectors[k, 10] * du + sectors[k, 11] * dv + 0.5)
+        j = math.floor(sectors[k, 12] * du + sectors[k, 13] * dv + 0.5)
+        if not (0 <= i < sectors[k, 15] and 0 <= j < sectors[k, 16]):
+            return 0.0, ahead  # no body is near
+        row, column = int(j), int(sectors[k, 14] + i)
+        q = float(plane_echo[row, column, 0])
+        if q <= 0.0:
+            return 0.0, ahead
+        # from the sample's own ray to this direction, in the plane that it met
+        off_u = du - (sectors[k, 5] * i + sectors[k, 6] * j)
+        off_v = dv - (sectors[k, 8] * i + sectors[k, 9] * j)
+        return max(q + plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v, 0.0), ahead
+    return -1.0, 0.0
+
+
+@compiled
+def find_surfaces(directions, view, out):
+    """Fill (n,) `out` with the inverse distance of what a view shows in (n, 3) unit directions; −1 outside."""
+    view = ViewIndex(*view)
+    for n in range(directions.shape[0]):
+        seen, ahead = find_surface(directions[n, 0], directions[n, 1], directions[n, 2], view)
+        out[n] = -1.0 if seen < 0.0 else seen * ahead
+
+
+@compiled
+def reflected_intensity(sine, loss):
+    """Return the reflected intensity at a grazing angle of this sine, by the table of a planar reflector."""
+    at = min(max(sine, 0.0), 1.0) * (loss.shape[0] - 1)
+    k = min(int(at), loss.shape[0] - 2)
+    return loss[k] + (at - k) * (loss[k + 1] - loss[k])
+
+
+@compiled
+def reflector_is_seen(x, y, z, view, plane, is_body):
+    """Return whether sound from the sonar in the direction (x, y, z) meets the reflector, with nothing before
+    it.
+
+    view : ViewIndex of S; plane, is_body : of `Reflection`
+    """
+    seen, ahead = find_surface(x, y, z, view)
+    if seen < 0.0:
+        return False
+    # distance of the reflector over that of the surface seen there
+    nearness = seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z)
+    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
+
+
+@compiled
+def estimate_reflection(view, plane, is_body, loss, range_max_m):
+    """Estimate, on a coarse grid of directions, how much intensity a reflector returns, and the direct echo.
+
+    Parameters
+    ----------
+    view : tuple of ViewIndex; plane, is_body, loss : of `Reflection`
+
+    Returns
+    -------
+    reflected, echo : in the same unit
+    """
+    view = ViewIndex(*view)
+    plane_echo, sectors = view
+    reflected = echo = 0.0
+    for k in range(sectors.shape[0]):
+        t = sectors[k]
+        for row in range(GRID):
+            for column in range(GRID):
+                u = t[2] * ((2 * column + 1) / GRID - 1)
+                v = t[3] * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
+                x, y, z = t[0] + t[1] * u, t[1] - t[0] * u, v
+                seen, _ = find_surface(x, y, z, view)
+                length = math.sqrt(1.0 + u * u + v * v)
+                weight = 1.0 / length**3
+                if seen > 0.0 and length / seen < range_max_m:
+                    i, j = t[10] * (u - t[4]) + t[11] * (v - t[7]), t[12] * (u - t[4]) + t[13] * (v - t[7])
+                    at = plane_echo[int(j + 0.5), int(t[14] + math.floor(i + 0.5))]
+                    echo += weight * at[3] * seen / length
+                along = plane[0] * x + plane[1] * y + plane[2] * z
+                near = along > 0.0 and plane[3] * length / along < range_max_m
+                if near and reflector_is_seen(x, y, z, view, plane, is_body):
+                    reflected += weight * reflected_intensity(along / length, loss)
+    return reflected, echo
+
+
+@compiled
+def _pattern_at(elevation_pattern, top, sine):
+    """Return the two-way beam pattern at a sine of elevation, from a table at even sines up to `top`."""
+    place = (sine / top + 1.0) * (elevation_pattern.shape[0] - 1) / 2
+    k = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
+    return max(elevation_pattern[k] + (place - k) * (elevation_pattern[k + 1] - elevation_pattern[k]), 0.0)
+
+
+@inlined
+def _find_other_leg(work, other_leg, first, last, uc, reflection):
+    """Find where a strip's samples lie for the other of S and S', their range, side and grazing angle."""
+    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
+    own, other, plane = reflection.own, reflection.other, reflection.plane
+    a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
+    # position of the other one, in the frame of this sector
+    ox = -(a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
+    oy = -(b[0] * d[0] + b[1] * d[1] + b[2] * d[2])
+    oz = -(c[0] * d[0] + c[1] * d[1] + c[2] * d[2])
+    for m in range(uint64(first), uint64(last)):
+        vc = (border[m] + border[uint64(m + 1)]) / 2
+        depth = 1.0 / max(rest[m] + along_v[m] * vc, HORIZON)
+        x = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
+        y = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
+        z = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
+        other_leg[X, m], other_leg[Y, m], other_leg[Z, m] = x, y, z
+        other_leg[RANGE, m] = math.sqrt(x * x + y * y + z * z)
+        other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
+        other_leg[SINE, m] = (plane[0] * x - plane[1] * y + plane[2] * z) / other_leg[RANGE, m]
+    if reflection.from_image:  # normal of the reflector in this sector's frame; the image's port is starboard
+        nx = plane[0] * own[0, 0] - plane[1] * own[1, 0] + plane[2] * own[2, 0]
+        ny = plane[0] * own[0, 1] - plane[1] * own[1, 1] + plane[2] * own[2, 1]
+        nz = plane[0] * own[0, 2] - plane[1] * own[1, 2] + plane[2] * own[2, 2]
+        for m in range(uint64(first), uint64(last)):
+            vc = (border[m] + border[uint64(m + 1)]) / 2
+            other_leg[SINE, m] = (nx - ny * uc + nz * vc) / math.sqrt(1.0 + uc * uc + vc * vc)
+
+
+@inlined
+def _find_reflected(work, other_leg, first, last, uc, elevation_pattern, top, reflection, view, other_view):
+    """Find the reflected intensity of a strip's samples, and their bistatic echo per steradian."""
+    own, plane, ceiling = reflection.own, reflection.plane, reflection.ceiling
+    from_image, is_body, loss = reflection.from_image, reflection.is_body, reflection.loss
+    for m in range(first, last):
+        other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
+        side = other_leg[SIDE, m]
+        if side <= 0.0 and not from_image:  # the other one looks at the surface from behind
+            continue
+        reflected = reflected_intensity(other_leg[SINE, m], loss)
+        if work[ECHO, m] <= 0.0 or reflected < MIN_REFLECTED or other_leg[SINE, m] <= 1e-6:
+            continue
+        vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
+        q = work[REST, m] + work[ALONG_V, m] * vc
+        if work[BORDER, m + 1] <= work[BORDER, m] or q <= HORIZON:
+            continue
+        if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
+            continue
+        if not from_image:  # what lies behind the reflector's plane meets no sound that comes by way of it
+            behind = plane[0] * (own[0, 0] - own[0, 1] * uc + own[0, 2] * vc)
+            behind += plane[1] * (own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
+            behind += plane[2] * (own[2, 0] - own[2, 1] * uc + own[2, 2] * vc)
+            if behind > plane[3] * q:
+                continue
+        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        # directions of the image are the sonar's with port and starboard exchanged
+        leg_x, leg_y, leg_z = x, -y, z
+        if from_image:
+            leg_x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
+            leg_y = -(own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
+            leg_z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
+        if not reflector_is_seen(leg_x, leg_y, leg_z, view, plane, is_body):
+            continue
+        other_leg[REFLECTED, m] = reflected
+        if side <= 0.0:
+            continue
+        seen, ahead = find_surface(x, y, z, other_view)
+        if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
+            bistatic = min(work[ECHO, m] * side / other_leg[RANGE, m], 1.0)
+            if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
+                here = _pattern_at(elevation_pattern, top, vc / math.sqrt(1.0 + uc * uc + vc * vc))
+                there = _pattern_at(elevation_pattern, top, z / other_leg[RANGE, m])
+                bistatic *= math.sqrt(here * there)
+            other_leg[BISTATIC, m] = bistatic
+
+
+@inlined
+def _find_single_bounce(work, other_leg, first, last, uc, width, reflection):
+    """Find the footprints of echoes that go one way straight and the other by way of the reflector."""
+    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
+    other, single_bounce = reflection.other, reflection.single_bounce
+    a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
+    e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
+    u2 = 1.0 + uc * uc
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, height = (low + high) / 2, max(high - low, 0.0)
+        q = max(rest[m] + along_v[m] * vc, HORIZON)
+        length2 = u2 + vc * vc
+        length, range_there = math.sqrt(length2), other_leg[RANGE, m]
+        s = 2.0 / (length / q + range_there)
+        # across, where strips are narrow: by how both ranges change with u
+        x, x_u = 1.0 / q, -along_u[m] / (q * q)
+        r_u = (uc * x + length2 * x_u) / length
+        r_u += other_leg[X, m] / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
+        r_u += other_leg[Y, m] / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
+        r_u += other_leg[Z, m] / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
+        # up and down, where planes may extend far: at both ends
+        low_x, high_x = (
+            1.0 / max(rest[m] + along_v[m] * low, HORIZON),
+            1.0 / max(rest[m] + along_v[m] * high, HORIZON),
+        )
+        tx, ty, tz = (
+            (e0 + c[0] * low) * low_x + d[0],
+            (e1 + c[1] * low) * low_x + d[1],
+            (e2 + c[2] * low) * low_x + d[2],
+        )
+        low_s = 2.0 / (math.sqrt(u2 + low * low) * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        tx, ty, tz = (
+            (e0 + c[0] * high) * high_x + d[0],
+            (e1 + c[1] * high) * high_x + d[1],
+            (e2 + c[2] * high) * high_x + d[2],
+        )
+        high_s = 2.0 / (math.sqrt(u2 + high * high) * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * width / 4, abs(high_s - low_s) / 2
+        # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
+        spreading = 1.0 / (s * range_there)
+        strength = single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading
+        work[ENERGY, m] = strength * width * height / (length * length2 * s)
+
+
+@compiled
+def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, is_first, reflection, sums, spans):
+    """Sum some of one sector's samples into columns and bins, as a planar reflector returns them.
+
+    Parameters
+    ----------
+    plane_echo .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
+    is_first : overwrite the rows of these strips, instead of adding to them
+    reflection : tuple of Reflection
+    sums, spans : as in `sum_footprints`
+    """
+    lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
+    reflection = Reflection(*reflection)
+    view, other_view = ViewIndex(*reflection.index), ViewIndex(*reflection.other_index)
+    K, tan_elevation = sums.shape[1], lattice.tan_elevation
+    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
+    per_metre = K / (r_last - r_first)
+    if is_first:
+        _clear_rows(strips.column, sums, spans)
+    R = plane_echo.shape[0]
+    work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
+    top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
+    for p in range(strips.u.shape[0]):
+        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        c, first, last, uc = strip.column, strip.first, strip.last, strip.u
+        if first == last:
+            continue
+        _find_other_leg(work, other_leg, first, last, uc, reflection)
+        _find_reflected(
+            work, other_leg, first, last, uc, elevation_pattern, top, reflection, view, other_view
+        )
+        if reflection.from_image:
+            _find_footprints(work, first, last, uc, strip.width, strip.v_limit, elevation_pattern)
+            for m in range(first, last):
+                work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
+            spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)
+        _find_single_bounce(work, other_leg, first, last, uc, strip.width, reflection)
+        spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)

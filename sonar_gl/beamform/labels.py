@@ -1,0 +1,144 @@
+"""Labels of a ping: in each bin the body with the strongest echo, and what is known of that echo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.beamform import kernels
+from sonar_gl.core.array_pool import ArrayPool
+from sonar_gl.sonar.fan import Fan
+from sonar_gl.sonar.samples import SectorSamples, whole_rows
+
+# A bin is in shadow where less than this remains of the echo that the background alone would return: nine
+# tenths of the beam are covered there, and what side lobes receive from beside a shadow (−13 dB for a uniform
+# line array) is less.
+MAX_SHADOW_ECHO = 0.1
+SLOTS, RUNS, POOL = 4, 1024, 1 << 18  # initial room: bodies in a column, runs of bins, numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """Fields of a `Ping` that say what the strongest echo in each bin is; see there."""
+
+    body_id: np.ndarray
+    elevation_rad: np.ndarray
+    incidence_rad: np.ndarray
+    true_range_m: np.ndarray
+    share: np.ndarray
+    body_echo: np.ndarray
+    shadow: np.ndarray | None
+
+
+class Labeller:
+    """Finds labels; owns the arrays that every ping uses again.
+
+    Parameters
+    ----------
+    fan : Fan
+    first, weights : of BeamWeights
+    bins : tuple of kernels.BinTable
+    elevation_table, weighted_elevation : of kernels.sum_bodies
+    """
+
+    def __init__(self, fan: Fan, first, weights, bins, elevation_table, weighted_elevation):
+        shape = len(first), fan.sonar.n_bins
+        self._fan, self._bins = fan, bins
+        self._tables = elevation_table, weighted_elevation
+        self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
+        self._tiles = tuple(kernels.beam_tiles(first, weights))
+        n_tiles = len(self._tiles[0])
+        self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
+        self._floats, self._numbers = ArrayPool(shape), ArrayPool(shape, np.uint16)
+        self._means = ArrayPool((3, *shape))
+        self._room = [
+            (
+                np.zeros((SLOTS, shape[1], kernels.CELL)),
+                np.empty((RUNS, kernels.RUN), np.int64),
+                np.empty(POOL, np.float32),
+            )
+            for _ in range(2)
+        ]
+
+    def find(
+        self,
+        samples: Sequence[SectorSamples],
+        strips,
+        run: Callable,
+        gain: np.ndarray,
+        n_bodies: int,
+        is_background: np.ndarray | None = None,
+        unshadowed: np.ndarray | None = None,
+    ) -> Labels:
+        """Return the labels of a ping.
+
+        Parameters
+        ----------
+        strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
+        run : function (work) that does work(0) and work(1)
+        gain : (K,) float32
+        n_bodies : the highest number of a body
+        is_background : (n_bodies + 1,) bool by number, or None for no shadow
+        unshadowed : (B, K) echo of the background alone, without the gain
+        """
+        spread = self._fan.sampling.reducer == "footprint"
+        used = [(0, 0), (0, 0)]
+
+        def sum_up(half):
+            for one, mine in zip(samples, strips[half], strict=True):
+                arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
+                tables = self._bins, spread, *self._tables
+                *room, used[half] = kernels.sum_bodies(*arrays, mine, *tables, *self._room[half], used[half])
+                self._room[half] = tuple(room)
+
+        run(sum_up)
+        runs = self._sorted_runs([n for n, _ in used])
+        strongest = kernels.StrongestEcho(
+            echo=self._floats.empty(),
+            share=self._floats.empty(),
+            body_id=self._numbers.empty(),
+            background=np.empty((0, 0), np.float32) if is_background is None else self._floats.zeros(),
+            means=self._means.empty(),
+        )
+        mask = np.zeros(n_bodies + 1, bool) if is_background is None else is_background
+        body_echo = np.zeros((2, n_bodies + 1))
+
+        def pick(half):
+            kernels.find_strongest(
+                tuple(runs),
+                self._tiles,
+                self._parts[half],
+                self._fan.n_columns,
+                gain,
+                self._middle_m,
+                mask,
+                body_echo[half],
+                tuple(strongest),
+            )
+
+        run(pick)
+        elevation_rad, incidence_rad, true_range_m = strongest.means
+        shadow = None
+        if is_background is not None:
+            shadow = (unshadowed > 0) & (strongest.background < MAX_SHADOW_ECHO * unshadowed)
+        return Labels(
+            body_id=strongest.body_id,
+            elevation_rad=elevation_rad,
+            incidence_rad=incidence_rad,
+            true_range_m=true_range_m,
+            share=strongest.share,
+            body_echo=body_echo.sum(axis=0),
+            shadow=shadow,
+        )
+
+    def _sorted_runs(self, counts) -> kernels.Runs:
+        """Return the runs of both halves, by body and column."""
+        table = np.concatenate([room[1][:n] for room, n in zip(self._room, counts, strict=True)])
+        owner = np.repeat([0, 1], counts)
+        order = np.lexsort((table[:, kernels.COLUMN], table[:, kernels.BODY]))
+        table, owner = table[order], owner[order]
+        bodies, begins = np.unique(table[:, kernels.BODY], return_index=True)
+        pools = tuple(room[2] for room in self._room)
+        return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)

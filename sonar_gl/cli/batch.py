@@ -1,0 +1,82 @@
+"""The command `batch`: data sets of many pings, from a job file."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from tqdm import tqdm
+
+from sonar_gl.batch import run as runs
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import read_job
+from sonar_gl.batch.manifest import Manifest, check
+from sonar_gl.cli.common import progress as show_progress
+from sonar_gl.core.errors import Error
+from sonar_gl.core.load_numba import load_numba
+
+
+def batch(options) -> int:
+    """Run, check or try the batch that the options describe, and return the exit status."""
+    load_numba()
+    if options.mend and not options.resume:
+        raise Error("--mend must stand with --resume (it mends what is in the folder)")
+    if (options.job is None) == (options.check is None):
+        raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
+    tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command
+    if options.check is not None:
+        folder = Folder(options.check, create=False)
+        if (manifest := Manifest.load(folder)) is None:
+            raise Error(f"{options.check}: must be the folder of a batch (got one without a manifest)")
+        return _show_faults(options.check, check(folder, manifest, show_progress))
+    job = read_job(options.job)
+    devices = runs.devices_of(options.workers, options.device)
+    if options.dry_run:
+        click.echo(runs.dry_run(job, devices, _report))
+        return 0
+    url = options.out or Path(options.job).stem
+    outcome = runs.run(job, url, devices, _report, _progress, options.resume, options.mend, options.cluster)
+    for number, why in sorted(outcome.set_aside.items()):
+        _report(f"set aside: {outcome.describe(number)}: {why}")
+    return _show_outcome(outcome, url, options.job)
+
+
+def _report(text: str):
+    """Show a line, above the progress bar if there is one."""
+    tqdm.write(text, file=sys.stderr)
+
+
+@contextmanager
+def _progress(n_pings: int, n_done: int):
+    """Show a bar with rate and time left; without a terminal, a line every half minute."""
+    is_terminal = sys.stderr.isatty()
+    rarely = {"mininterval": 30.0, "maxinterval": 60.0, "ascii": True, "ncols": 90}
+    settings = {} if is_terminal else rarely
+    with tqdm(total=n_pings, initial=n_done, unit=" pings", smoothing=0.05, **settings) as bar:
+        yield bar.update
+
+
+def _show_outcome(outcome, url: str, job_file: str) -> int:
+    """Print the state of a batch, and return the exit status."""
+    text = f"{url}: {outcome.n_made} of {outcome.n_pings} pings"
+    if outcome.without_echo:
+        text += f", {outcome.without_echo} of them without an echo"
+    if not outcome.is_complete:
+        command = shlex.join(["sonar-gl", "batch", job_file, "--out", url, "--resume"])
+        click.echo(f"{text}; continue with: {command}")
+        return 130
+    click.echo(text + (f", {len(outcome.set_aside)} set aside" if outcome.set_aside else ""))
+    return 3 if outcome.set_aside else 0
+
+
+def _show_faults(url: str, faults: list[str]) -> int:
+    """Print the damage that was found, and return the exit status."""
+    for line in faults:
+        click.echo(line)
+    ending = f"{len(faults)} files are missing or damaged" if faults else "all files are as they were written"
+    click.echo(f"{url}: {ending}")
+    return 1 if faults else 0

@@ -1,0 +1,74 @@
+"""What commands share: the objects that options stand for, and progress."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from dataclasses import replace
+
+import click
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.cli.options import POSE
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose, read_poses
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+
+def sonar_from(options) -> Sonar:
+    """Return the sonar of --sonar, --range and --bins."""
+    sonar = load_sonar(options.sonar)
+    sonar = sonar if options.range is None else sonar.with_range(options.range)
+    return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
+
+
+def acoustics_from(options, profile: str) -> Acoustics | None:
+    """Return the acoustics of --acoustics, which changes `profile`; None for `--acoustics needed`."""
+    if options.acoustics == "needed":
+        if profile != "physical":
+            raise Error(f"--acoustics needed must stand with --profile physical (got --profile {profile})")
+        return None
+    if options.acoustics is None:
+        return Acoustics(profile)
+    try:
+        return Acoustics.parse(options.acoustics, profile)
+    except Error as why:
+        raise Error(f"--{why}") from None
+
+
+def poses_from(options, scene: Scene) -> tuple[np.ndarray | None, list | np.ndarray]:
+    """Return the times (None for a single ping) and poses of --poses, --pose or the scene."""
+    if options.pose is not None and options.poses is not None:
+        raise Error("--pose and --poses must not stand together (the file of --poses holds every pose)")
+    if options.poses is not None:
+        return read_poses(options.poses)
+    if options.pose is not None:
+        values = parse_numbers("--pose", options.pose, "x y z roll pitch yaw")
+        try:
+            return None, [pose(*values)]
+        except Error as why:
+            raise Error(f"--pose {options.pose!r}: {why}") from None
+    if scene.sonar_pose is None:
+        raise Error(f"scene {scene.name!r} has no sonar in it; give its place with --pose {POSE}")
+    return None, [scene.sonar_pose]
+
+
+def parse_numbers(option: str, text: str, names: str) -> list[float]:
+    """Return the numbers in the text of an option, one for each word of `names`."""
+    count = len(names.split())
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {text!r})") from None
+    if len(values) != count:
+        raise Error(f"{option} must be {count} numbers, {names!r} (got {len(values)}: {text!r})")
+    return values
+
+
+def progress(numbers):
+    """Return a context manager that yields `numbers`: with a progress bar on a terminal, else without."""
+    if sys.stderr.isatty():
+        return click.progressbar(numbers, file=sys.stderr)
+    return contextlib.nullcontext(numbers)

@@ -1,0 +1,251 @@
+"""The commands of `sonar-gl`: their options, help and exit status.
+
+A command's work is done by another module of the package, which is loaded when the command runs.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+import warnings
+from types import SimpleNamespace
+
+import click
+
+from sonar_gl import cli
+from sonar_gl._version import __version__
+from sonar_gl.cli.options import DEVICE, option, ping_options
+from sonar_gl.core.errors import Error
+from sonar_gl.core.extras import missing_extra
+
+
+class CommandGroup(click.Group):
+    """Commands that report a user's error in one sentence with exit status 2, and each warning once, on one line."""
+
+    def invoke(self, ctx):
+        message, status = "", 0
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="replace")  # the terminal may not have Greek letters
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("always", UserWarning)
+                warnings.showwarning = _one_line_warnings()
+                super().invoke(ctx)
+        except KeyboardInterrupt:
+            message, status = "interrupted; the files written so far are complete", 130
+        except MemoryError as why:
+            message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
+        except ImportError as why:
+            message, status = f"{why}; 'sonar-gl doctor' says what is missing", 2
+        except OSError as why:
+            if why.errno == errno.EPIPE:  # `| head` has closed the pipe
+                raise
+            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+        except Error as why:
+            message, status = str(why), 2
+        if status:
+            click.echo(f"error: {message}", err=True)
+            ctx.exit(status)
+
+
+def _one_line_warnings():
+    """Return a `warnings.showwarning` that shows each text once, on one line."""
+    shown = set()
+
+    def show(message, *_args, **_more):
+        text = " ".join(str(message).split())
+        if text not in shown:
+            click.echo(f"warning: {text}", err=True)
+        shown.add(text)
+
+    return show
+
+
+@click.group(
+    cls=CommandGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100},
+    epilog="Example: sonar-gl render pylon --sonar p900-90 --axes",
+)
+@click.version_option(__version__, prog_name="sonar-gl")
+def main():
+    """Simulate a 2D imaging sonar, with OpenGL and without a display."""
+
+
+RENDER_EXAMPLES = """\b
+Examples:
+  sonar-gl render pylon
+  sonar-gl render diver --sonar didson-hf --range 9 --noise physical --axes
+  sonar-gl render diver --sonar demarco-2015 --style demarco2015 --range-law constant
+  sonar-gl render ocean_floor --pose "0 0 -8 0 0.25 0" --range 20 --axes
+  sonar-gl render pylon --poses dive.csv --format gif --fps 5 --out dive
+"""
+
+
+@main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
+@click.argument("scene")
+@option("sonar", default="p900-45")
+@option("pose", show_default="the scene's")
+@option("poses")
+@option("range", type=float)
+@option("bins", type=int)
+@option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
+@option("acoustics", show_default="the profile's")
+@option("range_law", "printed", "constant", "inverse", show_default="printed")
+@option("noise", show_default="none; demarco2015 in that style")
+@option("style", "fan", "demarco2015", default="fan")
+@option("scale", "db", "linear", default="db")
+@option("db_range", default="-60 0")
+@option("colormap", default="jet")
+@option("axes", is_flag=True)
+@option("form", "isotropic", "printed", default="isotropic")
+@option("join", "circles", "polygons", default="circles")
+@option("height", type=int, default=800)
+@option("tolerance", type=float, default=0.01)
+@option("device", **DEVICE)
+@option("seed", type=int, default=0)
+@option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
+@option("fps", type=float, default=10.0)
+@option("labels", is_flag=True)
+@option("resource_path", multiple=True)
+@option("skip_missing", is_flag=True)
+@option("out", default=".")
+@click.pass_context
+def render(ctx, scene, **options):
+    """Make pings of SCENE, a bundled scene (`sonar-gl scenes` lists them) or a file, and pictures of them.
+
+    Files are named after the scene: pylon.png and pylon.npz; in a sequence pylon_0000.png, pylon_0001.png and so on.
+    The NPZ file holds the ping, its pose and all settings.
+    """
+    given = {name for name in options if ctx.get_parameter_source(name).name == "COMMANDLINE"}
+    click.echo(cli.render.render(scene, SimpleNamespace(**options), given))
+
+
+VERIFY_EPILOG = """\b
+Examples:
+  sonar-gl verify pylon --bins 200 --tolerance 0.05
+  sonar-gl verify diver_swimming --range 10 --bins 100 --tolerance 0.1 --json
+
+\b
+Exit status: 0 the tolerance was kept, 1 it was not, 2 a mistake in the command line or the scene.
+"""
+
+
+@main.command(epilog=VERIFY_EPILOG, short_help="Say how far a ping is from the truth.")
+@ping_options(height={"type": int, "default": 600}, out={"default": "."})
+@click.pass_context
+def verify(ctx, scene, **options):
+    """Compare a ping of SCENE with the same integral by millions of rays, and draw the difference.
+
+    The error is the share of the echo that lies in wrong bins, without noise. The picture, pylon_error.png for the
+    scene pylon, shows the ping, the reference and their difference. Rays are cast until the reference's own error is
+    a tenth of the one found: the examples take seconds; many bins and a small tolerance take minutes. Bubbles are left
+    out, since the reference does not model them. Needs the extra `reference` (Embree); without it the error says how to
+    add it.
+    """
+    found = cli.verify.verify(scene, SimpleNamespace(**options, poses=None))
+    click.echo(json.dumps(found) if options["json"] else cli.verify.verify_text(found))
+    ctx.exit(0 if found["kept"] else 1)
+
+
+PLAN_EPILOG = """\b
+Examples:
+  sonar-gl plan pylon
+  sonar-gl plan diver --range 10 --tolerance 0.02 --json
+
+\b
+Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command line or the scene.
+"""
+
+
+@main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
+@ping_options(poses={})
+@click.pass_context
+def plan(ctx, scene, **options):
+    """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
+
+    The same is done for half the tolerance and for twice of it. Errors are estimates that pings make of themselves,
+    without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses about two dozen are tried,
+    as by `sonar-gl render`.
+
+    Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
+    strongest change of one bin, over the strongest bin; the milliseconds that the term adds to a ping; and whether
+    the image changes by more than the tolerance without it.
+    """
+    found = cli.plan.plan(scene, SimpleNamespace(**options))
+    click.echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
+    ctx.exit(0 if found["met"] else 1)
+
+
+BATCH_EPILOG = """\b
+Examples:
+  sonar-gl batch survey.toml --dry-run
+  sonar-gl batch survey.toml --out survey
+  sonar-gl batch survey.toml --out survey --resume
+  sonar-gl batch --check survey
+
+\b
+Exit status: 0 all pings are made, 1 --check found damage, 2 a mistake in the command line or the job, or a
+full disk, 3 all pings are made but some that were set aside, 130 stopped by Ctrl-C.
+"""
+
+
+@main.command(epilog=BATCH_EPILOG, short_help="Make a data set of many pings, from a job file.")
+@click.argument("job", required=False)
+@option("out", default=None, show_default="named after the job")
+@click.option(
+    "--dry-run", is_flag=True, help="Report what would be made, its size and time, after making a part."
+)
+@click.option("--resume", is_flag=True, help="Continue the batch in the folder.")
+@click.option("--mend", is_flag=True, help="With --resume: find damaged files, and make them again.")
+@click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
+@click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
+@click.option(
+    "--device",
+    type=click.IntRange(min=0),
+    multiple=True,
+    show_default="the variable SONAR_GL_DEVICE, or 0",
+    help="Index of an OpenGL device; may be repeated: processes take them in turn.",
+)
+@click.option(
+    "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler whose workers make the pings."
+)
+@click.pass_context
+def batch(ctx, **options):
+    """Make the pings that the file JOB describes, label and store them.
+
+    JOB is a TOML file; docs/batch.md describes it.
+    """
+    try:
+        module = cli.batch
+    except ModuleNotFoundError as why:
+        raise missing_extra("batch", f"batch needs more packages (got no module {why.name})") from None
+    ctx.exit(module.batch(SimpleNamespace(**options)))
+
+
+@main.command(epilog="Example: sonar-gl scenes")
+def scenes():
+    """List the bundled scenes."""
+    click.echo(cli.listings.scenes_text())
+
+
+@main.command(epilog="Example: sonar-gl sonars", short_help="List the preset sonars.")
+def sonars():
+    """List the preset sonars: beams, field of view, frequency, range, bin size."""
+    click.echo(cli.listings.sonars_text())
+
+
+@main.command(
+    epilog="Example: sonar-gl doctor", short_help="Check the installation, and compile what is needed."
+)
+@click.pass_context
+def doctor(ctx):
+    """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
+
+    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes a
+    minute, later commands then start fast.
+    """
+    found = cli.doctor.examine()
+    click.echo(cli.doctor.report_text(found))
+    ctx.exit(1 if any(finding.ok is False for finding in found) else 0)

@@ -1,0 +1,99 @@
+"""Options that commands share: names, types and help. Imports no library but click."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+
+import click
+
+POSE = '"x y z roll pitch yaw", metres and radians'
+HELP = {
+    "sonar": "Preset (`sonar-gl sonars` lists them) or .toml file.",
+    "pose": f"Pose of the sonar: {POSE}.",
+    "poses": "CSV file with a sequence of poses; its columns are t,x,y,z,roll,pitch,yaw.",
+    "range": "Maximum range, metres; the bin size stays the same.",
+    "bins": "Number of range bins.",
+    "profile": "Acoustic model: transmission loss, beam patterns, multipath.",
+    "acoustics": "Changes to the profile, such as tvg_k=30,multipath=coherent; or needed: what the scene needs.",
+    "range_law": "Profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",
+    "noise": "none, demarco2015, physical, or amounts such as gaussian=1e-4,median=3.",
+    "style": "Picture: a fan image, or that of DeMarco et al. (2015).",
+    "scale": "Brightness scale of the fan image.",
+    "db_range": "Darkest and brightest level of the fan image, dB.",
+    "colormap": "Colour map of the fan image: gray, jet, viridis, or another of OpenCV.",
+    "axes": "Draw range and azimuth axes around the fan image.",
+    "form": "Style demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
+    "join": "Style demarco2015: how points are drawn.",
+    "height": "Height of the picture without axes, pixels.",
+    "tolerance": "Largest share of the echo that may lie in wrong bins.",
+    "device": "Index of the OpenGL device; `sonar-gl doctor` lists the devices.",
+    "seed": "Seed of the noise.",
+    "formats": "File format; may be repeated. gif and mp4 need --poses.",
+    "fps": "Frames per second of gif and mp4.",
+    "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
+    "resource_path": "Folder to search for model:// URIs; may be repeated.",
+    "skip_missing": "Leave out models that are not found, with a warning.",
+    "json": "Print one JSON object instead of text.",
+    "out": "Output folder; created if it does not exist.",
+}
+
+
+def option(name: str, *choices: str, **settings):
+    """Return a click option with its help; `formats` becomes --format, other names stay as they are."""
+    flag = "--format" if name == "formats" else "--" + name.replace("_", "-")
+    if choices:
+        settings["type"] = click.Choice(choices)
+    return click.option(flag, name, help=HELP[name], **settings)
+
+
+@contextmanager
+def _device_variable(index: int):
+    """Set SONAR_GL_DEVICE inside the block."""
+    before = os.environ.get("SONAR_GL_DEVICE")
+    os.environ["SONAR_GL_DEVICE"] = str(index)
+    try:
+        yield
+    finally:
+        os.environ.pop("SONAR_GL_DEVICE")
+        if before is not None:
+            os.environ["SONAR_GL_DEVICE"] = before
+
+
+def _use_device(ctx, _parameter, index):
+    """Have the command create all its OpenGL contexts on this device."""
+    if index is not None:
+        ctx.with_resource(_device_variable(index))
+
+
+DEVICE = {
+    "type": click.IntRange(min=0),
+    "show_default": "the variable SONAR_GL_DEVICE, or 0",
+    "callback": _use_device,
+    "expose_value": False,
+}
+PING_OPTIONS = {
+    "sonar": {"default": "p900-45"},
+    "pose": {"show_default": "the scene's"},
+    "range": {"type": float},
+    "bins": {"type": int},
+    "profile": {"type": click.Choice(("ideal", "demarco2015", "physical")), "default": "physical"},
+    "acoustics": {"show_default": "the profile's"},
+    "tolerance": {"type": float, "default": 0.01},
+    "device": DEVICE,
+    "resource_path": {"multiple": True},
+    "skip_missing": {"is_flag": True},
+    "json": {"is_flag": True},
+}
+
+
+def ping_options(**more):
+    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP."""
+    settings = {**PING_OPTIONS, **more}
+
+    def decorate(command):
+        for name in reversed([name for name in HELP if name in settings]):
+            command = option(name, **settings[name])(command)
+        return click.argument("scene")(command)
+
+    return decorate

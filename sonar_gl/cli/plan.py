@@ -1,0 +1,156 @@
+"""The command `plan`: the samples and acoustic terms that a tolerance needs, and their cost."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from contextlib import ExitStack
+from dataclasses import asdict
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.analysis.terms import needed_acoustics, price
+from sonar_gl.cli.common import acoustics_from, poses_from, sonar_from
+from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
+from sonar_gl.core.errors import Error
+from sonar_gl.core.load_numba import load_numba
+from sonar_gl.engine.adaptive import Plan
+from sonar_gl.scene.load import load_scene
+from sonar_gl.scene.scene import Scene
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import WORST_BODY, check_tolerance
+from sonar_gl.sonar.sonar import Sonar
+
+TURNS = 7  # timed pings of each plan
+# Two sampling levels change an estimate by no more than this factor. A largest estimate that is a smaller share of the
+# tolerance leaves room for coarser samples: then something else forbids them.
+TWO_LEVELS = 0.59
+CURE = "these are the most samples that fit; go nearer, narrow the fan, or ask for a larger one"
+BOUND_BY = {
+    "error": "the error of the whole ping",
+    "worst body": "the worst body, whose echo may be off by five times the tolerance",
+    "finding": "bodies that coarser samples might miss",
+    "nothing": "nothing: these are the coarsest samples",
+}
+
+
+def plan(scene_name: str, options) -> dict:
+    """Return the plan of a scene for the tolerance of the options, as plain values."""
+    load_numba()
+    sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
+    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    poses = poses_from(options, scene)[1]
+    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
+    return compare_plans(scene, sonar, acoustics, poses, options.tolerance)
+
+
+def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float) -> dict:
+    """Plan for a tolerance, for half of it and for twice of it; time their pings and price the terms."""
+    check_tolerance(tolerance)
+    simulators, plans, times_ms, has_echo = {}, {}, {}, False
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "tolerance .* cannot be met")  # the report says so
+        for name, factor in (("chosen", 1), ("halved", 0.5), ("doubled", 2)):
+            try:
+                wanted = check_tolerance(factor * tolerance)
+            except Error:
+                continue
+            simulators[name] = stack.enter_context(Simulator(scene, sonar, acoustics, tolerance=wanted))
+            plans[name] = plan_facts(simulators[name].plan(poses), wanted, scene, sonar)
+            times_ms[name] = []
+        for at in np.linspace(0, len(poses) - 1, TURNS).astype(int):
+            for name, simulator in simulators.items():
+                ping = simulator.ping(poses[at])  # not timed: the other simulator left the caches cold
+                start = time.perf_counter()
+                simulator.ping(poses[at])
+                times_ms[name].append(1e3 * (time.perf_counter() - start))
+                has_echo |= ping.meta["has_echo"] or plans[name]["error_estimate"] > 0
+        terms = price(simulators["chosen"], sonar, tolerance, poses, acoustics) if has_echo else []
+    for name, facts in plans.items():
+        facts["time_ms"] = float(np.median(times_ms[name]))
+        facts["time_ratio"] = facts["time_ms"] / float(np.median(times_ms["chosen"]))
+    return {
+        **ping_facts(ping),
+        "poses": len(poses),
+        "has_echo": has_echo,
+        **plans["chosen"],
+        "halved": plans.get("halved"),
+        "doubled": plans.get("doubled"),
+        "terms": [asdict(term) for term in terms],
+    }
+
+
+def plan_facts(plan: Plan, tolerance: float, scene: Scene, sonar: Sonar) -> dict:
+    """Return a plan as plain values, with what requires so many samples."""
+    estimates = {"error": plan.error_estimate, "worst body": plan.worst_body_estimate / WORST_BODY}
+    bound_by = max(estimates, key=estimates.get)
+    if plan.met and estimates[bound_by] < TWO_LEVELS * tolerance:
+        bound_by = "finding" if plan.level else "nothing"
+    return {
+        "tolerance": tolerance,
+        **asdict(plan),
+        "worst_body": scene.bodies[plan.worst_body - 1].name if plan.worst_body else "",
+        "samples": round(plan.sampling.columns_per_beam * sonar.n_beams) * plan.sampling.rows,
+        "bound_by": bound_by,
+    }
+
+
+def plan_text(found: dict) -> str:
+    """Return what `compare_plans` found in words."""
+    columns, rows, _ = found["sampling"].values()
+    met = "can be met" if found["met"] else f"can NOT be met: {CURE}"
+    lines = [("poses", str(found["poses"]))] if found["poses"] > 1 else []
+    lines += [
+        ("tolerance", f"{percent(found['tolerance'])} {met}"),
+        ("samples", f"{columns:.4g} columns per beam x {rows} rows = {found['samples']}"),
+    ]
+    if found["has_echo"]:
+        name, off = found["worst_body"], percent(found["worst_body_estimate"])
+        lines += [
+            ("error", f"{percent(found['error_estimate'])} of the echo, estimated"),
+            ("worst body", f"{name!r}, its own echo off by {off}, estimated" if name else "none"),
+            ("bound by", BOUND_BY[found["bound_by"]]),
+        ]
+    else:
+        lines.append(("error", "none: no echo comes back from this pose"))
+    lines.append(("ping", f"{found['time_ms']:.2f} ms on {found['gl_renderer']}"))
+    texts = [facts_text(found, lines), _plans_text(found)]
+    if found["terms"]:
+        texts.append(_terms_text(found["terms"]))
+    return "\n\n".join(texts)
+
+
+def _plans_text(found: dict) -> str:
+    """Return the table of the plans for half the tolerance, the tolerance and twice of it."""
+    rows = [
+        (
+            percent(facts["tolerance"]),
+            str(facts["samples"]),
+            percent(facts["error_estimate"]),
+            percent(facts["worst_body_estimate"]),
+            f"{facts['time_ms']:.2f}",
+            f"{facts['time_ratio']:.2f}",
+            "yes" if facts["met"] else "no",
+        )
+        for facts in (found["halved"], found, found["doubled"])
+        if facts is not None
+    ]
+    text = table_text(("tolerance", "samples", "error", "worst body", "ms", "ratio", "met"), rows)
+    missing = [name for name in ("halved", "doubled") if found[name] is None]
+    return "\n".join([text, *(f"{name}, it would lie outside 0.1 % to 50 %" for name in missing)])
+
+
+def _terms_text(terms: list[dict]) -> str:
+    """Return the table of what each term is worth."""
+    rows = [
+        (
+            term["name"],
+            percent(term["changes"]),
+            percent(term["worst_bin"]),
+            f"{term['time_ms']:.2f}",
+            "on" if term["on"] else "off",
+        )
+        for term in terms
+    ]
+    return table_text(("without", "the image changes", "worst bin", "ms", "needed"), rows)

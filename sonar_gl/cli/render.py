@@ -1,0 +1,274 @@
+"""The command `render`: pings of a scene, one after the other, as pictures, arrays and films."""
+
+from __future__ import annotations
+
+import statistics
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.analysis.terms import needed_acoustics
+from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progress, sonar_from
+from sonar_gl.core.errors import Error
+from sonar_gl.core.load_numba import load_numba
+from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
+from sonar_gl.imaging.film import DemarcoStyle, FanStyle
+from sonar_gl.noise.noise import Noise
+from sonar_gl.ping import Ping
+from sonar_gl.scene.load import load_scene
+from sonar_gl.simulator import Simulator
+
+FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options of one style
+DEMARCO_ONLY = ("form", "join")
+STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
+WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
+NEARLY_EMPTY = 0.01  # share of bright cells
+CLEARLY_BRIGHT_DB = 20.0  # an echo so far above the darkest level is easy to see
+
+
+def render(scene_name: str, options, given: set[str]) -> str:
+    """Write the files that the options name, and return a line about them.
+
+    Parameters
+    ----------
+    given : names of the options on the command line
+    """
+    _check_combination(options, given)
+    load_numba()
+    in_demarco = options.style == "demarco2015"
+    profile = options.profile or ("demarco2015" if in_demarco else "physical")
+    if options.range_law is not None and profile != "demarco2015":
+        raise Error(f"--range-law must stand with --profile demarco2015 (got --profile {profile})")
+    acoustics = acoustics_from(options, profile)
+    if options.range_law is not None:
+        acoustics = replace(acoustics, range_law=options.range_law)
+    default_noise = "demarco2015" if in_demarco else "none"
+    noise = Noise.parse(default_noise if options.noise is None else options.noise)
+    sonar = sonar_from(options)
+    if in_demarco:
+        style = DemarcoStyle(options.height, options.form, options.join, noise, options.seed)
+        darkest_db = None
+    else:
+        db_range = parse_numbers("--db-range", options.db_range, "darkest brightest")
+        style = FanStyle(options.height, options.scale, db_range, options.colormap, options.axes)
+        has_levels = options.scale == "db" and set(options.formats) != {"npz"}
+        darkest_db = db_range[0] if has_levels else None
+    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    times_s, poses = poses_from(options, scene)
+    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
+    folder = output_folder(options.out)
+    with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
+        if not in_demarco or "npz" in options.formats:  # the paper's picture is made of points alone
+            simulator.plan(poses)  # before the first ping, so that no ping depends on those before it
+        writer = FrameWriter(
+            simulator=simulator,
+            style=style,
+            folder=folder,
+            formats=options.formats,
+            noise=noise,
+            seed=options.seed,
+            labels=options.labels,
+            fps=options.fps,
+            progress=nullcontext if options.poses is None else progress,
+            darkest_db=darkest_db,
+        )
+        return writer.write(poses, times_s)
+
+
+def _check_combination(options, given: set[str]):
+    """Raise an Error for options that do not go together."""
+    for style, names in (("fan", FAN_ONLY), ("demarco2015", DEMARCO_ONLY)):
+        for name in names:
+            if name in given and options.style != style:
+                option = "--" + name.replace("_", "-")
+                raise Error(f"{option} must stand with --style {style} (got --style {options.style})")
+    films = [film for film in FILMS if film in options.formats]
+    if films and options.poses is None:
+        raise Error(f"--format {films[0]} must stand with --poses (a film needs a sequence of poses)")
+    if "fps" in given and not films:
+        raise Error("--fps must stand with --format gif or --format mp4 (nothing else has frames)")
+
+
+class BackgroundCalls:
+    """Threads that call functions while the caller goes on; a `with` block ends when all calls are done.
+
+    `start` waits while enough calls are under way, which bounds the memory, and raises what an earlier call raised. If
+    an error or Ctrl-C leaves the block, calls that have begun are finished, so that no file is incomplete, and the
+    others are dropped.
+    """
+
+    def __init__(self):
+        self._threads, self._under_way = ThreadPoolExecutor(WRITERS, "writer"), deque()
+
+    def start(self, function, *arguments):
+        """Call a function in one of the threads."""
+        while len(self._under_way) > WRITERS or (self._under_way and self._under_way[0].done()):
+            self._under_way.popleft().result()
+        self._under_way.append(self._threads.submit(function, *arguments))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, _why, _where):
+        try:
+            while kind is None and self._under_way:
+                self._under_way.popleft().result()
+        finally:
+            self._threads.shutdown(cancel_futures=True)
+
+
+class Echo(NamedTuple):
+    """The strongest echo of a ping: its intensity, what and where it is, and the number of the ping."""
+
+    intensity: float
+    text: str
+    number: int
+
+
+@dataclass
+class FrameWriter:
+    """Writes pings of one simulator into a folder, which must exist.
+
+    Parameters
+    ----------
+    style : function (simulator, ping, number) -> (H, W, 3) uint8 picture
+    formats : which of png, npz, gif and mp4
+    noise, seed, labels : as for `Simulator.ping`
+    fps : frames per second of gif and mp4
+    progress : function (range) -> context manager that yields it, such as click.progressbar
+    darkest_db : darkest level of the pictures, to warn of nearly empty ones; None for no such warning
+    """
+
+    simulator: Simulator
+    style: Callable
+    folder: Path
+    formats: tuple[str, ...]
+    noise: Noise
+    seed: int = 0
+    labels: bool = False
+    fps: float = 10.0
+    progress: Callable = nullcontext
+    darkest_db: float | None = None
+
+    def __post_init__(self):
+        self._strongest, self._bright_share, self._times_ms = None, 0.0, []
+
+    def write(self, poses, times_s=None) -> str:
+        """Write all files, and return one line about them and the strongest echo.
+
+        Parameters
+        ----------
+        poses : (N, 4, 4) world_from_sonar
+        times_s : (N,) seconds, for a sequence, whose files are numbered; None for one ping
+        """
+        self._check_ping_rate(times_s)
+        name, last = self.simulator.scene.name, len(poses) - 1
+        width = max(4, len(str(last)))
+        names = [name] if times_s is None else [f"{name}_{n:0{width}d}" for n in range(len(poses))]
+        films = [film for film in FILMS if film in self.formats]
+        stills = [still for still in STILLS if still in self.formats]
+        with BackgroundCalls() as calls:
+            for film in films:  # a second film renders all frames again: the same seed gives the same bytes
+                frames = self._frames(names, poses, times_s, stills if film == films[0] else (), calls)
+                save_animation(self.folder / f"{name}.{film}", frames, self.fps)
+            if not films:
+                for _ in self._frames(names, poses, times_s, stills, calls):
+                    pass
+        self._warn_if_nearly_empty("the picture is" if times_s is None else "all pictures are")
+        several = name if times_s is None else f"{names[0]}..{last:0{width}d}"
+        files = [f"{self.folder / several}.{still}" for still in stills]
+        files += [f"{self.folder / name}.{film}" for film in films]
+        which = "" if times_s is None else f" in ping {self._strongest.number}"
+        beams, bins = self.simulator.sonar.n_beams, self.simulator.sonar.n_bins
+        pace = f"{statistics.median(self._times_ms):.1f} ms" + ("" if times_s is None else " a ping")
+        return (
+            f"{', '.join(files)}: {beams} beams x {bins} bins, {self._strongest.text}{which}; "
+            f"{pace} on {self.simulator.gl_info['renderer']}"
+        )
+
+    def _check_ping_rate(self, times_s):
+        """Warn once of pings that follow each other faster than sound returns."""
+        steps_s = np.diff([] if times_s is None else times_s)
+        steps_s = steps_s[steps_s != 0]  # equal times have no rate
+        if not len(steps_s):
+            return
+        acoustics, sonar = self.simulator.acoustics, self.simulator.sonar
+        max_rate_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.sound_speed())
+        shortest_s = float(steps_s.min())
+        if shortest_s < (1 - 1e-6) / max_rate_hz:
+            warnings.warn(
+                f"the poses' times must be {1 / max_rate_hz:.4g} s apart or more, in which sound comes back from "
+                f"{sonar.range_max_m:g} m (got {shortest_s:.4g} s; no sonar pings as quickly)",
+                stacklevel=3,
+            )
+
+    def _warn_if_nearly_empty(self, subject: str):
+        """Warn if no picture shows more than a few bright cells, and say what to change."""
+        if self.darkest_db is None or self._strongest.intensity <= 0 or self._bright_share >= NEARLY_EMPTY:
+            return  # a ping without echo has a warning of its own
+        strongest_db = 10 * np.log10(self._strongest.intensity)
+        if strongest_db < self.darkest_db + CLEARLY_BRIGHT_DB:
+            low_db, high_db = 10 * np.floor(strongest_db / 10) - 40, 10 * np.ceil(strongest_db / 10)
+            cure = f'give --db-range "{low_db:g} {high_db:g}", or more gain by --acoustics tvg_k=40'
+        else:
+            sonar = self.simulator.sonar
+            cure = f"change --range ({sonar.range_min_m:g} to {sonar.range_max_m:.4g} m) or the sonar's pose"
+        warnings.warn(
+            f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its cells are brighter than "
+            f"{self.darkest_db:g} dB; {cure}",
+            stacklevel=3,
+        )
+
+    def _frames(self, names, poses, times_s, stills, calls: BackgroundCalls):
+        """Yield the pictures one after the other, and have `calls` write the still files."""
+        with self.progress(range(len(poses))) as numbers:
+            for number in numbers:
+                start = time.perf_counter()
+                time_s = None if times_s is None else times_s[number]
+                settings = self.noise, self.seed, self.labels, number
+                ping = self.simulator.ping(poses[number], *settings, time_s=time_s)
+                self._times_ms.append(1e3 * (time.perf_counter() - start))
+                self._note(ping, number)
+                needs_picture = set(self.formats) != {"npz"}
+                picture = self.style(self.simulator, ping, number) if needs_picture else None
+                if "png" in stills:
+                    calls.start(save_png, self.folder / f"{names[number]}.png", picture)
+                if "npz" in stills:
+                    calls.start(save_npz, self.folder / f"{names[number]}.npz", ping)
+                yield picture
+
+    def _note(self, ping: Ping, number: int):
+        """Remember the strongest echo of all pings, and the largest share of bright cells."""
+        intensity, text = self._strongest_echo(ping)
+        if self._strongest is None or intensity > self._strongest.intensity:
+            self._strongest = Echo(intensity, text, number)
+        if self.darkest_db is not None:
+            share = np.count_nonzero(ping.intensity > 10 ** (self.darkest_db / 10)) / ping.intensity.size
+            self._bright_share = max(self._bright_share, share)
+
+    def _strongest_echo(self, ping: Ping) -> tuple[float, str]:
+        """Return the intensity of the strongest echo, and what and where it is."""
+        if not ping.meta["has_echo"]:  # the intensity is noise
+            return 0.0, "no echo"
+        intensity = ping.intensity
+        if self.noise.salt_and_pepper:
+            intensity = np.where(intensity == 1.0, 0.0, intensity)  # grains of salt
+        beam, bin_ = np.unravel_index(intensity.argmax(), intensity.shape)
+        strongest = float(intensity[beam, bin_])
+        if strongest <= 0:
+            return 0.0, "no echo"
+        azimuth_deg = float(np.degrees(ping.azimuth_rad[beam]))
+        side = "port" if azimuth_deg > 0 else "starboard"
+        text = f"strongest echo {10 * np.log10(strongest):.1f} dB at {ping.range_m[bin_]:.2f} m, "
+        text += f"{abs(azimuth_deg):.1f} deg to {side}"
+        if ping.body_id is not None and ping.body_id[beam, bin_]:
+            text += f", of {self.simulator.scene.bodies[ping.body_id[beam, bin_] - 1].name!r}"
+        return strongest, text

@@ -1,0 +1,120 @@
+"""The command `verify`: how far a ping is from the reference."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import click
+import numpy as np
+
+from sonar_gl.analysis.reference import check_known
+from sonar_gl.analysis.terms import needed_acoustics
+from sonar_gl.analysis.verify import Verification, error_picture
+from sonar_gl.analysis.verify import verify as verify_ping
+from sonar_gl.cli.common import acoustics_from, poses_from, sonar_from
+from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
+from sonar_gl.imaging.fan_image import fan_geometry
+from sonar_gl.imaging.files import output_folder, save_png
+from sonar_gl.ping import Ping
+from sonar_gl.scene.load import load_scene
+
+MAX_BODIES = 12  # a report lists the bodies of scenes with no more
+
+
+def verify(scene_name: str, options) -> dict:
+    """Verify a ping, write the picture, and return the findings as plain values."""
+    sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
+    empty = Ping(np.zeros((sonar.n_beams, sonar.n_bins)), sonar.azimuth_rad, sonar.range_m)
+    fan_geometry(empty, options.height)  # refuses a wrong height before the work begins
+    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    _, (pose,) = poses_from(options, scene)
+    acoustics = acoustics or replace(
+        needed_acoustics(scene, sonar, options.tolerance, pose), multipath="none"
+    )
+    check_known(acoustics)
+    acoustics = replace(acoustics, bubbles=False)
+    folder = output_folder(options.out)
+    if sys.stderr.isatty():
+        click.echo("casting rays ...", err=True)
+    result = verify_ping(scene, sonar, pose, acoustics, options.tolerance)
+    path = folder / f"{scene.name}_error.png"
+    save_png(path, error_picture(result, options.height))
+    return _findings(result, str(path))
+
+
+def _findings(result: Verification, picture: str) -> dict:
+    """Return the findings as plain values; the echoes of bodies are shares of the total echo."""
+    ping, truth = result.ping, result.truth
+    meta, total = ping.meta, float(truth.body_echo.sum()) or 1.0
+    bodies = [
+        {
+            "name": name,
+            "echo": float(t) / total,
+            "error": abs(float(e) - float(t)) / float(t) if t > 0 else None,
+        }
+        for name, e, t in zip(meta["bodies"], ping.body_echo[1:], truth.body_echo[1:], strict=True)
+    ]
+    return {
+        **ping_facts(ping),
+        "sampling": meta["sampling"],
+        "tolerance": result.tolerance,
+        "error": result.error,
+        "kept": result.kept,
+        "error_estimate": ping.error_estimate,
+        "worst_body": result.worst_body,
+        "worst_body_error": result.worst_body_error,
+        "bodies": bodies,
+        "has_echo": bool(truth.intensity.any()),
+        "reference_difference": result.difference,
+        "reference_rays": truth.meta["n_rays"],
+        "reference_s": result.reference_s,
+        "certain": result.certain,
+        "time_ms": result.time_ms,
+        "picture": picture,
+    }
+
+
+def verify_text(found: dict) -> str:
+    """Return the findings of `verify` in words."""
+    sampling = ", ".join(
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in found["sampling"].items()
+    )
+    rows = [("sampling", sampling)]
+    if found["has_echo"]:
+        tolerance, kept = percent(found["tolerance"]), "kept" if found["kept"] else "NOT kept"
+        estimate = "none" if found["error_estimate"] is None else percent(found["error_estimate"])
+        rows += [
+            ("error", f"{percent(found['error'])} of the echo; the tolerance of {tolerance} is {kept}"),
+            ("estimate", f"{estimate}, by the ping itself"),
+            ("worst body", _worst_body_text(found)),
+        ]
+    else:
+        rows.append(("error", "none: no echo comes back from this pose"))
+    unsure = "" if found["certain"] or not found["has_echo"] else "; too much to judge this error well"
+    rows += [
+        (
+            "reference",
+            f"{found['reference_rays'] / 1e6:.3g} million rays, {found['reference_s']:.3g} s; "
+            f"its halves differ by {percent(found['reference_difference'])}{unsure}",
+        ),
+        ("ping", f"{found['time_ms']:.2f} ms on {found['gl_renderer']}"),
+        ("picture", found["picture"]),
+    ]
+    text = facts_text(found, rows)
+    if not found["has_echo"] or not 1 < len(found["bodies"]) <= MAX_BODIES:
+        return text
+    bodies = [
+        (body["name"], percent(body["echo"]), "-" if body["error"] is None else percent(body["error"]))
+        for body in found["bodies"]
+    ]
+    return f"{text}\n\n{table_text(('body', 'share of echo', 'error'), bodies)}"
+
+
+def _worst_body_text(found: dict) -> str:
+    name = found["worst_body"]
+    if not name:
+        return "none"
+    share = next(body["echo"] for body in found["bodies"] if body["name"] == name)
+    return f"{name!r}, {percent(share)} of the echo; its own is off by {percent(found['worst_body_error'])}"

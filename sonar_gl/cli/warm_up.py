@@ -1,0 +1,268 @@
+"""Compilation of all compiled functions before their first use.
+
+The functions are compiled for the types of their arguments, so tiny pings in a tiny scene call each of them as the
+product does. Where there is something to compile, a second process, `python -m sonar_gl.cli.warm_up`, compiles
+half of it at the same time and leaves it on disk.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from numba.core import event
+from numba.core.dispatcher import Dispatcher
+
+from sonar_gl import cli
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.analysis.reference import reference_ping
+from sonar_gl.core.compiled import announce_compilation
+from sonar_gl.core.poses import pose
+from sonar_gl.embed.camera import Camera
+from sonar_gl.embed.sensor import Sensor
+from sonar_gl.embed.textures import metres_ahead
+from sonar_gl.imaging.boxes import boxes_of
+from sonar_gl.imaging.demarco2015 import demarco_image
+from sonar_gl.imaging.fan_image import fan_image
+from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.ping import Ping
+from sonar_gl.raster.simplify import simplify
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.scene import Body, Scene
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sonar import Sonar
+
+REPORT_S = 3.0  # between two reports
+SONAR = Sonar("warm_up", 900e3, 16, 48, 30.0, 20.0, 2.0, 0.5, 8.5)
+POSE = pose(z=-1.0, pitch=0.02)  # sees the surface and the floor
+VELOCITY = 0.5, 0.0, 0.0, 0.0, 0.0, 0.1  # m/s, rad/s
+NOISES = (
+    Noise.physical(),
+    Noise(speckle=True, speckle_shape=1.0, looks=2, electronic_db=-60.0, ambient_db=-60.0),
+    Noise(speckle=True, speckle_shape=1.0, follow_motion=True, electronic_db=-60.0),
+    Noise(electronic_db=-60.0, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
+)
+FAST = Sampling(1.0, 24)
+
+
+class Compilation(NamedTuple):
+    """Result of `compile_everything`: functions in the package, those compiled now and not read from disk, seconds."""
+
+    n_functions: int
+    n_compiled: int
+    seconds: float
+
+
+class _Counter(event.Listener):
+    """Counts compilations, and reports the number every few seconds.
+
+    Parameters
+    ----------
+    report : as for `compile_everything`
+    at_first : called before the first function is compiled
+    """
+
+    def __init__(self, report: Callable[[str], None] | None, at_first: Callable[[], None]):
+        self.names, self._report, self._at_first = set(), report, at_first
+        self._started_s = self._reported_s = time.monotonic()
+
+    def on_start(self, found):
+        dispatcher = found.data["dispatcher"]
+        if not dispatcher.py_func.__module__.startswith("sonar_gl."):
+            return
+        if not self.names:
+            self._at_first()
+        self.names.add(_name(dispatcher))
+        now = time.monotonic()
+        if self._report is not None and now - self._reported_s > REPORT_S:
+            self._reported_s = now
+            self._report(
+                f"compiling, once after each installation: {len(self.names)} of {len(compiled_functions())} "
+                f"functions, {now - self._started_s:.0f} s"
+            )
+
+    def on_end(self, found):
+        pass
+
+
+def _name(dispatcher: Dispatcher) -> str:
+    return f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
+
+
+def compiled_functions() -> dict[str, Dispatcher]:
+    """Return the compiled functions of all modules of the package that are loaded, by their full names."""
+    return {
+        _name(value): value
+        for module_name, module in list(sys.modules.items())
+        if module_name.startswith("sonar_gl.")
+        for value in vars(module).values()
+        if isinstance(value, Dispatcher)
+        and value.py_func.__module__ == module_name
+        and value.targetoptions.get("inline") != "always"  # which become part of others
+    }
+
+
+def cache_folder() -> str | None:
+    """Return the folder below which the machine code of compiled functions is kept, or None if it is not kept."""
+    paths = [path for function in compiled_functions().values() if (path := function.stats.cache_path)]
+    return os.path.commonpath(paths) if paths else None
+
+
+class _SecondProcess:
+    """A process that compiles the second half of the functions, once it is started."""
+
+    def __init__(self):
+        self._process = None
+
+    def start(self) -> None:
+        """Start it if what it compiles is kept on disk, where this process finds it."""
+        if cache_folder() is not None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "sonar_gl.cli.warm_up"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,  # if it fails, this process compiles the rest, and says why that fails
+                text=True,
+            )
+
+    def wait(self) -> set[str]:
+        """Wait for its end; return the names of the functions that it has compiled."""
+        return set() if self._process is None else set(self._process.communicate()[0].split())
+
+
+def compile_everything(report: Callable[[str], None] | None = None, processes: int = 2) -> Compilation:
+    """Compile every compiled function of the package, or read its machine code from disk.
+
+    Parameters
+    ----------
+    report : called with a line of text every few seconds while functions are compiled
+    processes : 1 or 2
+
+    Raises
+    ------
+    Error
+        if there is no usable OpenGL.
+    """
+    announce_compilation(False)  # the report says more
+    second, start = _SecondProcess(), time.perf_counter()
+    counter = _Counter(report, second.start if processes > 1 else lambda: None)
+    with event.install_listener("numba:compile", counter), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # tiny pings are coarse
+        _compile_first_half()
+        names = second.wait()
+        _compile_second_half()
+    return Compilation(len(compiled_functions()), len(counter.names | names), time.perf_counter() - start)
+
+
+def _compile_first_half():
+    """Make pings with every profile, reducer and kind of multipath, in motion and in sequence; without labels."""
+    for simulator in _simulators():
+        with simulator:
+            simulator.ping(POSE, velocity=VELOCITY, time_s=1.0)
+            for _ in simulator.pings([POSE] * 6):
+                pass
+    with Simulator(_scene(), SONAR, Acoustics.ideal(), FAST) as simulator:
+        demarco_image(simulator, POSE, height=40)
+    _embed()
+
+
+def _compile_second_half():
+    """Do all the rest, at first what needs no scene: the first half is compiling what every ping needs."""
+    _simplify()
+    if find_spec("embreex"):
+        reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
+    ping = _labelled_ping()
+    for noise in NOISES:
+        add_noise(ping, noise, 0)
+    fan_image(ping, 40)
+    boxes_of(ping, 40)
+    # a batch leaves out dark cells, in an array of its own, which is not read-only
+    boxes_of(replace(ping, body_id=ping.body_id.copy()), 40)
+    if find_spec("pydantic"):
+        cli.warm_up_batch.encode_layers(ping)
+    for simulator in _simulators():
+        with simulator:
+            simulator.ping(POSE, labels=True, background=["floor"])
+
+
+def _labelled_ping() -> Ping:
+    """Return a ping that no scene has made, with labels."""
+    ones = np.ones((SONAR.n_beams, SONAR.n_bins), np.float32)
+    labels = dict.fromkeys(("elevation_rad", "incidence_rad", "true_range_m", "share"), ones)
+    labels |= {"body_id": np.ones(ones.shape, np.uint16), "shadow": np.zeros(ones.shape, bool)}
+    arrays = ones, SONAR.azimuth_rad, SONAR.range_m
+    labels["body_echo"] = np.ones(2)
+    for array in (ones, *labels.values()):
+        array.setflags(write=False)  # as those of a simulator
+    return Ping(*arrays, pose=POSE, sonar=SONAR, acoustics=Acoustics.physical(), **labels)
+
+
+def _scene() -> Scene:
+    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles and bubbles."""
+    box, ball = trimesh.creation.box((0.5, 0.5, 0.5)), trimesh.creation.icosphere(4, 0.4)
+    return Scene(
+        [
+            Body("floor", trimesh.creation.box((40.0, 40.0, 1.0)), pose(z=-2.5), "rock"),
+            Body("box", box, pose(4.0, 0.5, -1.4), np.linspace(0.1, 1.0, len(box.faces))),
+            Body(
+                "ball", ball, pose(5.0, -0.6, -1.5), 0.5, ball.vertex_normals, specular=0.3, roughness_rad=0.1
+            ),
+            Bubbles("bubbles", pose(6.0, 0.0, -2.0)),
+        ],
+        surface_z_m=0.0,
+    )
+
+
+def _simulators() -> Iterator[Simulator]:
+    """Yield simulators of every profile, reducer and kind of multipath."""
+    for acoustics, sampling in (
+        (Acoustics.physical(bandwidth_hz=30e3, multipath="incoherent"), FAST),
+        (Acoustics.physical(multipath="coherent"), None),
+        (Acoustics.demarco2015(), FAST),
+        (Acoustics.ideal(), replace(FAST, reducer="point")),
+        (Acoustics.ideal(), None),
+    ):
+        # the low one keeps weak image sources; fixed samples do not depend on it
+        yield Simulator(_scene(), SONAR, acoustics, sampling, 0.1 if sampling is None else 0.001)
+
+
+def _embed():
+    """Make pings of depth images: one camera and several, planar and range, with normals and without."""
+    camera = Camera.of_fov(32, 24, fov_x_rad=0.8)
+    depth = metres_ahead(np.full((24, 32), 0.9, np.float32), camera.projection(0.1, 10.0))
+    normals, numbers = np.zeros((24, 32, 3), np.float32), np.ones((24, 32), np.uint16)
+    with Sensor(SONAR, Acoustics.physical(multipath="none")) as sensor:
+        sensor.ping_from_depth(depth, camera)
+        sensor.ping_from_depth(depth, camera, holds="range", normals=normals, body_id=numbers, labels=True)
+        sensor.ping_from_depth([depth, depth], [camera, camera], body_id=[numbers, numbers], labels=True)
+
+
+def _simplify():
+    """Simplify a sphere: meshes with levels of detail have too many faces to prepare one here."""
+    ball = trimesh.creation.icosphere(3)
+    points, faces = np.ascontiguousarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int32)
+    simplify(points, faces, np.zeros(len(points), bool), len(faces) // 2)
+
+
+def main():
+    """Compile the second half, and print the names of the functions that were not on disk."""
+    announce_compilation(False)
+    counter = _Counter(None, lambda: None)
+    with event.install_listener("numba:compile", counter), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        _compile_second_half()
+    print(*counter.names, sep="\n")
+
+
+if __name__ == "__main__":
+    main()

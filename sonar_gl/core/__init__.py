@@ -1,0 +1,1 @@
+"""Errors, argument checks, poses, compiled functions, threads and files. Knows no sonar."""

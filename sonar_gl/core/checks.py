@@ -1,0 +1,153 @@
+"""Checks of arguments. Each returns the accepted value or raises an `Error` that names the argument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from sonar_gl.core.errors import Error, nearest_names
+
+
+def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
+    """Return a read-only, finite, contiguous copy of `array`.
+
+    Parameters
+    ----------
+    array : anything that NumPy turns into numbers
+    dtype : of the copy
+    shape : required lengths; None allows any length
+    what : name of the argument, with which the message begins
+
+    Raises
+    ------
+    Error
+        if the shape differs, or a value is not a finite number.
+    """
+    try:
+        out = np.array(array, dtype=dtype, order="C")
+    except (TypeError, ValueError) as why:
+        raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
+    if len(out.shape) != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
+    ):
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise Error(f"{what} must have shape {wanted} (got {out.shape})")
+    if not np.isfinite(out).all():
+        count = int(out.size - np.isfinite(out).sum())
+        raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
+    out.setflags(write=False)
+    return out
+
+
+def check_kind(name: str, value, kind, cure: str):
+    """Raise an `Error` unless `value` is an instance of `kind`, a class or a union of classes and None."""
+    if not isinstance(value, kind):
+        wanted = getattr(kind, "__name__", str(kind).split(" ")[0].split(".")[-1])
+        article = "an" if wanted[0] in "AEIOU" else "a"
+        raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
+
+
+def is_number(value) -> bool:
+    """Return whether `value` is a real number of Python or NumPy; True and False are not, NaN is.
+
+    >>> is_number(1), is_number(np.float32(0.5)), is_number(True), is_number("1")
+    (True, True, False, False)
+    """
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def is_whole_number(value) -> bool:
+    """Return whether `value` is an integer of Python or NumPy; True, False and 2.0 are not.
+
+    >>> is_whole_number(2), is_whole_number(np.uint8(2)), is_whole_number(2.0), is_whole_number(True)
+    (True, True, False, False)
+    """
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def check_number(what: str, value, low: float = -math.inf, high: float = math.inf, hint: str = "") -> float:
+    """Return `value` as a float.
+
+    Parameters
+    ----------
+    what : name of the argument, with which the message begins, such as "sonar 'mine': range_max_m"
+    value : the argument
+    low, high : bounds, both included; without one of them `value` must be finite
+    hint : unit, or likely cause of a mistake, which ends the message about bounds
+
+    Raises
+    ------
+    Error
+        if it is not a number, or outside the bounds.
+
+    >>> check_number("tvg_k", 20, 0, 60)
+    20.0
+    >>> check_number("tvg_k", 61, 0, 60, "usual are 20, 30 and 40")
+    Traceback (most recent call last):
+        ...
+    sonar_gl.core.errors.Error: tvg_k must lie in 0..60 (got 61; usual are 20, 30 and 40)
+    """
+    if not is_number(value):
+        raise Error(f"{what} must be a number (got {value!r})")
+    if low <= value <= high and math.isfinite(value):  # false for NaN
+        return float(value)
+    bounds = [f"{low:g} or more"] if low > -math.inf else []
+    bounds += [f"{high:g} or less"] if high < math.inf else []
+    wanted = (
+        f"must lie in {low:g}..{high:g}" if len(bounds) == 2 else " and ".join(["must be finite", *bounds])
+    )
+    raise Error(f"{what} {wanted} (got {value:g}{hint and f'; {hint}'})")
+
+
+def check_whole_number(what: str, value, low: int = 0, high: int | None = None, hint: str = "") -> int:
+    """Return `value` as an int.
+
+    Parameters
+    ----------
+    what : name of the argument, with which the message begins
+    value : the argument
+    low, high : bounds, both included; None for no upper bound
+    hint : unit, or likely cause of a mistake, which ends the message
+
+    Raises
+    ------
+    Error
+        if it is not a whole number, or outside the bounds.
+
+    >>> check_whole_number("looks", 0, 1, 1000)
+    Traceback (most recent call last):
+        ...
+    sonar_gl.core.errors.Error: looks must be a whole number in 1..1000 (got 0)
+    """
+    if is_whole_number(value) and low <= value and (high is None or value <= high):
+        return int(value)
+    wanted = f", {low} or more" if high is None else f" in {low}..{high}"
+    raise Error(f"{what} must be a whole number{wanted} (got {value!r}{hint and f'; {hint}'})")
+
+
+def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -> str:
+    """Return `value`, one of the strings `choices`.
+
+    Parameters
+    ----------
+    kind : what is chosen, such as "taper"
+    value : the argument
+    choices : allowed names
+    location : place with which the message begins, such as "pulse"
+
+    Raises
+    ------
+    Error
+        if it is none of them; the message names the most similar ones.
+
+    >>> check_choice("taper", "hammin", ("uniform", "hamming"), "pulse")
+    Traceback (most recent call last):
+        ...
+    sonar_gl.core.errors.Error: pulse: unknown taper (got 'hammin'; did you mean 'hamming'?)
+    """
+    if isinstance(value, str) and value in choices:
+        return value
+    hint = nearest_names(str(value), choices)
+    raise Error(f"{location}{': ' if location else ''}unknown {kind} (got {value!r}; {hint})")

@@ -1,0 +1,66 @@
+"""Compilation of functions by Numba."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+
+from numba import njit
+from numba.core import event
+
+OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
+
+
+def compiled(function):
+    """Compile a function by Numba, without the GIL, and cache its machine code on disk where that is possible.
+
+    Numba looks a cached function up by the state of the function's own file. So a compiled function calls functions,
+    and uses constants, of its own file only: after a change of another file it would run with outdated ones.
+    """
+    try:
+        return njit(cache=True, **OPTIONS)(function)
+    except RuntimeError:  # "cannot cache function": no writable folder
+        return njit(**OPTIONS)(function)
+
+
+def inlined(function):
+    """Compile a function inline into each compiled function that calls it; Python can call it, too.
+
+    With a single caller this compiles faster than two separate functions.
+    """
+    return njit(inline="always", **OPTIONS)(function)
+
+
+class _Announcement(event.Listener):
+    """A listener that prints a line when Numba compiles the first function of this process."""
+
+    is_wanted = True
+
+    def on_start(self, event):
+        if not event.data["dispatcher"].py_func.__module__.startswith("sonar_gl."):
+            return  # a function of the program that uses this package
+        if self.is_wanted:
+            print(
+                "sonar_gl: compiling numerical kernels, which takes up to a minute, once after each installation "
+                "('sonar-gl doctor' compiles all of them)",
+                file=sys.stderr,
+            )
+        self.is_wanted = False
+
+    def on_end(self, _event):
+        pass
+
+
+@cache
+def _announcement() -> _Announcement:
+    """Return the listener of this process, registered at the first call."""
+    announcement = _Announcement()
+    event.register("numba:compile", announcement)
+    return announcement
+
+
+def announce_compilation(is_wanted: bool | None = None) -> None:
+    """Have this process print a line to stderr when it begins to compile; False turns the line off."""
+    announcement = _announcement()
+    if is_wanted is not None:
+        announcement.is_wanted = is_wanted

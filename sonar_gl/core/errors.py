@@ -1,0 +1,45 @@
+"""The error class of the package, and helpers for its messages."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+
+class Error(ValueError):
+    """A mistake that the caller can correct.
+
+    The message states what must hold, what was given instead, where, and what to do.
+    """
+
+
+@contextmanager
+def errors_at(location: str) -> Iterator[None]:
+    """Put a file, element or argument before the messages of errors raised in a with block.
+
+    >>> with errors_at("scene.sdf"):
+    ...     raise Error("must hold a <world>")
+    Traceback (most recent call last):
+        ...
+    sonar_gl.core.errors.Error: scene.sdf: must hold a <world>
+    """
+    try:
+        yield
+    except Error as why:
+        raise Error(f"{location}: {why}") from None
+
+
+def nearest_names(name: str, known: Iterable[str]) -> str:
+    """Return the hint about an unknown name: the most similar known names, or all of them if none is similar.
+
+    >>> nearest_names("hammin", ("uniform", "hamming"))
+    "did you mean 'hamming'?"
+    >>> nearest_names("x", ("uniform", "hamming"))
+    'known are hamming, uniform'
+    """
+    known = sorted(known)
+    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if similar:
+        return "did you mean " + " or ".join(repr(n) for n in similar) + "?"
+    return "known are " + ", ".join(known)

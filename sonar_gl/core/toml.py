@@ -1,0 +1,33 @@
+"""Reading TOML files, with errors that name the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sonar_gl.core.errors import Error
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
+
+
+def read_toml(path: Path, what: str) -> dict:
+    """Return the contents of a TOML file.
+
+    Parameters
+    ----------
+    path : file, in UTF-8
+    what : what the file is, such as "the sonar's file"
+
+    Raises
+    ------
+    Error
+        if the file cannot be read, or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as why:
+        raise Error(f"{path}: {what} must be readable ({(why.strerror or str(why)).lower()})") from None
+    except ValueError as why:  # not TOML (the message names the line), or not UTF-8
+        raise Error(f"{path}: {what} must be TOML ({why})") from None

@@ -1,0 +1,14 @@
+"""Warnings that name the line of the calling program."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+
+
+def warn_caller(message: str) -> None:
+    """Issue a UserWarning for the nearest stack frame outside of sonar_gl."""
+    level, frame = 1, sys._getframe(0)
+    while frame.f_back is not None and frame.f_globals["__name__"].startswith("sonar_gl."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)

@@ -1,0 +1,169 @@
+"""Checks of the depth images that other programs hand over, and of their normals, bodies and reflectivity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
+from sonar_gl.embed.camera import Camera
+
+DEFAULT_REFLECTIVITY = 0.5
+MAX_BODY_ID = 65534
+DEPTH_KINDS = "planar", "range"
+NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """The checked depth image of one camera.
+
+    Attributes
+    ----------
+    depth : (H, W) float32, metres
+    normals : (H, W, 3) float32, or an empty array
+    body_id : (H, W) uint16, or an empty array
+    reflectivity : μ, a scalar or (H, W) float32
+    """
+
+    depth: np.ndarray
+    normals: np.ndarray
+    body_id: np.ndarray
+    reflectivity: np.ndarray
+
+
+def check_images(camera, depth, normals, body_id, reflectivity) -> tuple[list[Camera], list[DepthImage]]:
+    """Return the cameras and their checked images; the arguments are those of `Sensor.ping_from_depth`.
+
+    Raises
+    ------
+    Error
+        if an image does not fit its camera.
+    """
+    several = isinstance(camera, (list, tuple))
+    cameras = list(camera) if several else [camera]
+    if not cameras:
+        raise Error("camera must be a Camera or a list of at least one (got an empty list)")
+    for one in cameras:
+        check_kind("camera", one, Camera, "such as sonar_gl.Camera.of_fov(640, 480, fov_x_rad=1.5)")
+    shared = isinstance(reflectivity, dict) or np.ndim(reflectivity) == 0
+    per_camera = [
+        _one_per_camera("depth", depth, len(cameras), several),
+        _one_per_camera("normals", normals, len(cameras), several),
+        _one_per_camera("body_id", body_id, len(cameras), several),
+        [reflectivity] * len(cameras)
+        if shared and not isinstance(reflectivity, (list, tuple))
+        else _one_per_camera("reflectivity", reflectivity, len(cameras), several),
+    ]
+    return cameras, [_check_image(*one) for one in zip(cameras, *per_camera, strict=True)]
+
+
+def _one_per_camera(name: str, value, n: int, several: bool) -> list:
+    """Return a list with the argument of each camera."""
+    if value is None or not several:
+        return [value] * n
+    if not isinstance(value, (list, tuple)) or len(value) != n:
+        got = f"{len(value)} of them" if isinstance(value, (list, tuple)) else type(value).__name__
+        raise Error(f"{name} must be a list of as many images as there are cameras, {n} (got {got})")
+    return list(value)
+
+
+def _check_image(camera: Camera, depth, normals, body_id, reflectivity) -> DepthImage:
+    shape = camera.height, camera.width
+    depth = _check_array("depth", depth, shape)
+    if not np.issubdtype(depth.dtype, np.floating):
+        raise Error(f"depth must be metres in floating point (got {depth.dtype}; divide millimetres by 1000)")
+    if normals is not None:
+        normals = _check_array("normals", normals, (*shape, 3))
+        if not np.issubdtype(normals.dtype, np.floating):
+            raise Error(f"normals must be in floating point (got {normals.dtype}; decode colours to -1..1)")
+        normals = normals.astype(np.float32, order="C", copy=False)
+    if body_id is not None:
+        body_id = _check_array("body_id", body_id, shape)
+        if not np.issubdtype(body_id.dtype, np.integer):
+            raise Error(f"body_id must hold whole numbers (got {body_id.dtype}; make it an integer type)")
+        low, high = body_id.min(), body_id.max()
+        if low < 0 or high > MAX_BODY_ID:
+            raise Error(f"body_id must lie in 0..{MAX_BODY_ID}, 0 where none is known (got {low} to {high})")
+        body_id = body_id.astype(np.uint16, order="C", copy=False)
+    with np.errstate(over="ignore"):  # an infinite depth is an empty pixel
+        depth = depth.astype(np.float32, order="C", copy=False)
+    return DepthImage(
+        depth,
+        NO_NORMALS if normals is None else normals,
+        NO_BODIES if body_id is None else body_id,
+        _pixel_reflectivity(reflectivity, body_id, shape),
+    )
+
+
+def _check_array(name: str, value, shape) -> np.ndarray:
+    """Return an array of numbers of this shape; masked pixels become 0, which means no echo."""
+    try:
+        out = np.asarray(value.filled(0) if np.ma.isMaskedArray(value) else value)
+    except ValueError:  # ragged
+        out = np.empty(0)
+    if out.dtype.kind not in "fiu":
+        raise Error(f"{name} must be an array of numbers (got {type(value).__name__} of {out.dtype})")
+    if out.shape != shape:
+        raise Error(f"{name} must have the shape of the camera's image, {shape} (got {out.shape})")
+    return out
+
+
+def _pixel_reflectivity(value, body_id, shape) -> np.ndarray:
+    """Return μ as float32, a scalar or one per pixel."""
+    if isinstance(value, dict):
+        if body_id is None:
+            raise Error("reflectivity by numbers of bodies needs body_id (got none)")
+        for number in value:
+            if not isinstance(number, (int, np.integer)) or not 0 <= number <= MAX_BODY_ID:
+                raise Error(f"reflectivity must name numbers of bodies, 0..{MAX_BODY_ID} (got {number!r})")
+        table = np.full(1 + max([int(body_id.max()), *value]), DEFAULT_REFLECTIVITY, np.float32)
+        table[list(value)] = _check_reflectivity([*value.values()])
+        return table[body_id]
+    if np.ndim(value) == 0:
+        return _check_reflectivity(value)
+    return _check_reflectivity(_check_array("reflectivity", value, shape))
+
+
+def _check_reflectivity(value) -> np.ndarray:
+    """Return values of 0..1 as float32."""
+    try:
+        out = np.asarray(value, np.float32)
+    except (TypeError, ValueError):
+        raise Error(f"reflectivity must be a number in 0..1 (got {value!r})") from None
+    if not ((out >= 0) & (out <= 1)).all():  # NaN too
+        raise Error(
+            f"reflectivity must lie in 0..1 (got {out.min():g} to {out.max():g}; divide 8-bit images by 255)"
+        )
+    return out
+
+
+def check_body_names(bodies) -> list[str]:
+    """Return the names of bodies, that of number 1 first."""
+    if not isinstance(bodies, Iterable) or isinstance(bodies, str):
+        raise Error(f"bodies must be a list of names, that of number 1 first (got {type(bodies).__name__})")
+    bodies = list(bodies)
+    for name in bodies:
+        check_kind("each of bodies", name, str, "give names, that of number 1 first")
+    return bodies
+
+
+def z_buffer_suspicion(images) -> str | None:
+    """Return a warning if the depths look like those of a z-buffer, or None."""
+    depths = [image.depth for image in images]
+    if all(depth.min() >= 0 and depth.max() == 1 for depth in depths):
+        return "depth lies in 0..1, as a z-buffer does (embed.metres_ahead makes metres of that)"
+    return None
+
+
+def is_planar(holds: str) -> bool:
+    """Return whether images hold depth along the camera's axis; otherwise they hold range along each ray."""
+    if not isinstance(holds, str) or holds not in DEPTH_KINDS:
+        raise Error(
+            f"holds must be 'planar', metres along the camera's axis, or 'range', metres along each pixel's "
+            f"ray (got {holds!r}; embed.metres_ahead undoes z-buffers)"
+        )
+    return holds == "planar"

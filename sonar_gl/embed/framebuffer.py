@@ -1,0 +1,136 @@
+"""Framebuffers of ours in a host's context."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonar_gl.core.errors import Error
+from sonar_gl.gl import lifetime
+from sonar_gl.gl.host import HostContext
+from sonar_gl.sonar.sector import Sector
+
+FRAMEBUFFER, RENDERBUFFER, COMPLETE, DEPTH_TEST, DRAW_BINDING = 0x8D40, 0x8D41, 0x8CD5, 0x0B71, 0x8CA6
+MAX_RENDERBUFFER_SIZE = 0x84E8
+COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
+RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT, PACK_ALIGNMENT = 0x1908, 0x8D94, 0x1406, 0x1403, 0x0D05
+RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
+
+
+class Framebuffer:
+    """A framebuffer in a host's context for the samples of one sector, made when it is first bound.
+
+    Attributes
+    ----------
+    is_being_drawn : whether the host draws into it now
+    is_released : whether it was released, or waits for that
+    """
+
+    def __init__(self, host: HostContext, sector: Sector):
+        self.host, self.sector, self._name, self._buffers = host, sector, None, None
+        self.is_being_drawn = self.is_released = False
+
+    def bind(self):
+        """Bind and clear the framebuffer, set the viewport, and enable the depth test."""
+        gl = self.host.gl
+        if self._name is None:
+            self._make(gl)
+        gl.glBindFramebuffer(FRAMEBUFFER, self._name)
+        zeros, depth = np.zeros(4, np.float32), np.ones(1, np.float32)
+        gl.glClearBufferfv(COLOR, 0, zeros.ctypes.data)
+        gl.glClearBufferuiv(COLOR, 1, zeros.ctypes.data)
+        gl.glClearBufferfv(DEPTH, 0, depth.ctypes.data)
+        gl.glViewport(0, 0, self.sector.columns, self.sector.rows)
+        gl.glEnable(DEPTH_TEST)
+
+    def is_bound(self) -> bool:
+        """Return whether it is the framebuffer that is drawn into now."""
+        return self.host.gl.integer(DRAW_BINDING) == self._name
+
+    def _make(self, gl):
+        name, buffers = np.zeros(1, np.uint32), np.zeros(3, np.uint32)
+        gl.glGenFramebuffers(1, name.ctypes.data)
+        gl.glGenRenderbuffers(3, buffers.ctypes.data)
+        self._name, self._buffers = int(name[0]), buffers
+        gl.glBindFramebuffer(FRAMEBUFFER, self._name)
+        columns, rows = self.sector.columns, self.sector.rows
+        attachments = (COLOR_0, RGBA32F), (COLOR_1, R16UI), (DEPTH_ATTACHMENT, DEPTH_COMPONENT32F)
+        for buffer, (attachment, kind) in zip(buffers.tolist(), attachments, strict=True):
+            gl.glBindRenderbuffer(RENDERBUFFER, buffer)
+            gl.glRenderbufferStorage(RENDERBUFFER, kind, columns, rows)
+            gl.glFramebufferRenderbuffer(FRAMEBUFFER, attachment, RENDERBUFFER, buffer)
+        outputs = np.array([COLOR_0, COLOR_1], np.uint32)
+        gl.glDrawBuffers(2, outputs.ctypes.data)
+        status, errors = gl.glCheckFramebufferStatus(FRAMEBUFFER), gl.take_errors()
+        if status != COMPLETE or errors:
+            self._delete()
+            why = f"status 0x{status:04x}" + "".join(f", error 0x{error:04x}" for error in errors)
+            raise Error(
+                f"samples must fit the driver (got {columns} columns by {rows} rows, for which it makes no "
+                f"framebuffer: {why}; ask for fewer)"
+            )
+
+    def read(self):
+        """Read what the host drew, whichever framebuffer it has bound since.
+
+        Returns
+        -------
+        plane_echo : (R, C, 4) float32
+        body_id : (R, C) uint16
+
+        Raises
+        ------
+        Error
+            if the framebuffer is gone, or its values are not finite, or a reflectivity lay outside 0..1.
+        """
+        gl, size = self.host.gl, (0, 0, self.sector.columns, self.sector.rows)
+        plane_echo = np.zeros((self.sector.rows, self.sector.columns, 4), np.float32)
+        body_id = np.zeros(plane_echo.shape[:2], np.uint16)
+        self.host.guard.set_defaults()  # the host may have changed the pixel store, for example
+        gl.glBindFramebuffer(FRAMEBUFFER, self._name)
+        gl.glPixelStorei(PACK_ALIGNMENT, 1)
+        gl.glReadBuffer(COLOR_0)
+        gl.glReadPixels(*size, RGBA, FLOAT, plane_echo.ctypes.data)
+        gl.glReadBuffer(COLOR_1)
+        gl.glReadPixels(*size, RED_INTEGER, UNSIGNED_SHORT, body_id.ctypes.data)
+        if errors := gl.take_errors():
+            got = f"got OpenGL error 0x{errors[0]:04x}"
+            raise Error(
+                f"what a host has drawn must be there to be read ({got}; was our framebuffer deleted?)"
+            )
+        # With infinity or NaN the loops over range bins would run past their ends.
+        if not np.isfinite(plane_echo).all():
+            raise Error(
+                "what a host writes for a sonar must be finite (got NaN or infinity; set the uniform "
+                "sonar_gl_lattice for each sector, and look at the normals)"
+            )
+        if plane_echo[..., 3].min() < 0:
+            raise Error("the reflectivity that a host writes must lie in 0..1 (got another; divide by 255?)")
+        return plane_echo, body_id
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the host's context is known to have been destroyed."""
+        return self.host.is_gone
+
+    def is_in_reach(self) -> bool:
+        """Return whether it can be deleted now: the host's context is current, and nobody draws into it."""
+        return not self.is_being_drawn and self.host.is_in_reach()
+
+    def release(self):
+        """Delete the OpenGL objects, unless they are gone with their context."""
+        self.is_released = True
+        if self._name is not None and not self.is_gone:
+            self._delete()
+
+    def _delete(self):
+        name = np.array([self._name], np.uint32)
+        self.host.gl.glDeleteFramebuffers(1, name.ctypes.data)
+        self.host.gl.glDeleteRenderbuffers(3, self._buffers.ctypes.data)
+        self._name = self._buffers = None
+
+
+def release_framebuffers(framebuffers) -> None:
+    """Release framebuffers of one host, now or when its context is in reach; none can be drawn into again."""
+    for framebuffer in framebuffers:
+        framebuffer.is_released = True
+    lifetime.release(*framebuffers)

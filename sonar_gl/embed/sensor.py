@@ -1,0 +1,360 @@
+"""A sonar inside a program that renders its own world.
+
+There are four embedding modes. This module implements three: the host draws the sonar's sectors with its own shaders
+(`Sensor.sectors`), hands over textures (`Sensor.ping_from_textures`), or hands over depth images as arrays
+(`ping_from_depth`). The fourth is a `Simulator` that shares the host's OpenGL context.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from threading import Lock
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.embed.camera_rig import CameraRig
+from sonar_gl.embed.depth_images import (
+    DEFAULT_REFLECTIVITY,
+    MAX_BODY_ID,
+    check_body_names,
+    check_images,
+    is_planar,
+    z_buffer_suspicion,
+)
+from sonar_gl.embed.framebuffer import release_framebuffers
+from sonar_gl.embed.sectors import Drawing, DrawnSector
+from sonar_gl.embed.textures import read_images
+from sonar_gl.engine.flow import DrawnPing, Resolution
+from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.no_echo import why_view_has_no_echo
+from sonar_gl.engine.pipeline import assemble, receive
+from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.stage import Stage
+from sonar_gl.gl import lifetime
+from sonar_gl.gl.host import CurrentContext, HostContext
+from sonar_gl.gl.shaders import load_shader
+from sonar_gl.ping import Ping
+from sonar_gl.sonar.fan import NEAR_M
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.sampling import Sampling, check_tolerance, sampling_at, typical_level
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_RIGS = 4
+IMAGES_ADVICE = "depth must be metres ahead of the camera, above 0: OpenGL's z is minus that"
+
+
+def glsl() -> str:
+    """Return GLSL text that a host's fragment shader includes, after `#version` 330 or higher, to draw sectors.
+
+    The shader calls `sonar_gl_write(vec3 normal, float reflectivity, uint body)` once: normal in the view's axes (x
+    right, y up, z back), or vec3(0) for the normal of the flat face; reflectivity 0..1; body 1..65534, 0 for none. A
+    fourth argument, vec2, holds |R|² and the rms slope of a smooth face. The host sets the uniform
+    `mat3 sonar_gl_lattice` to the lattice of each sector. The text uses outputs 0 and 1; all of its names begin with
+    sonar_gl_.
+    """
+    return load_shader("embed.glsl", data_folder("shaders"), {})[0]
+
+
+class Sensor:
+    """A sonar that makes pings of the images that other programs render.
+
+    Use it in a `with` block, or call `close()`.
+
+    Parameters
+    ----------
+    sonar : Sonar
+    acoustics : Acoustics; None is `Acoustics.physical()`
+    sampling : Sampling; None chooses samples as fine as the pixels of images, and for sectors the samples that
+        most scenes need for the tolerance
+    tolerance : 0.001..0.5, for sectors without a sampling; an aim, which a `Simulator` alone guarantees
+
+    Raises
+    ------
+    Error
+        if the acoustics include multipath, which needs a scene.
+    """
+
+    def __init__(
+        self,
+        sonar: Sonar,
+        acoustics: Acoustics | None = None,
+        sampling: Sampling | None = None,
+        tolerance: float = 0.01,
+    ):
+        self._host = self._drawing = None
+        check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+        check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
+        check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
+        self.sonar, self.sampling = sonar, sampling
+        self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
+        if self.acoustics.multipath != "none":
+            raise Error(
+                'acoustics of what others draw must have multipath "none" '
+                f'(got "{self.acoustics.multipath}"; planar reflectors need the scene: use a Simulator)'
+            )
+        self.tolerance = check_tolerance(tolerance)
+        self._instrument, self._thread = Instrument(sonar, self.acoustics), SecondThread()
+        self._rigs, self._lock = {}, Lock()
+        self._process, self._is_closed = os.getpid(), False
+
+    def sectors(self, pose, near_m: float = NEAR_M) -> list[DrawnSector]:
+        """Return the sectors for the host to draw, as seen from `pose`, in the current OpenGL context.
+
+        Parameters
+        ----------
+        pose : (4, 4) world_from_sonar
+        near_m : near plane of the projections, metres; their far plane lies at eight times range_max_m
+
+        Raises
+        ------
+        Error
+            if no OpenGL context is current, or the thread is another one than before.
+        """
+        self._check_open()
+        pose, host = check_pose(pose), self._current_host()
+        if self._drawing is None or self._drawing.near_m != near_m:
+            self._release_framebuffers()
+            sampling = self.sampling or sampling_at(self.sonar, typical_level(self.tolerance))
+            self._drawing = Drawing(host, self._stage(sampling), near_m)
+        return self._drawing.make_sectors(pose)
+
+    def finish(
+        self, bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None
+    ) -> Ping:  # fmt: skip
+        """Return the ping of the sectors that the host has drawn; parameters as for `ping_from_depth`.
+
+        Raises
+        ------
+        Error
+            if the host has not drawn all sectors.
+        """
+        self._check_open()
+        if self._drawing is None:
+            raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
+        drawing, (samples, pose) = self._drawing, self._drawing.samples()
+        request = PingRequest(pose, noise, seed, ping_number, labels, velocity=velocity)
+        tolerance = self.tolerance if self.sampling is None else None
+        source = Source("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
+        with self._lock:
+            return self._ping(request, drawing.stage, samples, source, drawing.advice())
+
+    def ping_from_textures(
+        self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
+        body_id=None, reflectivity=DEFAULT_REFLECTIVITY, bodies=(), noise=None, seed=0, labels=False, ping_number=0,
+        velocity=None,
+    ) -> Ping:  # fmt: skip
+        """Return a ping of textures that the host drew at the sonar's position, in the current OpenGL context.
+
+        For several views, depth, projection, rotation, normals and body_id are lists. The other parameters are those
+        of `ping_from_depth`; an image of reflectivity is an array, first row on top.
+
+        Parameters
+        ----------
+        depth : GL name of a 2D texture, first row at the bottom
+        projection : (4, 4) OpenGL clip_from_camera of the texture, any perspective, also reversed or infinite
+        holds : contents of depth: "z-buffer", the depth attachment; "planar", metres along the view's axis;
+            "range", metres along each pixel's ray; the latter two in a red channel of floats
+        zero_to_one : whether the z-buffer was drawn with glClipControl's GL_ZERO_TO_ONE
+        rotation : (3, 3) sonar_from_camera, as in `Camera`; None for a view along the boresight
+        normals : GL name of a texture of floats: normals of the faces, of any length, in the view's axes (x right,
+            y up, z back)
+        body_id : GL name of a texture of integers, 1..65534, 0 for none
+
+        Raises
+        ------
+        Error
+            if a name is not that of such a texture.
+        """
+        self._check_open()
+        host = self._current_host()
+        images = read_images(host, depth, projection, holds, zero_to_one, rotation, normals, body_id)
+        request = self._request(pose, noise, seed, ping_number, labels, velocity)
+        source = Source("host", tuple(check_body_names(bodies)), (), None, self._host.renderer)
+        checked = check_images(*images, reflectivity)
+        return self._ping_of_images(request, *checked, holds != "range", source)
+
+    def ping_from_depth(
+        self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=DEFAULT_REFLECTIVITY,
+        bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None,
+    ) -> Ping:  # fmt: skip
+        """Return a ping of depth images rendered at the sonar's position.
+
+        Parameters
+        ----------
+        depth : (H, W) float, metres, first row on top; a pixel is empty where it is 0, negative, NaN or infinite
+        camera : Camera; or a list of cameras for a wide fan. Then depth is a list as long, and so are normals,
+            body_id and an image of reflectivity where they are used. Where images overlap, the first one counts
+        pose : (4, 4) world_from_sonar, None for the origin; it is stored with the ping, and place-locked speckle
+            depends on it
+        holds : contents of depth: "planar", metres along the camera's axis, as in most depth cameras; "range",
+            metres along each pixel's ray. `metres_ahead` converts a z-buffer
+        normals : (H, W, 3) float, normals of the faces, not smoothed, of any length and on either side, camera axes
+            (x right, y down, z ahead). With None, and where a pixel holds 0 or NaN, normals are estimated from the
+            neighbouring depths
+        body_id : (H, W) whole numbers: 1..65534 for bodies, 0 for an unknown body, which still echoes
+        reflectivity : μ in 0..1: a scalar; or (H, W); or a dict from body numbers, 0.5 for bodies not in it
+        bodies : names of the bodies for the ping's meta, that of number 1 first. With labels each entry of
+            `body_echo` has a name, such as "body 7" where the list has none
+        noise, seed, labels, ping_number, velocity : as for `Simulator.ping`; with labels the first entry of
+            `body_echo` is the echo of pixels with number 0
+
+        Depth images do not tell smooth faces, so echoes have no specular lobes.
+
+        Warns
+        -----
+        UserWarning
+            if the cameras do not cover the fan, or depth looks like a z-buffer, once for each set of cameras; if the
+            ping has no echo.
+
+        Raises
+        ------
+        Error
+            if an image does not fit its camera, or the cameras see nothing of the fan.
+        """
+        planar = is_planar(holds)
+        checked = check_images(camera, depth, normals, body_id, reflectivity)
+        request = self._request(pose, noise, seed, ping_number, labels, velocity)
+        source = Source("host", tuple(check_body_names(bodies)), (), None, "none: depth image")
+        return self._ping_of_images(request, *checked, planar, source)
+
+    def _check_open(self) -> None:
+        """Raise an `Error` in another process, and after `close`."""
+        if os.getpid() != self._process:  # a forked process lacks the threads
+            raise Error("a Sensor must be used in the process that made it; make one in each process")
+        if self._is_closed:
+            raise Error("this Sensor is closed; make a new one")
+
+    def _stage(self, sampling: Sampling) -> Stage:
+        """Return the sonar's stage of this sampling."""
+        return Stage(sampling, make_beamformer(self.sonar, self.acoustics, sampling, self._thread))
+
+    def _request(self, pose, noise, seed, number, labels, velocity) -> PingRequest:
+        """Return the checked request; a pose of None is the origin."""
+        pose = check_pose(np.eye(4) if pose is None else pose)
+        return PingRequest(pose, noise, seed, number, labels, velocity=velocity)
+
+    def _ping_of_images(self, request: PingRequest, cameras, images, planar: bool, source: Source) -> Ping:
+        """Return the ping of checked images."""
+        self._check_open()
+        with self._lock:
+            rig = self._find_rig(cameras, images)
+            return self._ping(request, rig.stage, rig.samples(images, planar), source, IMAGES_ADVICE)
+
+    def _find_rig(self, cameras, images) -> CameraRig:
+        """Return the rig of these cameras, from a cache of the `MAX_RIGS` that were used last."""
+        key = tuple((c.width, c.height, c.intrinsics.tobytes(), c.rotation.tobytes()) for c in cameras)
+        if (rig := self._rigs.pop(key, None)) is None:
+            rig = CameraRig(self.sonar, cameras, self.sampling, self._stage, self._thread)
+            for warning in (rig.warning, z_buffer_suspicion(images)):
+                if warning:
+                    warn_caller(warning)
+        self._rigs[key] = rig  # at the end: the dict is in order of use
+        while len(self._rigs) > MAX_RIGS:
+            self._rigs.pop(next(iter(self._rigs)))
+        return rig
+
+    def _ping(
+        self,
+        request: PingRequest,
+        stage: Stage,
+        samples: Sequence[SectorSamples],
+        source: Source,
+        advice: str,
+    ) -> Ping:
+        """Return the ping of samples; `advice` ends the warning about a ping without an echo."""
+        highest = len(names := source.bodies)
+        if request.labels:
+            highest = max([highest] + [int(one.body_id.max(initial=0)) for one in samples])
+        if highest > MAX_BODY_ID:
+            raise Error(
+                f"numbers of bodies must lie in 1..{MAX_BODY_ID}, 0 where none is known (got a higher one)"
+            )
+        setup = self._instrument.set_up(request, None, highest)
+        received = receive(DrawnPing(setup, Resolution(stage), ViewSamples(tuple(samples))))
+        if received.total <= 0:
+            no_surface = f"no echo came back: what was drawn shows no surface in the fan; {advice}"
+            warn_caller(why_view_has_no_echo(self.sonar, stage.fan.sonar, samples) or no_surface)
+        if request.labels:
+            unnamed = tuple(f"body {number}" for number in range(len(names) + 1, highest + 1))
+            source = replace(source, bodies=names + unnamed)
+        return assemble(self._instrument, received, source)
+
+    def _current_host(self) -> HostContext:
+        """Return the host whose context is current; raise an `Error` if it is another one than before."""
+        lifetime.release_waiting()
+        if self._host is None:
+            self._host = HostContext(CurrentContext())
+        self._host.check()
+        return self._host
+
+    def _release_framebuffers(self):
+        """Release the framebuffers now, or as soon as the host's context is current."""
+        drawing, self._drawing = self._drawing, None
+        if drawing is not None:
+            release_framebuffers(drawing.framebuffers)
+        lifetime.release_waiting()
+
+    def close(self):
+        """Release all resources, in the thread of the host's context; a second call does nothing."""
+        if self._host is not None:
+            self._host.check_thread()
+        if self._drawing is not None and self._drawing.is_being_drawn():
+            raise Error("a Sensor must be closed outside of the blocks of its sectors (got one being drawn)")
+        self._is_closed = True
+        if os.getpid() == self._process:
+            with self._lock:
+                self._rigs.clear()
+            self._thread.close()
+        self._release_framebuffers()
+        host, self._host = self._host, None
+        if host is not None:
+            lifetime.release(host)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def __del__(self):
+        # No OpenGL calls here: the garbage collector may run this in the midst of other drawing.
+        drawing, host = getattr(self, "_drawing", None), getattr(self, "_host", None)
+        is_owner = os.getpid() == getattr(self, "_process", None)  # a forked process is not
+        if host is not None and is_owner:
+            lifetime.discard(*(drawing.framebuffers if drawing is not None else ()), host)
+
+
+@lru_cache(MAX_RIGS)
+def _cached_sensor(sonar, acoustics, sampling, process: int) -> Sensor:
+    """Return the sensor of these arguments in this process."""
+    return Sensor(sonar, acoustics, sampling)
+
+
+def ping_from_depth(
+    depth, sonar, camera, acoustics: Acoustics | None = None, sampling: Sampling | None = None, **more
+) -> Ping:
+    """Return a ping of depth images that another program rendered at the sonar's position.
+
+    A cache holds the sensors of the last four sonars for later calls.
+
+    Parameters
+    ----------
+    sonar, acoustics, sampling : as for `Sensor`
+    depth, camera, more : as for `Sensor.ping_from_depth`
+    """
+    for argument in (sonar, acoustics, sampling):
+        if type(argument).__hash__ is None:  # `Sensor` raises the error that names it; the cache would not
+            Sensor(sonar, acoustics, sampling)
+    return _cached_sensor(sonar, acoustics, sampling, os.getpid()).ping_from_depth(depth, camera, **more)

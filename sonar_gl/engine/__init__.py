@@ -1,0 +1,1 @@
+"""One ping and many: pipeline, adaptive sampling, world, multipath."""

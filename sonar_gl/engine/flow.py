@@ -1,0 +1,100 @@
+"""What flows along the pipeline of a ping: request -> setup -> drawn -> received -> Ping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.beamform.labels import Labels
+from sonar_gl.engine.multipath import ImageSourceSamples
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.stage import Stage
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.samples import ViewSamples
+
+
+@dataclass(frozen=True, eq=False)
+class PingSetup:
+    """A request, resolved in the scene.
+
+    Attributes
+    ----------
+    request : PingRequest
+    state : SceneState; None where a host draws
+    acoustics : Acoustics in the ping's own water
+    gain : (K,) float32 of each bin
+    pulse : weights of the matched filter, (n,) float32; None for a pulse shorter than a bin
+    n_bodies : the highest number of a body
+    background : (n_bodies + 1,) bool by number, for shadows; or None
+    """
+
+    request: PingRequest
+    state: SceneState | None
+    acoustics: Acoustics
+    gain: np.ndarray
+    pulse: np.ndarray | None
+    n_bodies: int
+    background: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Resolution:
+    """How finely a ping is sampled.
+
+    Attributes
+    ----------
+    stage : Stage of the direct view
+    check : the error of this ping is to be estimated
+    is_final : the ping is good whatever a check would say: these samples have just been chosen for it
+    finer_images : image sources were found to be sampled too coarsely before
+    """
+
+    stage: Stage
+    check: bool = False
+    is_final: bool = False
+    finer_images: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPing:
+    """The samples of a ping.
+
+    Attributes
+    ----------
+    setup, resolution : PingSetup and Resolution
+    view : ViewSamples of the sonar
+    images : ImageSourceSamples; None without multipath
+    background : ViewSamples of the background bodies alone; None without shadows
+    """
+
+    setup: PingSetup
+    resolution: Resolution
+    view: ViewSamples
+    images: ImageSourceSamples | None = None
+    background: ViewSamples | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivedPing:
+    """The echo of a ping in beams and bins.
+
+    Attributes
+    ----------
+    drawn : DrawnPing
+    direct : BeamEcho of surfaces and bubbles
+    multipath : BeamEcho by way of planar reflectors; None without any
+    labels : Labels, or None
+    """
+
+    drawn: DrawnPing
+    direct: BeamEcho
+    multipath: BeamEcho | None = None
+    labels: Labels | None = None
+
+    @property
+    def total(self) -> float:
+        """The sum of the echo."""
+        return self.direct.total + (0.0 if self.multipath is None else self.multipath.total)

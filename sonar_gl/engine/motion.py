@@ -1,0 +1,161 @@
+"""Motion of the sonar while a ping travels: where it shows its echoes then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sonar_gl.core.checks import frozen_array
+from sonar_gl.core.compiled import compiled
+from sonar_gl.core.errors import Error
+from sonar_gl.ping import Ping
+
+MAX_M_S, MAX_RAD_S = 30.0, 20.0
+# Labels are taken from the nearest cell; these are the values where there is none.
+EMPTY_LABELS = dict.fromkeys(("elevation_rad", "incidence_rad", "true_range_m"), np.nan)
+EMPTY_LABELS |= {"body_id": 0, "share": 0.0, "shadow": False}
+
+
+def check_velocity(velocity) -> np.ndarray | None:
+    """Return (6,) float64, or None for None.
+
+    Raises
+    ------
+    Error
+        if it is not six finite numbers within bounds.
+    """
+    if velocity is None:
+        return None
+    out = frozen_array(velocity, np.float64, (6,), "velocity vx vy vz wx wy wz")
+    if np.abs(out[:3]).max() > MAX_M_S or np.abs(out[3:]).max() > MAX_RAD_S:
+        raise Error(
+            f"velocity must be metres per second within ±{MAX_M_S:g} and radians per second within "
+            f"±{MAX_RAD_S:g}, vx vy vz wx wy wz (got {out.tolist()})"
+        )
+    return out
+
+
+def shown_at(azimuth_rad, range_m, velocity, sound_speed_m_s, set_speed_m_s=None):
+    """Return where a moving sonar shows what it would show elsewhere if it stood still.
+
+    An echo from r returns after t, about 2r/c. Until then the sonar has turned by w_z t, so that the bearing
+    is ψ − w_z t; and it has come v·d t nearer along d, the direction of the echo: c t is 2r − v·d t, and
+    r / (1 + v·d/c) is shown. Its motion at right angles to d, over r, turns the bearing, too.
+
+    Parameters
+    ----------
+    azimuth_rad, range_m : shapes that broadcast, as shown at rest
+    velocity : (6,) vx vy vz, m/s, and wx wy wz, rad/s, in the sonar's frame. Pitch, roll and heave change
+        which elevations are received, and are left out
+    sound_speed_m_s, set_speed_m_s : of the water, and as set in the sonar, None for the same
+
+    Returns
+    -------
+    azimuth_rad, range_m
+
+    >>> azimuth, r = shown_at(0.0, 30.0, [2.0, 0, 0, 0, 0, 0.5], 1500.0)
+    >>> float(round(azimuth, 4)), float(round(r, 4))
+    (-0.02, 29.9601)
+    """
+    shown = range_m * _nearer(azimuth_rad, velocity, sound_speed_m_s)
+    speeds = sound_speed_m_s, set_speed_m_s or sound_speed_m_s
+    return azimuth_rad + _turned(azimuth_rad, shown, velocity, *speeds), shown
+
+
+def _nearer(azimuth_rad, velocity, sound_speed_m_s):
+    """Return the range that is shown over that at rest."""
+    ahead = velocity[0] * np.cos(azimuth_rad) + velocity[1] * np.sin(azimuth_rad)
+    return 1 / (1 + ahead / sound_speed_m_s)
+
+
+def _turned(azimuth_rad, shown_m, velocity, sound_speed_m_s, set_speed_m_s):
+    """Return the bearing at a range that is shown, less that at rest."""
+    aside = velocity[1] * np.cos(azimuth_rad) - velocity[0] * np.sin(azimuth_rad)
+    return -velocity[5] * 2 * shown_m / set_speed_m_s - 2 * aside / sound_speed_m_s
+
+
+@compiled
+def _redistribute(powers, cells, scale, shift, edges, turn, out):
+    """Distribute what rows of cells hold among other cells, by overlap.
+
+    powers : (rows, n); cells : (n + 1,) edges of them, rising, which lie in a row at scale × cells + shift;
+        scale, shift : (rows,); edges : (m + 1,) of the others; turn : period after which they repeat, 0
+        for none; out : (rows, m), added to
+    """
+    n_cells = edges.shape[0] - 1
+    for row in range(powers.shape[0]):
+        for way in range(-1, 2):
+            if way != 0 and turn == 0.0:
+                continue
+            begin = 0
+            for i in range(powers.shape[1]):
+                low = scale[row] * cells[i] + shift[row] + way * turn
+                high = scale[row] * cells[i + 1] + shift[row] + way * turn
+                while begin < n_cells and edges[begin + 1] <= low:
+                    begin += 1
+                if powers[row, i] == 0.0:
+                    continue
+                k, density = begin, powers[row, i] / (high - low)
+                while k < n_cells and edges[k] < high:
+                    out[row, k] += density * (min(high, edges[k + 1]) - max(low, edges[k]))
+                    k += 1
+
+
+def _cell_edges(azimuth_rad, width_rad: float) -> np.ndarray:
+    """Return (B + 1,) azimuths half way between beams; of one beam its width."""
+    if len(azimuth_rad) == 1:
+        return azimuth_rad[0] + width_rad * np.array([-0.5, 0.5])
+    between = (azimuth_rad[1:] + azimuth_rad[:-1]) / 2
+    return np.concatenate([[2 * azimuth_rad[0] - between[0]], between, [2 * azimuth_rad[-1] - between[-1]]])
+
+
+def shown_in_motion(ping: Ping, velocity) -> Ping:
+    """Return the ping of a sonar at rest as a moving one shows it.
+
+    The echo in a cell of beam and bin is shared among the cells that cover its new place, half way to the beams
+    beside it, so that the sum over beams, each times the angle it covers, stays except for what leaves the fan
+    and the range. What enters the fan stays dark: the sound went out before. Labels are those of the nearest
+    cell; `body_echo` stays.
+
+    Parameters
+    ----------
+    ping : with its sonar and acoustics
+    velocity : of `shown_at`, or None for a sonar at rest
+    """
+    if velocity is None:
+        return ping
+    sound_speed = ping.acoustics.sound_speed()
+    speeds = sound_speed, ping.acoustics.sonar_sound_speed_m_s or sound_speed
+    sonar, r, own = ping.sonar, ping.range_m, ping.azimuth_rad
+    azimuth = _cell_edges(own, math.radians(sonar.beam_width_deg))
+    edges = sonar.range_min_m + ping.bin_size_m * np.arange(len(r) + 1)
+    whole_turn = 2 * math.pi if azimuth[-1] - azimuth[0] > 2 * math.pi - 1e-9 else 0.0
+    # first along each beam, then, as it depends on the range that is shown, across the beams
+    width = np.diff(azimuth)[:, None].astype(np.float32)
+    along, across = (
+        np.zeros(shape, np.float32) for shape in (ping.intensity.shape, ping.intensity.shape[::-1])
+    )
+    nearer, even = _nearer(own, velocity, sound_speed), np.ones(len(r))
+    _redistribute(ping.intensity, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
+    aside = azimuth + _turned(azimuth, 0.0, velocity, *speeds)
+    turned = _turned(0.0, r, velocity, *speeds) - _turned(0.0, 0.0, velocity, *speeds)
+    _redistribute(np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across)
+    intensity = np.ascontiguousarray(across.T / width)
+    intensity.setflags(write=False)
+    labels = {name: getattr(ping, name) for name in EMPTY_LABELS if getattr(ping, name) is not None}
+    if labels:
+        # where the middle of each cell was at rest, to the first order
+        was = own[:, None] - _turned(own[:, None], r, velocity, *speeds)
+        if whole_turn:
+            was = (was - azimuth[0]) % whole_turn + azimuth[0]
+        beam = np.searchsorted(azimuth, was, side="right") - 1
+        bin_ = np.searchsorted(edges, r / _nearer(was, velocity, sound_speed), side="right") - 1
+        inside = (beam >= 0) & (beam < len(own)) & (bin_ >= 0) & (bin_ < len(r))
+        cell = beam.clip(0, len(own) - 1), bin_.clip(0, len(r) - 1)
+        for name, array in labels.items():
+            labels[name] = np.where(inside, array[cell], array.dtype.type(EMPTY_LABELS[name]))
+            labels[name].setflags(write=False)
+    meta = {**ping.meta, "velocity": [float(v) for v in velocity]}
+    return replace(ping, intensity=intensity, meta=meta, **labels)

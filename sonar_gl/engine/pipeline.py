@@ -1,0 +1,114 @@
+"""One ping: draw, receive, assemble. `Simulator.ping` does the three in turn, `Simulator.pings` overlaps them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from sonar_gl.acoustics.pulse import matched_filter
+from sonar_gl.beamform.labels import Labels
+from sonar_gl.engine.flow import DrawnPing, PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.motion import shown_in_motion
+from sonar_gl.engine.multipath import receive_images
+from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.run import Run
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.ping import Ping
+
+
+def make_ping(run: Run, request: PingRequest) -> Ping:
+    """Return one transmission and what it brings back: the whole simulator on one screen."""
+    with run.drawing():
+        received = sample(run, run.set_up(request))
+    return finish(run, received)
+
+
+def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
+    """Draw and receive a ping, again until its samples keep the tolerance. Needs the OpenGL context."""
+    resolution = run.sampler.resolution_for(setup, check)
+    while resolution is not None:
+        (drawn,) = draw(run, [setup], resolution)
+        received = receive(drawn)
+        resolution = run.review(received)  # a body came into view, or multipath is too coarse
+    return received
+
+
+def draw(
+    run: Run, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
+) -> list[DrawnPing]:
+    """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context."""
+    stage, n = resolution.stage, len(setups)
+    poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
+    shadowed = [setup for setup in setups if setup.background is not None]
+    views = stage.draw(
+        poses + [setup.request.pose for setup in shadowed],
+        states + [setup.state.only(setup.background[1:]) for setup in shadowed],
+        with_bodies=resolution.check or any(setup.request.labels for setup in setups),
+        keep_last=keep_last,
+    )
+    images = run.draw_images(resolution, views[:n], poses, states)
+    backgrounds = iter(views[n:])
+    return [
+        DrawnPing(setup, resolution, *both, None if setup.background is None else next(backgrounds))
+        for setup, *both in zip(setups, views[:n], images, strict=True)
+    ]
+
+
+def receive(drawn: DrawnPing) -> ReceivedPing:
+    """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
+    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
+    direct = beamformer.sum_view(drawn.view, setup.gain)  # with transmission loss both ways, and TVG
+    multipath = None if drawn.images is None else receive_images(drawn.images, setup.gain)
+    return ReceivedPing(drawn, direct, multipath, label(drawn) if setup.request.labels else None)
+
+
+def label(drawn: DrawnPing) -> Labels:
+    """Find the strongest body in each bin, and where it lies in shadow."""
+    setup, background = drawn.setup, None
+    if drawn.background is not None:
+        background = setup.background, drawn.background.sectors
+    beamformer = drawn.resolution.stage.beamformer
+    return beamformer.label(drawn.view.sectors, setup.gain, setup.n_bodies, background)
+
+
+def finish(run: Run, received: ReceivedPing) -> Ping:
+    """Assemble a ping of a scene; warn if it has no echo."""
+    run.warn_if_no_echo(received)
+    estimate = run.sampler.error_estimate(received.drawn.setup.request.pose)
+    return assemble(run.instrument, received, run.source(), estimate)
+
+
+def assemble(
+    instrument: Instrument, received: ReceivedPing, source: Source, error_estimate: float | None = None
+) -> Ping:
+    """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
+    setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
+    request, labels = setup.request, {} if received.labels is None else vars(received.labels)
+    intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
+    for array in (intensity, *labels.values()):
+        if array is not None:
+            array.setflags(write=False)
+    time_s = None if setup.state is None else setup.state.time_s
+    meta = instrument.provenance.meta(
+        source,
+        setup.acoustics,
+        sampling=asdict(received.drawn.resolution.stage.sampling),
+        seed=request.seed,
+        has_echo=echo.total > 0,
+        **({} if time_s is None else {"time_s": time_s}),
+    )
+    ping = Ping(
+        intensity,
+        instrument.azimuth_rad,
+        instrument.range_m,
+        pose=request.pose,
+        meta=meta,
+        error_estimate=error_estimate,
+        sonar=instrument.sonar,
+        acoustics=setup.acoustics,
+        **labels,
+    )
+    ping = shown_in_motion(ping, request.velocity)
+    return ping if request.noise is None else add_noise(ping, request.noise, request.seed, request.number)

@@ -1,0 +1,72 @@
+"""What is asked of one ping."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import check_pose
+from sonar_gl.engine.motion import check_velocity
+from sonar_gl.noise.noise import Noise, check_seed
+
+
+@dataclass(frozen=True, eq=False)
+class PingRequest:
+    """One ping: where the sonar is, what differs from the run's defaults, and what is wanted.
+
+    Parameters
+    ----------
+    pose : (4, 4) world_from_sonar, metres
+    noise : Noise, or None for none
+    seed, number : of the noise; the same two give the same bytes
+    labels : find the strongest body in each bin
+    background : with labels, names of bodies on whose echo others cast a shadow; or None
+    bodies : names to (4, 4) world_from_body, or to None for a body that is absent; or None
+    time_s : seconds, at which plumes of bubbles are seen; None = 0
+    velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame; or None
+    reflectivity : names of bodies to μ, 0..1; or None
+    water : fields of `Acoustics` to values; or None
+
+    Raises
+    ------
+    Error
+        if one of these makes no sense whatever the scene is.
+    """
+
+    pose: np.ndarray
+    noise: Noise | None = None
+    seed: int = 0
+    number: int = 0
+    labels: bool = False
+    background: tuple[str, ...] | None = None
+    bodies: dict | None = None
+    time_s: float | None = None
+    velocity: np.ndarray | None = None
+    reflectivity: dict | None = None
+    water: dict | None = None
+
+    def __post_init__(self):
+        check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")
+        checked = {
+            "pose": check_pose(self.pose),
+            "seed": check_seed(self.seed),
+            "velocity": check_velocity(self.velocity),
+            "labels": bool(self.labels),
+            "background": _names(self.background),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.background is not None and not self.labels:
+            raise Error("background must come with labels=True (got labels=False; shadows are labels)")
+
+
+def _names(background) -> tuple[str, ...] | None:
+    if background is None:
+        return None
+    if isinstance(background, str) or not isinstance(background, Iterable):
+        raise Error(f"background must be several names of bodies (got {background!r}; make [name] of one)")
+    return tuple(str(name) for name in background)

@@ -1,0 +1,172 @@
+"""One run: a sonar in a world, and what makes its pings."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, wait
+from contextlib import contextmanager
+from dataclasses import replace
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
+from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.multipath import ImageSources
+from sonar_gl.engine.no_echo import why_no_echo
+from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.stage import StageCache
+from sonar_gl.engine.world import World
+from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sonar import Sonar
+
+CLOSED = "this Simulator is closed; make a new one"
+
+
+class Run:
+    """A sonar in a world, and what makes its pings.
+
+    Parameters
+    ----------
+    world : World, of which this is one more user
+    sonar, acoustics, sampling, tolerance : as for `Simulator`
+
+    Attributes
+    ----------
+    instrument : Instrument
+    sampler : what chooses the samples
+    image_sources : ImageSources; None without multipath
+    """
+
+    def __init__(
+        self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
+    ):
+        world.users += 1
+        self._world, self._source, self._described, self._in_flight = world, None, None, None
+        self.image_sources = None
+        try:
+            self.instrument = Instrument(sonar, acoustics)
+            self._make_stages(sampling, tolerance)
+        except BaseException:
+            self.forget()  # the exception holds what is in the context
+            raise
+
+    def _make_stages(self, sampling: Sampling | None, tolerance: float) -> None:
+        world, sonar, acoustics = self.world, self.instrument.sonar, self.instrument.acoustics
+        with self.drawing():
+            self.stages = StageCache(world.buffers, sonar, acoustics, world.thread)
+            if acoustics.multipath != "none":
+                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
+            if sampling:
+                self.sampler = FixedSampling(self.stages, sampling)
+            else:
+                self.sampler = AdaptiveSampling(self.stages, tolerance, self.instrument.gain)
+
+    def check_open(self) -> None:
+        """Raise an Error once the run is closed."""
+        if self._world is None:
+            raise Error(CLOSED)
+
+    @property
+    def world(self) -> World:
+        """The world; an Error once the run is closed."""
+        self.check_open()
+        return self._world
+
+    @contextmanager
+    def drawing(self, beside: Future | None = None):
+        """Have the OpenGL context current for the time of the block, in one thread at a time.
+
+        Pings of a sequence that are summed in another thread are waited for, except `beside`.
+        """
+        with self.world.drawing() as context:
+            if self._in_flight is not None and self._in_flight is not beside:
+                wait([self._in_flight])
+            if self._world is None:  # closed while this one waited
+                raise Error(CLOSED)
+            yield context
+
+    def receiving(self, future: Future) -> None:
+        """Take note of pings that are summed in another thread, with the arrays of this run."""
+        self._in_flight = future
+
+    def set_up(self, request: PingRequest) -> PingSetup:
+        """Resolve a request in the scene.
+
+        Raises
+        ------
+        Error
+            if it names bodies that the scene has not, or its water makes no sense.
+        """
+        world, bubbles = self.world, self.instrument.acoustics.bubbles
+        state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
+        background = None if request.background is None else world.mask_of(request.background)
+        return self.instrument.set_up(request, state, len(world.scene.bodies), background)
+
+    def draw_images(self, resolution: Resolution, views, poses, states) -> list:
+        """Draw the image sources of pings that were just drawn; None for each without multipath."""
+        images = self.image_sources
+        if images is None:
+            return [None] * len(poses)
+        images.use_scene(self.world.scene)
+        if self.sampler.tolerance is None and not resolution.finer_images:
+            images.reset()  # samples were given: no ping depends on those before
+        return images.draw(resolution.stage, views, poses, states)
+
+    def review(self, received: ReceivedPing) -> Resolution | None:
+        """Return how to sample a ping once more, or None if its samples keep the tolerance."""
+        resolution = self.sampler.review(received)
+        if resolution is None and self._are_images_too_coarse(received):
+            return replace(received.drawn.resolution, is_final=True, finer_images=True)
+        return resolution
+
+    def is_outdated(self, received: ReceivedPing) -> bool:
+        """Return whether a ping of a sequence has to be sampled once more, with a check."""
+        total = received.direct.total
+        return self.sampler.has_changed(total) or total <= 0 or self._are_images_too_coarse(received)
+
+    def _are_images_too_coarse(self, received: ReceivedPing) -> bool:
+        images = self.image_sources
+        made_of = received.drawn.images, received.multipath, received.direct
+        return images is not None and images.are_too_coarse(*made_of)
+
+    def source(self) -> Source:
+        """Return what the pings' `meta` says of the scene."""
+        scene = self.world.scene
+        if self._described is not scene:  # at first, and when bodies were added
+            self._described = scene
+            self._source = Source(
+                scene.name,
+                tuple(body.name for body in scene.bodies),
+                tuple(plume.name for plume in scene.plumes),
+                self.sampler.tolerance,
+                self.world.gl_info["renderer"],
+            )
+        return self._source
+
+    def warn_if_no_echo(self, received: ReceivedPing) -> None:
+        """Warn if a ping has no echo; the message names the nearest surface and why it returned none."""
+        if received.total <= 0:
+            setup, sonar = received.drawn.setup, self.instrument.sonar
+            sonars = sonar, self.instrument.acoustics.true_range_sonar(sonar)
+            view = received.drawn.view.sectors
+            warn_caller(why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view))
+
+    def close(self) -> None:
+        """Give back all that it holds, and the OpenGL context if no other run uses it; a second call does nothing."""
+        world = self._world
+        if world is not None:
+            world.check_thread()
+            self._world = None
+            world.leave(self._release)
+
+    def _release(self) -> None:
+        if self._in_flight is not None:
+            wait([self._in_flight])
+        self.stages = self.sampler = self.image_sources = self._in_flight = None
+
+    def forget(self) -> None:
+        """Take note that nobody can use this run any more, without closing it: for finalisers."""
+        if self._world is not None:
+            self._world.forget()

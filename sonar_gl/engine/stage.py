@@ -1,0 +1,104 @@
+"""The renderer and the beamformer of one sampling, and a cache of the few that a run uses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
+from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
+from sonar_gl.beamform.kernels import view_index
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.raster.buffers import SceneBuffers
+from sonar_gl.raster.renderer import Renderer
+from sonar_gl.sonar.fan import Fan
+from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sector import SHEAR
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_STAGES = 6  # what is in use, the half of it, and what a search for others tries
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Draws and sums with one sampling; holds what every ping uses again.
+
+    Attributes
+    ----------
+    sampling : as asked for; `beamformer.fan.sampling` covers the whole aperture
+    beamformer : Beamformer
+    renderer : Renderer; None where a host draws
+    """
+
+    sampling: Sampling
+    beamformer: Beamformer
+    renderer: Renderer | None = None
+
+    @property
+    def fan(self) -> Fan:
+        """The fan with these samples."""
+        return self.beamformer.fan
+
+    def draw(
+        self,
+        poses: Sequence,
+        states: Sequence,
+        with_bodies: bool = False,
+        planes: Sequence | None = None,
+        keep_last: bool = False,
+    ) -> list[ViewSamples]:
+        """Draw the views of some poses, attenuated behind bubbles; parameters as for `Renderer.render`."""
+        views = self.renderer.render(poses, states, with_bodies, planes=planes, keep_last=keep_last)
+        return [
+            view if state is None or state.bubbles is None else self._with_bubbles(view, state.bubbles, pose)
+            for view, pose, state in zip(views, poses, states, strict=True)
+        ]
+
+    def _with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
+        points = attenuate_behind_bubbles(view_index(view), bubbles, pose, self.fan)
+        return replace(view, bubbles=points)
+
+
+class StageCache:
+    """The stages of a run by their sampling; the last few are kept.
+
+    Parameters
+    ----------
+    buffers, sonar, acoustics, thread : of the run
+    max_column_width : of `make_fan`
+    """
+
+    def __init__(
+        self,
+        buffers: SceneBuffers,
+        sonar: Sonar,
+        acoustics: Acoustics,
+        thread: SecondThread | None = None,
+        max_column_width: float = 0.5,
+    ):
+        self.buffers, self.sonar, self.acoustics = buffers, sonar, acoustics
+        self._thread, self._max_column_width = thread, max_column_width
+        self._stages: dict[tuple, Stage] = {}
+
+    def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
+        """Return the stage of a sampling and a shear of the lattice; the OpenGL context must be current.
+
+        Raises
+        ------
+        Error
+            if the samples do not fit the driver's limits.
+        """
+        key = sampling, shear
+        found = self._stages.pop(key, None) or self.make(sampling, shear)
+        self._stages[key] = found  # the last one used is last
+        while len(self._stages) > MAX_STAGES:
+            self._stages.pop(next(iter(self._stages)))
+        return found
+
+    def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
+        """Return a new stage, which is not kept."""
+        made_of = self.sonar, self.acoustics, sampling, self._thread, shear, self._max_column_width
+        beamformer = make_beamformer(*made_of)
+        return Stage(sampling, beamformer, Renderer(self.buffers, beamformer.fan, self.acoustics.specular))

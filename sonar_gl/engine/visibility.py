@@ -1,0 +1,168 @@
+"""Which bodies are in view: how many samples meet each, what it returns, and what it could return."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.acoustics.boundary import specular_lobe
+from sonar_gl.core.compiled import compiled
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.samples import SectorSamples, whole_rows
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
+VERTICES = 64  # of a body, about, are compared with the samples
+IN_FRONT = 1.01  # 1/x over that of the sample there: a vertex at the foot of a body is as near as the floor
+
+
+class BodyCounts(NamedTuple):
+    """What each body contributes to a ping, by number, 0 for none: (bodies + 1,) float64 arrays.
+
+    samples : how many met it, inside aperture and range
+    echo : about the sum of its echo with the gain
+    """
+
+    samples: np.ndarray
+    echo: np.ndarray
+
+
+@compiled
+def _count_samples(samples, lattice, r_first, per_metre, gain, elevation_table, counts, echo):
+    """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
+
+    samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : (u, v, tan_elevation, columns)
+    elevation_table : of `Beamformer`, taken at the nearest sine
+    """
+    plane_echo, body_id = samples
+    u, v, tan_elevation, columns = lattice
+    per_sine = (elevation_table.shape[0] - 1) / 2 * math.sqrt(1 / tan_elevation**2 + 1)
+    K = gain.shape[0]
+    area = u[1] * v[2] - u[2] * v[1]
+    limit = tan_elevation * tan_elevation
+    for j in range(plane_echo.shape[0]):
+        for i in range(columns):
+            q = plane_echo[j, i, 0]
+            if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
+                continue
+            uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
+            if vc * vc > limit * (1.0 + uc * uc):
+                continue
+            L = math.sqrt(1.0 + uc * uc + vc * vc)
+            k = (L / q - r_first) * per_metre
+            if 0.0 <= k < K:
+                place = int((elevation_table.shape[0] - 1) / 2 + vc / L * per_sine + 0.5)
+                pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
+                counts[body_id[j, i]] += 1.0
+                echo[body_id[j, i]] += (
+                    plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)] * pattern
+                )
+
+
+def count_bodies(
+    samples: Sequence[SectorSamples], n_bodies: int, sonar: Sonar, gain, elevation_table
+) -> BodyCounts:
+    """Count the samples on each body, and about the echo of each; `sonar` with true ranges."""
+    counts, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
+    for one in samples:
+        arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
+        ranges = sonar.range_min_m, 1.0 / sonar.bin_size_m
+        _count_samples(arrays, one.lattice, *ranges, gain, elevation_table, counts, echo)
+    return BodyCounts(counts, echo)
+
+
+def is_unobstructed(samples: Sequence[SectorSamples], body, body_pose, pose, sonar: Sonar) -> bool:
+    """Return whether some vertex of a body that no sample met lies in front of the samples around it."""
+    vertices = np.asarray(body.surface.vertices, np.float64)
+    vertices = vertices[:: max(1, len(vertices) // VERTICES)]
+    world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
+    points = (world - pose[:3, 3]) @ pose[:3, :3]
+    range_m = np.linalg.norm(points, axis=1)
+    points = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)]
+    for sector, plane_echo, _ in samples:
+        x, y, z = (points @ sector.rotation().T).T
+        ahead = x > 1e-3
+        u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
+        near = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (
+            np.abs(np.arctan(u)) < sector.half_width_rad
+        )
+        lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
+        i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
+        inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
+        if (q[inside] > plane_echo[j[inside], i[inside], 0] * IN_FRONT).any():
+            return True
+    return False
+
+
+def _bounds(surface) -> np.ndarray:
+    """Return (2, 3) least and largest coordinates of the vertices that faces use."""
+    used = np.zeros(len(surface.vertices), bool)
+    used[np.asarray(surface.faces)] = True
+    vertices = np.asarray(surface.vertices, np.float64)[used]
+    return np.array([vertices.min(axis=0), vertices.max(axis=0)])
+
+
+def _area_m2(surface) -> float:
+    a, b, c = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces).T]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+class BodyExtents:
+    """How much echo each body of a scene could return at most, if nothing stood in front of it.
+
+    Parameters
+    ----------
+    bodies : of the scene
+    specular : with the specular lobes of smooth bodies
+
+    Attributes
+    ----------
+    reflectivity : (bodies + 1,) by number, lobes included
+    """
+
+    def __init__(self, bodies, specular: bool = False):
+        self.n_bodies = len(bodies)
+        surfaces = [body.surface for body in bodies]
+        bounds = np.array([_bounds(surface) for surface in surfaces]).reshape(-1, 2, 3)
+        self._centres = bounds.mean(axis=1)
+        self._radii_m = np.linalg.norm(np.ptp(bounds, axis=1), axis=1) / 2
+        lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
+        self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
+        self.reflectivity[1:] += lobes
+        # the silhouette of a surface is half of its area at most, and inside that of its sphere
+        self._area_m2 = np.minimum(
+            np.pi * self._radii_m**2,
+            [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces],
+        )
+
+    def solid_angle(self, state: SceneState, pose, sonar: Sonar, reach_rad: float) -> np.ndarray:
+        """Return (bodies + 1,) steradians that each body may fill; 0 where its sphere lies outside the fan.
+
+        Parameters
+        ----------
+        sonar : with true ranges
+        reach_rad : how far beyond their axes the outermost beams receive
+        """
+        out = np.zeros(self.n_bodies + 1)
+        if not self.n_bodies:
+            return out
+        centres = np.einsum("nij,nj->ni", state.poses[:, :3, :3], self._centres) + state.poses[:, :3, 3]
+        x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
+        distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
+        half_angle = np.arcsin(np.minimum(self._radii_m / distance, 1.0))
+        elevation = np.arcsin(z / distance)
+        half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reach_rad
+        beside = half_angle / np.maximum(np.cos(elevation), 1e-9)
+        inside = (
+            state.present
+            & (distance - self._radii_m < sonar.range_max_m)
+            & (distance + self._radii_m > sonar.range_min_m)
+            & (np.abs(elevation) - half_angle < math.radians(sonar.elevation_fov_deg) / 2)
+            & (np.abs(np.arctan2(y, x)) - beside < half_azimuth)
+        )
+        nearest = np.maximum(distance - self._radii_m, distance / 2)
+        out[1:] = np.where(inside, np.minimum(self._area_m2 / nearest**2, 4 * np.pi), 0.0)
+        return out

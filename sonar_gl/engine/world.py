@@ -1,0 +1,194 @@
+"""A scene in an OpenGL context: what the simulators of several sonars may share."""
+
+from __future__ import annotations
+
+import os
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.poses import check_pose
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.gl import context as gl
+from sonar_gl.gl import egl, lifetime
+from sonar_gl.gl.host import check_thread, join
+from sonar_gl.raster.buffers import SceneBuffers
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.scene import Body, Scene
+from sonar_gl.scene.state import SceneState
+
+
+def _seconds(time_s) -> float:
+    if isinstance(time_s, bool) or not isinstance(time_s, (int, float, np.number)):
+        raise Error(f"time_s must be a number of seconds (got {time_s!r})")
+    if not abs(time_s) <= 1e10:  # NaN too; that is Unix time with room to spare
+        raise Error(f"time_s must be seconds within ±1e10 (got {time_s!r})")
+    return float(time_s)
+
+
+class World:
+    """A scene's bodies in an OpenGL context, used by one simulator or several, one at a time.
+
+    Parameters
+    ----------
+    device, context : as for `Simulator`
+
+    Attributes
+    ----------
+    scene : Scene, of all bodies that there are
+    buffers : SceneBuffers, their meshes; None once the context is given back
+    thread : SecondThread, which all simulators share
+    gl_info : driver, version and limits
+    users : how many runs use it
+    """
+
+    def __init__(self, scene: Scene, device: int | None = None, context: str | None = None):
+        if context not in (None, "current") or (context and device is not None):
+            got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
+            raise Error(f"context must be 'current' without a device, or None (got {got})")
+        joins = context is not None
+        self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
+        self._host_thread = threading.current_thread() if joins else None
+        self.scene, self.users, self.thread = scene, 0, SecondThread()
+        self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
+        lifetime.release_waiting()
+        with egl.preserve_current():
+            self._context = join() if joins else gl.create_context(device)
+        try:
+            with self._context:
+                self.gl_info = gl.describe(self._context)
+                self.buffers = SceneBuffers(self._context, scene, data_folder("shaders"), self.thread)
+        except BaseException:
+            lifetime.discard(self._context)  # the exception holds what is in it
+            raise
+        self._number_bodies()
+
+    def _number_bodies(self) -> None:
+        self._indices = {body.name: index for index, body in enumerate(self.scene.bodies)}
+
+    def check_thread(self) -> None:
+        """Raise an Error in another thread than that whose context was joined."""
+        if self._host_thread is not None:
+            check_thread(self._host_thread)
+
+    @contextmanager
+    def drawing(self):
+        """Have the context current for the time of the block, in one thread at a time."""
+        if os.getpid() != self._process:
+            raise Error("a Simulator must be used in the process that made it; make one in each process")
+        self.check_thread()
+        with self._lock:
+            if self._context is None:
+                raise Error("this Simulator is closed; make a new one")
+            lifetime.release_waiting()
+            with self._context as context:
+                context.gc()
+                yield context
+
+    def state_of(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> SceneState:
+        """Return where bodies and bubbles are in a ping.
+
+        Parameters
+        ----------
+        bodies : None, or names to (4, 4) world_from_body, or to None for a body that is absent
+        time_s : seconds, None for 0
+        with_bubbles : of the scene's plumes, if there are any
+        reflectivity : None, or names of bodies to μ, 0..1
+        """
+        state, plume_poses = self._moved(bodies)
+        if time_s is not None:
+            state = replace(state, time_s=_seconds(time_s))
+        if reflectivity is not None:
+            state = replace(state, reflectivity=self._reflectivity(reflectivity))
+        if not (with_bubbles and self.scene.plumes):
+            return state
+        present = [plume for plume in self.scene.plumes if plume_poses[plume.name] is not None]
+        found = [np.column_stack(plume.at(state.time_s or 0.0, plume_poses[plume.name])) for plume in present]
+        bubbles = np.concatenate([np.empty((0, 4)), *found])
+        if self.scene.surface_z_m is not None:
+            bubbles = bubbles[bubbles[:, 2] < self.scene.surface_z_m]
+        return replace(state, bubbles=bubbles)
+
+    def mask_of(self, names) -> np.ndarray:
+        """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows."""
+        out = np.zeros(len(self.scene.bodies) + 1, bool)
+        for name in names:
+            if name not in self._indices:
+                hint = nearest_names(name, self._indices) if self._indices else "there are none"
+                raise Error(f"background must be bodies of the scene (got {name!r}; {hint})")
+            out[1 + self._indices[name]] = True
+        return out
+
+    def place(self, bodies) -> None:
+        """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
+        self.buffers.meshes.state, self._plume_poses = self._moved(bodies)
+
+    def _moved(self, bodies) -> tuple[SceneState, dict]:
+        state = self.buffers.meshes.state
+        if not bodies:
+            return state, self._plume_poses
+        check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
+        poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)
+        for name, pose in bodies.items():
+            if name in plume_poses:
+                plume_poses[name] = (
+                    pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
+                )
+                continue
+            index = self._index_of(name, "bodies", plume_poses)
+            present[index] = pose is not None
+            if pose is not None:
+                poses[index] = check_pose(pose, f"the pose of body {name!r}")
+        return SceneState(poses, present), plume_poses
+
+    def _index_of(self, name, what: str, plumes=()) -> int:
+        if name not in self._indices:
+            known = ", ".join(map(repr, [*self._indices, *plumes])) or "none"
+            raise Error(f"{what} must be bodies of the scene (got {name!r}; there are: {known[:200]})")
+        return self._indices[name]
+
+    def _reflectivity(self, changed) -> np.ndarray:
+        check_kind("reflectivity", changed, dict, 'such as {"diver": 0.2}')
+        out = self.buffers.meshes.reflectivity.copy()
+        for name, value in changed.items():
+            index = self._index_of(name, "names in reflectivity")
+            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not (is_number and 0 <= value <= 1):  # NaN too
+                raise Error(f"the reflectivity of body {name!r} must be a number in 0..1 (got {value!r})")
+            out[index] = value
+        return out
+
+    def add(self, bodies) -> None:
+        """Append bodies or plumes; inside `drawing`."""
+        for body in bodies:
+            check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
+        self.scene = self.scene.with_more(bodies)
+        self.buffers.add([body for body in bodies if isinstance(body, Body)])
+        self._plume_poses |= {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
+        self._number_bodies()
+
+    def leave(self, release) -> None:
+        """Take one user less: `release` drops its GL objects; after the last user the context goes, too."""
+        if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
+            return
+        with self._lock:
+            self.users -= 1
+            context, is_last = self._context, self.users == 0
+            release()
+            if is_last:
+                self._context = self.buffers = None
+                self.thread.close()
+                lifetime.release(context)
+        lifetime.release_waiting()
+
+    def forget(self) -> None:
+        """Take one user less that was not closed: nothing may be drawn or released now."""
+        self.users -= 1
+        if self.users == 0 and self._context is not None and os.getpid() == self._process:
+            self.thread.close()
+            lifetime.discard(self._context)

@@ -1,0 +1,1 @@
+"""OpenGL without a window, and in the context of a host program."""

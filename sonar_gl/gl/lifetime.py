@@ -1,0 +1,135 @@
+"""The release of OpenGL objects: at once, or, if their context cannot be used now, by a later call.
+
+OpenGL objects can be released only while their context is current, in a thread that may use it, and while
+nobody draws. The garbage collector calls finalisers at any time and in any thread, and a program may close a
+sonar while another context is current. So objects that cannot be released wait in one queue:
+
+- `discard` only queues. It is for finalisers.
+- `release` releases at once, or queues what is out of reach. It is for `close()`.
+- `release_waiting` releases what has come into reach. Simulators and sensors call it before they draw.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from threading import Lock
+from typing import NamedTuple, Protocol
+
+import moderngl
+
+# A context that has ended cannot always be told from one that is not current. Each group is tried again at
+# every ping, so that beyond this number the oldest are given up.
+MAX_UNREACHABLE = 64
+
+
+class Releasable(Protocol):
+    """OpenGL objects that are released together.
+
+    Attributes
+    ----------
+    is_gone : whether their context is known to have ended, and the objects with it
+    """
+
+    is_gone: bool
+
+    def is_in_reach(self) -> bool:
+        """Return whether they can be released in this thread now."""
+
+    def release(self) -> None:
+        """Release them, which are in reach; of those that are gone, forget the names."""
+
+
+class Waiting(NamedTuple):
+    """How many groups of objects wait to be released.
+
+    Attributes
+    ----------
+    discarded : left by finalisers, not tried yet
+    unreachable : tried, while their context was out of reach
+    """
+
+    discarded: int
+    unreachable: int
+
+
+class _ContextObjects:
+    """A moderngl context and all objects in it that nobody holds."""
+
+    def __init__(self, context: moderngl.Context):
+        self._context = context
+
+    @property
+    def is_gone(self) -> bool:
+        return self._context.extra.is_gone
+
+    def is_in_reach(self) -> bool:
+        return self._context.extra.is_in_reach()
+
+    def release(self) -> None:
+        if not self.is_gone:
+            with self._context as context:
+                context.fbo = None  # the framebuffer used last, which the context would keep alive
+                context.gc()  # in a share group the objects would outlive the context
+        self._context.release()
+
+
+_discarded: deque[tuple[Releasable, ...]] = deque()
+_unreachable: deque[tuple[Releasable, ...]] = deque(maxlen=MAX_UNREACHABLE)
+_releasing = Lock()
+
+
+def discard(*objects: moderngl.Context | Releasable) -> None:
+    """Have objects of one context released by a later `release_waiting`, in this order.
+
+    Finalisers may call this: it neither draws nor takes a lock.
+    """
+    _discarded.append(_group(objects))
+
+
+def release(*objects: moderngl.Context | Releasable) -> None:
+    """Release objects of one context, in this order; all of them later, if one is out of reach.
+
+    Not to be called inside a `with context` block, nor while a host draws a sector.
+    """
+    _release(_group(objects))
+
+
+def release_waiting() -> None:
+    """Release all waiting objects that are in reach.
+
+    Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach.
+    """
+    with _releasing:
+        for queue in (_unreachable, _discarded):
+            for _ in range(len(queue)):
+                _release(queue.popleft())
+
+
+def waiting() -> Waiting:
+    """Return how much waits to be released."""
+    return Waiting(len(_discarded), len(_unreachable))
+
+
+def _group(objects) -> tuple[Releasable, ...]:
+    return tuple(_ContextObjects(one) if isinstance(one, moderngl.Context) else one for one in objects)
+
+
+def _forget() -> None:
+    """Empty the queue in a forked process: the objects are the parent's."""
+    global _releasing
+    _releasing = Lock()  # another thread of the parent may hold the old one
+    _discarded.clear()
+    _unreachable.clear()
+
+
+os.register_at_fork(after_in_child=_forget)
+
+
+def _release(group: tuple[Releasable, ...]) -> None:
+    # Whether a context is gone shows when it is tried.
+    if all(one.is_in_reach() or one.is_gone for one in group):
+        for one in group:
+            one.release()
+    else:
+        _unreachable.append(group)

@@ -1,0 +1,1 @@
+"""A ping to pictures and files."""

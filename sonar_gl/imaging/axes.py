@@ -1,0 +1,149 @@
+"""Axes of a fan image: range arcs, azimuth spokes and their labels."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from sonar_gl.core.errors import Error
+from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
+from sonar_gl.ping import Ping
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+STROKES = (
+    (0, 2, 0.2),
+    (255, 1, 0.45),
+)  # gray level, width, opacity: a dark rim shows light lines on bright echo
+SPOKE_STEPS_DEG = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)
+ARC_STEPS_M = tuple(n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5))
+LABEL_SIZE = np.array([65, 24])  # pixels across and down that a label takes, at font size 1
+
+
+def draw_axes(picture: np.ndarray, ping: Ping) -> np.ndarray:
+    """Return a copy of a fan image's picture with range arcs (m) and spokes (°, positive to port).
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 RGB, of fan_image(ping, H)
+
+    Returns
+    -------
+    array of shape (H + 2 margin, W + 2 margin, 3), uint8 RGB, black outside the fan
+
+    Raises
+    ------
+    Error
+        if the picture has another type or shape than this ping's fan image.
+    """
+    picture = np.asarray(picture)
+    fan = fan_geometry(ping, len(picture)) if picture.ndim == 3 else None
+    if fan is None or picture.dtype != np.uint8 or picture.shape != (fan.height, fan.width, 3):
+        want = f", here ({fan.height}, {fan.width}, 3)" if fan else ""
+        raise Error(
+            "draw_axes needs the (H, W, 3) uint8 picture of this ping's fan image"
+            f"{want} (got {picture.shape}, {picture.dtype})"
+        )
+    return _Axes(fan).draw(picture)
+
+
+class _Axes:
+    """Draws the axes of one fan image. Positions are (..., 2) pixels on the canvas, column and row."""
+
+    def __init__(self, fan: FanGeometry):
+        self.fan = fan
+        self.font_size = float(np.clip(fan.height / 1500, 0.35, 1.2))  # letters are 22 pixels high at 1
+        self.margin = round(120 * self.font_size)
+        self.arcs_m, self.spokes_deg = self._ticks()
+
+    def draw(self, picture: np.ndarray) -> np.ndarray:
+        """Return the picture with a margin, lines and labels."""
+        canvas = cv2.copyMakeBorder(picture, *[self.margin] * 4, cv2.BORDER_CONSTANT)
+        self._blacken_outside(canvas)
+        canvas = self._draw_lines(canvas)
+        self._draw_labels(canvas)
+        return canvas
+
+    def _ticks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return ranges of arcs, metres, and azimuths of spokes, degrees."""
+        fan, ((low, high), (inner_m, outer_m)) = (
+            self.fan,
+            (self.fan.azimuth_edges_rad, self.fan.range_edges_m),
+        )
+        # as many spokes as have room for their labels
+        parts = min(8.0, (high - low) * outer_m * fan.pixels_per_m / (100 * self.font_size))
+        step_deg = _tick_step(math.degrees(high - low), parts, SPOKE_STEPS_DEG)
+        first, last = (math.degrees(edge) / step_deg for edge in (low, high))
+        spokes_deg = np.arange(math.ceil(first - 1e-6), math.floor(last + 1e-6) + 1) * step_deg
+        if fan.full_circle and spokes_deg[-1] - spokes_deg[0] > 360 - 1e-6:  # −180° is +180°
+            spokes_deg = spokes_deg[1:]
+        step_m = _tick_step(outer_m, 7, ARC_STEPS_M)
+        arcs = np.arange(max(1, math.ceil(inner_m / step_m)), math.floor(outer_m / step_m + 1e-6) + 1)
+        return arcs * step_m, spokes_deg
+
+    def _position(self, azimuth_rad, range_m, beyond: float = 0.0) -> np.ndarray:
+        """Return the position of azimuth and range, moved outwards by `beyond` pixels."""
+        pixel = self.fan.pixel(azimuth_rad, np.asarray(range_m) + beyond / self.fan.pixels_per_m)
+        return np.stack(np.broadcast_arrays(*pixel), axis=-1) + self.margin
+
+    def _blacken_outside(self, canvas: np.ndarray) -> None:
+        (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
+        outline = np.concatenate([self._position(arc, outer_m), self._position(arc[::-1], inner_m)])
+        inside = cv2.fillPoly(np.zeros(canvas.shape[:2], np.uint8), [np.rint(outline).astype(np.int32)], 255)
+        canvas[inside == 0] = 0
+
+    def _fan_arc(self) -> np.ndarray:
+        """Return azimuths from edge to edge, for polygons that follow an arc."""
+        return np.linspace(*self.fan.azimuth_edges_rad, 361)
+
+    def _draw_lines(self, canvas: np.ndarray) -> np.ndarray:
+        (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
+        lines = [self._position(arc, range_m) for range_m in (*self.arcs_m, outer_m)]
+        edges = () if self.fan.full_circle else self.fan.azimuth_edges_rad
+        azimuths = *np.radians(self.spokes_deg), *edges
+        lines += [self._position(azimuth, [inner_m, outer_m]) for azimuth in azimuths]
+        lines = [np.rint(points * 16).astype(np.int32) for points in lines]  # in sixteenths of a pixel
+        for level, width, opacity in STROKES:
+            empty = np.zeros(canvas.shape[:2], np.uint8)
+            mask = cv2.polylines(empty, lines, False, 255, width, cv2.LINE_AA, 4)
+            weight = mask[..., None] * np.float32(opacity / 255)
+            canvas = np.rint(canvas * (1 - weight) + level * weight).astype(np.uint8)
+        return canvas
+
+    def _draw_labels(self, canvas: np.ndarray) -> None:
+        """Label arcs beside the starboard edge, and spokes beyond the outer arc where they have room."""
+        low, size = self.fan.azimuth_edges_rad[0], self.font_size
+        outwards = np.array([math.cos(low), -math.sin(low)])  # away from the starboard edge
+        arcs = [self._position(low, range_m) + outwards * (45 * size, 28 * size) for range_m in self.arcs_m]
+        for range_m, position in zip(self.arcs_m, arcs, strict=True):
+            self._write(canvas, f"{range_m:g} m", position)
+        outer_m = self.fan.range_edges_m[1]
+        spokes = {
+            deg: self._position(math.radians(deg), outer_m, 34 * size) for deg in self.spokes_deg.tolist()
+        }
+        hidden = {
+            abs(deg)
+            for deg, position in spokes.items()
+            if any((abs(position - arc) < LABEL_SIZE * size).all() for arc in arcs)
+        }
+        for deg, position in spokes.items():
+            if abs(deg) not in hidden:  # both sides or neither
+                self._write(canvas, f"{deg:+g}" if deg else "0", position, degrees=True)
+
+    def _write(self, canvas: np.ndarray, text: str, centre, degrees: bool = False) -> None:
+        """Write text about a position, on a darker ground; with a degree sign, which the font lacks."""
+        size = self.font_size
+        (width, height), _ = cv2.getTextSize(text, FONT, size, 1)
+        x, y, pad = round(centre[0] - width / 2), round(centre[1] + height / 2), math.ceil(5 * size)
+        canvas[max(0, y - height - pad) : y + pad, max(0, x - pad) : x + width + pad] //= 4
+        style = ((225,) * 3, 1, cv2.LINE_AA)
+        cv2.putText(canvas, text, (x, y), FONT, size, *style)
+        if degrees:
+            dot = round(16 * (x + width + 5 * size)), round(16 * (y - height + 2 * size))
+            cv2.circle(canvas, dot, round(16 * max(1.5, 3.5 * size)), *style, 4)
+
+
+def _tick_step(span: float, parts: float, steps) -> float:
+    """Return the smallest of `steps` that cuts `span` into no more than `parts`."""
+    return min((step for step in steps if span <= parts * step * (1 + 1e-9)), default=steps[-1])

@@ -1,0 +1,284 @@
+"""Files of pictures, pings and animations: written under another name and then renamed, so never partial."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
+from sonar_gl.core.checks import check_number
+from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.ping import Ping
+from sonar_gl.sonar.sonar import Sonar
+
+# Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
+DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
+NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in DESCRIBED)
+
+
+def output_folder(path) -> Path:
+    """Return the folder `path`, created if necessary and tested by writing a trial file.
+
+    Raises
+    ------
+    Error
+        that names the folder and the reason: not a folder, permission denied, disk full ...
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        trial = temporary_path(folder / "trial")
+        try:
+            trial.write_bytes(b"sonar")
+        finally:
+            trial.unlink(missing_ok=True)
+    except OSError as why:
+        raise Error(
+            f"cannot write into the folder {str(folder)!r}: {describe_os_error(why, folder)}"
+        ) from None
+    return folder
+
+
+def save_png(path, picture: np.ndarray) -> None:
+    """Write a picture as PNG.
+
+    Parameters
+    ----------
+    path : ends in .png; its folder exists
+    picture : of `png_bytes`
+
+    Raises
+    ------
+    Error
+        if the path or the picture is of another kind, or the file cannot be written.
+    """
+    path = _checked(path, (".png",))
+    data = png_bytes(picture)
+    with atomic_write(path) as beside:
+        beside.write_bytes(data)
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """Return the content of a PNG file.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1, stored in 8 bits; or (H, W) uint16, 16-bit gray
+    """
+    picture = np.asarray(picture)
+    if not (picture.ndim == 2 and picture.dtype == np.uint16):
+        picture = eight_bit(picture, "a PNG")
+    if picture.ndim == 3:
+        picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture))
+    if not done:
+        raise Error(f"a picture of shape {picture.shape} cannot be written as PNG")
+    return data.tobytes()
+
+
+def save_npz(path, ping: Ping) -> None:
+    """Write a ping's arrays under the names of its fields, and `meta` as JSON text.
+
+    `meta` holds the fields of the ping's `sonar` and `acoustics`, from which `load_npz` makes them again. The
+    same ping gives the same bytes. The file is not compressed: echoes hardly shrink, and reading stays fast.
+
+    Parameters
+    ----------
+    path : ends in .npz; its folder exists
+
+    Raises
+    ------
+    Error
+        if the path has another suffix, `meta` holds values that JSON cannot, or the file cannot be written.
+    """
+    path = _checked(path, (".npz",))
+    try:
+        data = npz_bytes(ping)
+    except Error as why:
+        raise Error(f"{str(path)!r}: {why}") from None
+    with atomic_write(path) as beside:
+        beside.write_bytes(data)
+
+
+def npz_bytes(ping: Ping) -> bytes:
+    """Return the content of an NPZ file of a ping, see `save_npz`."""
+    arrays = {name: getattr(ping, name) for name in NPZ_FIELDS if name != "meta"}
+    arrays = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
+    known = {name: getattr(ping, name) for name in DESCRIBED if getattr(ping, name) is not None}
+    try:
+        meta = json.dumps({**ping.meta, **known}, default=_plain, ensure_ascii=False)
+    except (TypeError, ValueError) as why:
+        raise Error(f"meta of the ping must be plain values that JSON can hold ({why})") from None
+    data = io.BytesIO()
+    np.savez(data, **arrays, meta=np.array(meta))
+    return data.getvalue()
+
+
+def load_npz(path) -> Ping:
+    """Return the ping that `save_npz` wrote; its arrays are read-only.
+
+    Raises Error if the file holds no ping. Warns if `meta` describes a sonar or acoustics that cannot be
+    made: the ping then has None in their place.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except OSError as why:
+        raise Error(f"cannot read the ping {str(path)!r}: {describe_os_error(why, path)}") from None
+    except Exception:  # NumPy and zipfile raise various ones for bytes that are no archive
+        raise Error(f"cannot read the ping {str(path)!r}: not an NPZ file") from None
+    missing = [name for name in ("intensity", "azimuth_rad", "range_m") if name not in arrays]
+    if missing:
+        raise Error(f"{str(path)!r} holds no ping: it lacks {', '.join(missing)} (got {', '.join(arrays)})")
+    shape = (arrays["azimuth_rad"].size, arrays["range_m"].size)
+    if arrays["intensity"].shape != shape:
+        raise Error(
+            f"{str(path)!r}: intensity must be (beams, bins) = {shape} (got {arrays['intensity'].shape})"
+        )
+    for array in arrays.values():
+        array.setflags(write=False)
+    meta = json.loads(str(arrays.pop("meta", "{}")))
+    if "error_estimate" in arrays:
+        arrays["error_estimate"] = float(arrays["error_estimate"])
+    described = dict.fromkeys(DESCRIBED)
+    for name, kind in DESCRIBED.items():
+        if meta.get(name) is None:
+            continue
+        try:
+            described[name] = kind(**meta[name])
+        except (Error, TypeError) as why:
+            what = f"meta describes no {kind.__name__}, so the ping has none"
+            warn_caller(f"{str(path)!r}: {what} ({why})")
+    return Ping(**{name: arrays[name] for name in NPZ_FIELDS if name in arrays}, meta=meta, **described)
+
+
+def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write pictures as an animation: .gif, which loops, or .mp4.
+
+    Parameters
+    ----------
+    path : ends in .gif or .mp4; its folder exists
+    frames : pictures of one size, (H, W) or (H, W, 3) RGB, uint8 or float 0..1. May be a generator; for .mp4
+        one frame at a time is in memory
+    fps : frames per second, 0.01..120
+
+    Raises
+    ------
+    Error
+        if the path has another suffix, `fps` is out of bounds, there is no frame, frames differ in shape, or
+        the file cannot be written.
+
+    Notes
+    -----
+    GIF: each frame has its own palette, without dither. It is exact up to 256 colours, and a coloured fan
+    image has no more. Durations are whole hundredths of a second with the right mean. Identical successive
+    frames are joined. MP4: the codec is MPEG-4 part 2, which every build of OpenCV includes and which encodes
+    a frame in milliseconds. Video needs even sizes, so odd ones get a black row or column.
+    """
+    path = _checked(path, (".gif", ".mp4"))
+    fps = check_number("fps of an animation", fps, 0.01, 120)
+    frames = _checked_frames(frames)
+    try:
+        first = next(frames)
+    except StopIteration:
+        raise Error(f"{str(path)!r}: an animation needs at least one frame (got none)") from None
+    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    with atomic_write(path) as beside:
+        write(beside, first, frames, fps)
+
+
+def _write_gif(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: float) -> None:
+    from PIL import Image  # takes a tenth of a second to import; only animations need it
+
+    def with_palette(index, frame):
+        image = Image.fromarray(frame if frame.ndim == 3 else np.repeat(frame[..., None], 3, axis=2))
+        exact = image.getcolors(256) is not None
+        method = Image.Quantize.MAXCOVERAGE if exact else Image.Quantize.MEDIANCUT
+        image = image.quantize(256, method=method, dither=Image.Dither.NONE)
+        hundredths = round((index + 1) * 100 / fps) - round(index * 100 / fps)
+        image.info["duration"] = 10 * max(1, hundredths)
+        return image
+
+    images = (with_palette(index, frame) for index, frame in enumerate(rest, start=1))
+    with_palette(0, first).save(path, format="GIF", save_all=True, append_images=images, loop=0)
+
+
+def _write_mp4(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: float) -> None:
+    height, width = first.shape[:2]
+    size = (width + width % 2, height + height % 2)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+    if not writer.isOpened():
+        raise Error(f"OpenCV cannot write an MP4 of {size[0]} x {size[1]} pixels here; save a .gif instead")
+    count = 0
+    try:
+        for frame in chain((first,), rest):
+            frame = cv2.cvtColor(frame, cv2.COLOR_RGB2BGR if frame.ndim == 3 else cv2.COLOR_GRAY2BGR)
+            writer.write(cv2.copyMakeBorder(frame, 0, height % 2, 0, width % 2, cv2.BORDER_CONSTANT))
+            count += 1
+    finally:
+        writer.release()
+    written = cv2.VideoCapture(str(path))  # the writer does not report a full disk
+    found = int(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
+    written.release()
+    if found != count:
+        raise Error(f"only {found} of {count} frames could be written as MP4 (is the disk full?)")
+
+
+def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield the frames in 8 bits; raise an Error for one whose shape differs from the first one's."""
+    shape = None
+    for index, frame in enumerate(frames):
+        frame = eight_bit(np.asarray(frame), f"frame {index} of an animation")
+        shape = shape or frame.shape
+        if frame.shape != shape:
+            raise Error(
+                f"frame {index} of an animation must have the first one's shape {shape} (got {frame.shape})"
+            )
+        yield np.ascontiguousarray(frame)
+
+
+def eight_bit(picture: np.ndarray, what: str) -> np.ndarray:
+    """Return a picture, (H, W) or (H, W, 3) RGB, uint8 or float 0..1, as uint8.
+
+    Raises Error, which begins with `what`, if the picture has another shape or type, or is not finite.
+    """
+    if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
+        raise Error(f"{what} must have shape (H, W) or (H, W, 3) RGB (got {picture.shape})")
+    if picture.dtype.kind == "f":
+        if not np.isfinite(picture).all():
+            raise Error(f"{what} must be finite (got NaN or infinity)")
+        return np.rint(picture.clip(0, 1) * 255).astype(np.uint8)
+    if picture.dtype != np.uint8:
+        raise Error(f"{what} must be uint8, or float 0..1 (got {picture.dtype})")
+    return picture
+
+
+def _plain(value):
+    """Return a value that JSON can hold in place of one that it cannot."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"got {type(value).__name__}")
+
+
+def _checked(path, suffixes: tuple[str, ...]) -> Path:
+    """Return the path, or raise an Error unless it ends in one of the suffixes."""
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise Error(f"{str(path)!r} must end in {' or '.join(suffixes)} (got {path.suffix or 'no suffix'})")
+    return path

@@ -1,0 +1,72 @@
+"""Styles of pictures: each turns the pings of a sequence into its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.imaging.axes import draw_axes
+from sonar_gl.imaging.demarco2015 import demarco_image
+from sonar_gl.imaging.fan_image import colorize, fan_image
+from sonar_gl.noise.noise import Noise
+from sonar_gl.ping import Ping
+
+
+@dataclass(frozen=True)
+class FanStyle:
+    """Fan images in colour. Raises Error if the colour map is unknown.
+
+    Parameters
+    ----------
+    height, scale, db_range : of `fan_image`
+    colormap : of `colorize`
+    axes : whether the picture has `draw_axes`
+    """
+
+    height: int
+    scale: str
+    db_range: tuple[float, float]
+    colormap: str
+    axes: bool
+
+    def __post_init__(self):
+        colorize(np.zeros((1, 1), np.float32), self.colormap)
+
+    def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
+        """Return the (H, W, 3) uint8 RGB picture of a ping."""
+        picture = colorize(fan_image(ping, self.height, self.scale, self.db_range), self.colormap)
+        return draw_axes(picture, ping) if self.axes else picture
+
+
+@dataclass(frozen=True)
+class DemarcoStyle:
+    """The founding paper's pictures. Warns of noise that they do not have.
+
+    Parameters
+    ----------
+    height, form, join, noise : of `demarco_image`
+    seed : of the first ping; ping n has seed + n
+    """
+
+    height: int
+    form: str
+    join: str
+    noise: Noise
+    seed: int
+
+    def __post_init__(self):
+        noise = self.noise
+        if noise.speckle or noise.gaussian:
+            self._warn("speckle and no gaussian noise")
+        if noise.electronic_db is not None or noise.ambient_db is not None or noise.interference_lines:
+            self._warn("receiver noise and no interference")
+
+    def _warn(self, missing: str) -> None:
+        warn_caller(f"pictures of style demarco2015 have no {missing}")
+
+    def __call__(self, simulator, ping: Ping, number: int) -> np.ndarray:
+        """Return the (H, W, 3) uint8 RGB picture at the pose of a ping."""
+        seed = self.seed + number
+        return demarco_image(simulator, ping.pose, seed, self.noise, self.height, self.form, self.join)

@@ -1,0 +1,1 @@
+"""A ping without noise to a noisy one."""

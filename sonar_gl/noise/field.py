@@ -1,0 +1,174 @@
+"""Noise terms that act on a ping's complex echo field: texture, speckle, receiver noise, interference."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sonar_gl.acoustics.beam_pattern import taper_series
+from sonar_gl.acoustics.pulse import field_weights
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.k_distribution import multiply_by_texture
+from sonar_gl.noise.place_speckle import place_locked_field
+from sonar_gl.noise.random_streams import stream
+from sonar_gl.noise.receiver import add_interference
+from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle
+from sonar_gl.ping import Ping
+
+if TYPE_CHECKING:
+    from sonar_gl.noise.noise import Noise
+
+SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
+MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
+PLACE_LOCKED = "place-locked speckle, follow_motion=True"
+
+
+class FieldNoise:
+    """The noise terms of one ping that act on its complex echo field.
+
+    Parameters
+    ----------
+    ping : Ping; its sonar's beam width and its pulse correlate the fields of beams and of bins. Without a
+        sonar beams are independent; without acoustics bins are, and there is no TVG
+    noise : Noise
+    seed, ping_number : of `random_streams.stream`
+    """
+
+    def __init__(self, ping: Ping, noise: Noise, seed: int, ping_number: int):
+        self._ping, self._noise, self._seed, self._ping_number = ping, noise, seed, ping_number
+        self._streams = {}
+
+    def apply(self, intensity: np.ndarray) -> None:
+        """Apply the terms to echoes (B, K) float32, in place.
+
+        Raises Error if a term needs a sonar or a pose and the ping has none.
+        """
+        noise = self._noise
+        levels_db = [db for db in (noise.electronic_db, noise.ambient_db) if db is not None]
+        power = self._mean_power(*levels_db) if levels_db else None
+        if noise.speckle and noise.speckle_shape is not None:
+            exponential = np.ones_like(intensity)
+            self._multiply_by_speckle(exponential, "texture")
+            multiply_by_texture(intensity, exponential, noise.speckle_shape)
+        if noise.speckle or power is not None:
+            looks = noise.looks if noise.speckle else 1
+            echo = intensity.copy() if looks > 1 else None
+            self._apply_look(intensity, power, 0)
+            for look in range(1, looks):
+                other = echo.copy()
+                self._apply_look(other, power, look)
+                intensity += other
+            if looks > 1:
+                intensity /= np.float32(looks)
+        if noise.interference_lines:
+            power = self._mean_power(noise.interference_db)
+            receiver = (
+                self._correlation,
+                self._bin_size_m,
+                self._sound_speed_m_s,
+                self._stream("interference"),
+            )
+            add_interference(intensity, noise.interference_lines, power, *receiver)
+
+    def _apply_look(self, intensity, power, look: int) -> None:
+        """Replace echoes E, in place, by one look |√E g + √N n|²: g speckle or 1, n receiver noise.
+
+        `power` is the noise's mean power N, (K,), or None. The fields g and n have the same correlation. If
+        both are new in each ping, one field of power E + N has the same statistics: exactly in each bin, and
+        between neighbours where the echo is even.
+        """
+        noise = self._noise
+        if power is None or (noise.speckle and not noise.follow_motion):
+            if power is not None:
+                intensity += power
+            self._multiply_by_speckle(intensity, "speckle", look)
+            return
+        total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
+        if noise.speckle:
+            np.multiply(np.sqrt(intensity)[:, None], self._place_locked_field("speckle", look), out=total)
+        else:
+            np.sqrt(intensity, out=total[:, 0])
+        add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
+        np.square(total, out=total)
+        np.add(total[:, 0], total[:, 1], out=intensity)
+
+    def _multiply_by_speckle(self, intensity, term: str, look: int = 0) -> None:
+        """Multiply the intensity, in place, by |g|² of the term's field."""
+        if self._noise.follow_motion:
+            intensity *= np.square(self._place_locked_field(term, look)).sum(1)
+        else:
+            multiply_by_speckle(intensity, self._correlation, self._stream(term))
+
+    def _place_locked_field(self, term: str, look: int) -> np.ndarray:
+        """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number."""
+        sonar, pose = self._required("sonar", PLACE_LOCKED), self._required("pose", PLACE_LOCKED)
+
+        def generator(cell_x, cell_y, chunk):
+            key = (n + (1 << 31) for n in (cell_x, cell_y, chunk))
+            return stream(self._seed, 0, term, *key, look)
+
+        shape = len(self._ping.range_m), self._bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
+        return place_locked_field(self._correlation, *shape, np.asarray(pose), generator, self._pulse)
+
+    def _stream(self, term: str) -> np.random.Generator:
+        """Return the term's random generator, which continues from one look to the next."""
+        if term not in self._streams:
+            self._streams[term] = stream(self._seed, self._ping_number, term)
+        return self._streams[term]
+
+    def _mean_power(self, *levels_db: float) -> np.ndarray:
+        """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""
+        power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
+        return np.minimum(power, MAX_POWER).astype(np.float32)
+
+    @cached_property
+    def _tvg(self) -> np.ndarray:
+        """The TVG's gain at each bin, (K,) linear power; 1 if there is none."""
+        acoustics = self._ping.acoustics
+        if acoustics is None or acoustics.range_law != "sonar_equation":
+            return np.ones(len(self._ping.range_m))
+        return acoustics.tvg(
+            self._ping.range_m, self._required("sonar", "the absorption that its TVG assumes")
+        )
+
+    @cached_property
+    def _correlation(self) -> FieldCorrelation:
+        sonar, acoustics = self._ping.sonar, self._ping.acoustics
+        width_rad = None if sonar is None else float(np.radians(sonar.beam_width_deg))
+        tapered = acoustics is not None and acoustics.beam_pattern == "line_array"
+        # a Chebyshev array counts as Taylor's of the same side lobes
+        series = taper_series(acoustics.taper, acoustics.side_lobe_db) if tapered else ()
+        pulse_weights = None if self._pulse is None else field_weights(self._bin_size_m, *self._pulse)
+        azimuth_rad = tuple(np.asarray(self._ping.azimuth_rad, np.float64).tolist())
+        return FieldCorrelation(azimuth_rad, width_rad, series, pulse_weights)
+
+    @cached_property
+    def _pulse(self) -> tuple[float, str, float] | None:
+        """Bandwidth, taper and the speed of sound that the sonar is set to; None without a pulse response."""
+        acoustics = self._ping.acoustics
+        if acoustics is None or acoustics.bandwidth_hz is None:
+            return None
+        speed_m_s = float(acoustics.sonar_sound_speed_m_s or self._sound_speed_m_s)
+        return float(acoustics.bandwidth_hz), acoustics.pulse_taper, speed_m_s
+
+    @cached_property
+    def _sound_speed_m_s(self) -> float:
+        acoustics = self._ping.acoustics
+        return SOUND_SPEED_M_S if acoustics is None else acoustics.sound_speed()
+
+    @cached_property
+    def _bin_size_m(self) -> float:
+        r = self._ping.range_m
+        return float((r[-1] - r[0]) / (len(r) - 1)) if len(r) > 1 else float(r[0])
+
+    def _required(self, name: str, purpose: str):
+        """Return the ping's attribute `name`, or raise an Error if the ping has none."""
+        value = getattr(self._ping, name)
+        if value is None:
+            raise Error(
+                f"noise: the ping must have a {name} for {purpose} (got None; pings of a Simulator have one)"
+            )
+        return value

@@ -1,0 +1,179 @@
+"""Place-locked (spatially coherent) speckle: a field that the sonar's pose alone determines."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numba import float32, uint64
+
+from sonar_gl.acoustics.pulse import amplitude_response
+from sonar_gl.core.compiled import compiled
+from sonar_gl.noise.gaussian import standard_normal
+from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
+
+CELL_M = 0.5  # side of the square cells of the sea, each with independent waves
+FADE_M = 0.1  # width of the cross-fade between two cells
+CHUNK = 64  # waves per random stream
+MIN_WAVES = (
+    64  # least number of waves in an aperture; the outermost count in part, so that it slides smoothly
+)
+
+
+class Cell(NamedTuple):
+    """A cell of the sea along one axis.
+
+    Attributes
+    ----------
+    number : whole number of the cell
+    offset_m : the sonar's distance from the cell's middle, metres, signed
+    amplitude : weight of the cell's field; squares add up to 1
+    """
+
+    number: int
+    offset_m: float
+    amplitude: float
+
+
+def _cells_at(position_m: float) -> list[Cell]:
+    """Return the cell at a position along one axis, or two of them within the cross-fade."""
+    u = position_m / CELL_M - 0.5
+    cell = int(np.floor(u))
+    share = min(max((u - cell - 0.5) * CELL_M / FADE_M + 0.5, 0.0), 1.0)
+    both = ((cell, np.cos(share * np.pi / 2)), (cell + 1, np.sin(share * np.pi / 2)))
+    return [Cell(c, position_m - (c + 0.5) * CELL_M, float(w)) for c, w in both if w > 1e-6]
+
+
+def _shift_weights(
+    correlation: FieldCorrelation, shift_bins: np.ndarray, response
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the interpolation that moves the fields of B beams along range.
+
+    Parameters
+    ----------
+    shift_bins : (B,) bins
+    response : function of bins, the pulse's amplitude response; None interpolates linearly
+
+    Returns
+    -------
+    weights : (B, n) float32 of unit power
+    first : (B,) int64, bins from a bin to the first one that is weighted
+    """
+    first = np.floor(shift_bins).astype(np.int64)
+    fraction = (shift_bins - first)[:, None]
+    if response is None:
+        weights = np.hstack([1 - fraction, fraction])
+    else:
+        reach = len(correlation.pulse_weights) // 2 + 1
+        first -= reach
+        weights = response(fraction - np.arange(-reach, reach + 1))
+    return (weights / np.sqrt((weights**2).sum(1, keepdims=True))).astype(np.float32), first
+
+
+@compiled
+def _sum_waves(coefficients, first, start, real, imaginary, shift, weights, out):
+    """Add to out (B, 2, K) the waves that the aperture of each beam receives, shifted along range.
+
+    Parameters
+    ----------
+    coefficients : (M, 2, N) float32, complex amplitudes of M waves at N bins
+    first : number of the first of the M waves
+    start : (B,) number of each beam's first wave
+    real, imaginary : (B, W) float32, weights of each beam's W waves
+    shift, weights : (B,) and (B, n), of `_shift_weights`
+    """
+    row = np.empty((2, coefficients.shape[2]), np.float32)
+    last, n_bins = uint64(coefficients.shape[2]), uint64(out.shape[2])
+    for b in range(uint64(len(out))):
+        for k in range(last):
+            row[0, k] = float32(0)
+            row[1, k] = float32(0)
+        for w in range(uint64(real.shape[1])):
+            c, s = real[b, w], imaginary[b, w]
+            if c == 0 and s == 0:
+                continue
+            wave = coefficients[uint64(start[b] - first + w)]
+            x, y = wave[0], wave[1]
+            for k in range(last):
+                row[0, k] += c * x[k] - s * y[k]
+                row[1, k] += c * y[k] + s * x[k]
+        for j in range(uint64(weights.shape[1])):
+            a, x = weights[b, j], row[:, uint64(shift[b] + j) :]
+            for part in range(2):
+                for k in range(n_bins):
+                    out[b, part, k] += a * x[part, k]
+
+
+def place_locked_field(
+    correlation: FieldCorrelation,
+    n_bins: int,
+    bin_size_m: float,
+    wavelength_m: float,
+    pose,
+    generator,
+    pulse=None,
+) -> np.ndarray:
+    """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
+
+    Parameters
+    ----------
+    correlation : its beams have a width; of its pulse weights only the length counts
+    n_bins, bin_size_m, wavelength_m : K, metres, metres
+    pose : (4, 4) world_from_sonar; its heading and its horizontal position count
+    generator : function (cell x, cell y, chunk) -> numpy.random.Generator
+    pulse : None, or (bandwidth_hz, taper, sound_speed_m_s) of `acoustics.pulse.amplitude_response`
+
+    Returns
+    -------
+    (B, 2, K) float32, real and imaginary parts
+
+    Notes
+    -----
+    Random waves from all directions of the circle lie on a line through the sonar. They are fixed in the
+    world, and a beam receives them through its aperture, at its azimuth in the world.
+
+    - Turning by the spacing of two beams moves the pattern by one beam.
+    - Moving across a beam by d slides the aperture by 2 d, since transmitter and receiver both move: of a
+      uniform array of length L, (1 − 2d/L)² of the intensity's variance stays correlated.
+    - Moving along a beam by d moves its pattern by d in range.
+
+    The cells of the sea, CELL_M wide, have independent waves and cross-fade, so patterns farther apart than a
+    cell are uncorrelated. Pitch, roll and heave leave the pattern as it is. As an approximation, the bearing
+    of a scatterer does not change as the sonar passes it; near ones would move by d / r.
+    """
+    azimuth = np.arctan2(pose[1, 0], pose[0, 0]) + np.asarray(correlation.azimuth_rad)
+    width, taper_series = correlation.beam_width_rad, correlation.taper_series
+    # number of waves in an aperture, if the field repeats after one full circle ...
+    waves = aperture_width(taper_series) * 2 * np.pi / width
+    # ... and after the `repeats`-th part of it, which must be longer than the fan
+    repeats = max(1, int(min(2 * np.pi / (1.2 * np.ptp(azimuth) + 12 * width), waves / MIN_WAVES)))
+    length = waves / repeats
+    spacing_m = wavelength_m * repeats / (2 * np.pi)
+    response, reach = None, 1
+    if pulse is not None and correlation.pulse_weights is not None:
+        reach = len(correlation.pulse_weights) // 2 + 2
+
+        def response(bins):
+            return amplitude_response(bins * bin_size_m, *pulse)
+
+    margin = int(np.ceil(CELL_M / bin_size_m)) + reach
+    out = np.zeros((len(azimuth), 2, n_bins), np.float32)
+    for (cx, x, wx), (cy, y, wy) in product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3])):
+        along_m = x * np.cos(azimuth) + y * np.sin(azimuth)
+        across_m = y * np.cos(azimuth) - x * np.sin(azimuth)
+        middle = 2 * across_m / spacing_m
+        start = np.ceil(middle - length / 2 - 0.5).astype(np.int64)
+        waves = start[:, None] + np.arange(int(np.ceil(length)) + 1)
+        position = waves - middle[:, None]
+        weight = np.clip(length / 2 + 0.5 - np.abs(position), 0, 1)  # the outermost waves count in part
+        weight *= aperture_weights(np.clip(position / length, -0.5, 0.5), taper_series)
+        weight *= wx * wy * np.sqrt(0.5 / (weight**2).sum(1, keepdims=True))
+        phase = waves * repeats * azimuth[:, None]
+        chunks = range(waves.min() // CHUNK, waves.max() // CHUNK + 1)
+        size = CHUNK, 2, n_bins + 2 * margin
+        coefficients = np.concatenate([standard_normal(generator(cx, cy, chunk), size) for chunk in chunks])
+        weights, shift = _shift_weights(correlation, along_m / bin_size_m, response)
+        matrix = (weight * np.cos(phase)).astype(np.float32), (weight * np.sin(phase)).astype(np.float32)
+        _sum_waves(coefficients, chunks[0] * CHUNK, start, *matrix, shift + margin, weights, out)
+    return out

@@ -1,0 +1,41 @@
+"""Independent streams of random numbers, one for each noise term of each ping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonar_gl.core.checks import check_whole_number
+
+# Stream numbers are part of every noisy ping's bytes: never renumber them.
+STREAMS = {
+    "speckle": 1,
+    "gaussian": 2,
+    "salt_and_pepper": 3,
+    "cloud": 4,
+    "texture": 5,
+    "receiver": 6,
+    "interference": 7,
+}
+
+
+def check_seed(number, what: str = "seed") -> int:
+    """Return `number` as an int; raise an Error that names `what` unless it is a whole number, 0 or more."""
+    return check_whole_number(what, number)
+
+
+def stream(seed: int, ping_number: int, term: str, *more: int) -> np.random.Generator:
+    """Return the random generator of one noise term of one ping.
+
+    Streams are independent, so switching a term on or off leaves the numbers of the others as they are.
+
+    Parameters
+    ----------
+    seed, ping_number : whole numbers, 0 or more
+    term : a key of `STREAMS`
+    more : whole numbers, 0 or more, that select a stream within the term
+
+    >>> bool(stream(7, 0, "speckle").random() == stream(7, 0, "speckle").random())
+    True
+    """
+    key = (check_seed(ping_number, "ping_number"), STREAMS[term], *more)
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(check_seed(seed), spawn_key=key)))

@@ -1,0 +1,94 @@
+"""Noise that the receiver adds to echoes: levels of thermal noise, and interference from other sonars."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sonar_gl.acoustics.beam_pattern import aperture_field
+from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
+
+PULSE_S = 100e-6  # length of an interfering sonar's pulse
+SIDE_LOBES = 10**-3.5  # floor of the receive beam pattern, power relative to its axis
+
+
+def thermal_noise_db(frequency_hz):
+    """Return the level of thermal noise in water, dB re 1 µPa²/Hz.
+
+    NL = −15 + 20 log10(f / 1 kHz) [1]_ [2]_. Above 100 kHz it is the main part of ambient noise.
+
+    References
+    ----------
+    .. [1] Mellen, "The thermal-noise limit in the detection of underwater acoustic signals", J. Acoust. Soc.
+       Am. 24, 478-480, 1952
+    .. [2] Urick, Principles of Underwater Sound, 3rd ed., 1983
+
+    >>> round(float(thermal_noise_db(900e3)), 2)
+    44.08
+    """
+    return -15 + 20 * np.log10(np.asarray(frequency_hz, np.float64) / 1e3)
+
+
+def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
+    """Return the thermal noise level as `Noise.ambient_db` takes it.
+
+    Parameters
+    ----------
+    frequency_hz, bandwidth_hz : hertz, of the sonar and its receiver
+    source_level_db : dB re 1 µPa at 1 m, on the projector's axis
+
+    Returns
+    -------
+    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+
+    Notes
+    -----
+    A lossless Lambert surface (1/π per steradian) that fills a beam of solid angle Ω at 1 m returns
+    SL + 10 log10(Ω/π). The beam receives NL + 10 log10 B − DI of isotropic noise, where
+    DI = 10 log10(4π/Ω) [1]_. Ω cancels in the difference, NL + 10 log10 B − SL − 6.02 dB. For ambient noise
+    of another level, add its difference from `thermal_noise_db`. The self-noise of real receivers is higher
+    by tens of dB.
+
+    References
+    ----------
+    .. [1] Urick, Principles of Underwater Sound, 3rd ed., 1983, the active sonar equation
+
+    >>> round(float(ambient_noise_db(900e3, 30e3, 205.0)), 2)
+    -122.16
+    """
+    level = thermal_noise_db(frequency_hz) + 10 * np.log10(np.asarray(bandwidth_hz, np.float64))
+    return level - source_level_db - 10 * np.log10(4)
+
+
+def add_interference(
+    intensity: np.ndarray,
+    mean_count: float,
+    power: np.ndarray,
+    correlation: FieldCorrelation,
+    bin_size_m: float,
+    sound_speed_m_s: float,
+    generator: np.random.Generator,
+) -> None:
+    """Add pulses of an unsynchronised sonar to the intensity, in place.
+
+    A pulse arrives from one azimuth of the fan at one moment and lasts PULSE_S: an arc of a few bins, shaped
+    across beams by the receive beam pattern, which has a floor of SIDE_LOBES.
+
+    Parameters
+    ----------
+    intensity : (B, K) float32
+    mean_count : mean number of pulses in a ping; the number is Poisson-distributed
+    power : (K,) power of a pulse on the axis of a beam, at each bin, after the TVG
+    correlation : azimuths, width and taper of the beams
+    bin_size_m, sound_speed_m_s : metres, metres per second
+    """
+    B, K = intensity.shape
+    azimuth = np.asarray(correlation.azimuth_rad)
+    length = max(1, round(PULSE_S * sound_speed_m_s / 2 / bin_size_m))
+    width = correlation.beam_width_rad or np.ptp(azimuth) / B or 1.0
+    taper = correlation.taper_series
+    for _ in range(generator.poisson(mean_count)):
+        first, share = int(generator.integers(1 - length, K)), generator.random()
+        offset = azimuth - (azimuth[0] + share * (azimuth[-1] - azimuth[0]))
+        pattern = aperture_field(aperture_width(taper) * offset / width, taper) ** 2
+        bins = slice(max(0, first), first + length)
+        intensity[:, bins] += np.outer(np.maximum(pattern, SIDE_LOBES), power[bins]).astype(np.float32)

@@ -1,0 +1,83 @@
+"""The arrays that a simulation returns: a `Ping` per transmission, a `GBuffer` per sector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from sonar_gl.acoustics.acoustics import Acoustics
+    from sonar_gl.sonar.sonar import Sonar
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """Samples of the depth + normal pass of one sector. R rows (elevation), C columns (azimuth).
+
+    Attributes
+    ----------
+    range_m : (R, C) float32, slant range of the surface, metres; 0 if there is none
+    normal : (R, C, 3) float32, geometric unit normal in the sonar frame, turned towards the sonar
+    echo : (R, C) float32, μ cos θ, the diffuse echo per steradian before any gain
+    body_id : (R, C) uint16, 1 + index into `scene.bodies`; 0 if there is none
+    """
+
+    range_m: np.ndarray
+    normal: np.ndarray
+    echo: np.ndarray
+    body_id: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Ping:
+    """One transmission and what it brought back. B beams, K bins.
+
+    Attributes
+    ----------
+    intensity : (B, K) float32, linear, power-like; a sphere of reflectivity μ about the sonar reads μ
+    azimuth_rad : (B,) float64, rising, starboard first, positive to port
+    range_m : (K,) float64, bin centres
+    body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none
+    elevation_rad : (B, K) float32 or None, mean elevation of that echo, NaN if there is none
+    pose : (4, 4) float64, world_from_sonar
+    meta : provenance as plain values: sonar, profile, sampling, seed, version, GL renderer
+    body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
+    error_estimate : float or None, estimated share of the echo that lies in wrong bins
+    incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, NaN if there is none
+    true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, NaN if there is none
+    share : (B, K) float32 or None, that echo's share of the bin's, 0..1
+    shadow : (B, K) bool or None, whether bodies in front of the background have blocked its echo
+    sonar : the Sonar of the ping; None if unknown, as in a `Ping` made from arrays alone
+    acoustics : the Acoustics of the ping, in its own water; None if unknown
+    """
+
+    intensity: np.ndarray
+    azimuth_rad: np.ndarray
+    range_m: np.ndarray
+    body_id: np.ndarray | None = None
+    elevation_rad: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    meta: dict = field(default_factory=dict)
+    body_echo: np.ndarray | None = None
+    error_estimate: float | None = None
+    incidence_rad: np.ndarray | None = None
+    true_range_m: np.ndarray | None = None
+    share: np.ndarray | None = None
+    shadow: np.ndarray | None = None
+    sonar: Sonar | None = None
+    acoustics: Acoustics | None = None
+
+    @property
+    def bin_size_m(self) -> float:
+        """Length of a bin, metres: that of the sonar, else of `meta`, else the spacing of `range_m`.
+
+        A single bin of an unknown sonar counts from range 0.
+        """
+        if self.sonar is not None:
+            return float(self.sonar.bin_size_m)
+        if "bin_size_m" in self.meta:
+            return float(self.meta["bin_size_m"])
+        r = self.range_m
+        return float((r[-1] - r[0]) / (len(r) - 1) if len(r) > 1 else 2 * r[0])

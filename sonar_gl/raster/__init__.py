@@ -1,0 +1,1 @@
+"""Scene to samples: levels of detail, culling, drawing."""

@@ -1,0 +1,265 @@
+"""Choose what a sector draws of a scene: patches as coarse as its samples allow, and the window about them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.core.compiled import compiled
+
+BEYOND = 60.0  # what lies wholly beyond the last bin may have so many times more geometric error
+
+
+class BodyBoxes(NamedTuple):
+    """The n bodies of a scene, which do not change while they move.
+
+    centres, bounds : (n, 3) and (n, 2, 3) of the meshes; bounds count from the centres
+    closed : (n,) 0 for open meshes
+    roots : (n, 2) first patch of each body and the one after its last
+    order : (n,) bodies, closed ones first
+    """
+
+    centres: np.ndarray
+    bounds: np.ndarray
+    closed: np.ndarray
+    roots: np.ndarray
+    order: np.ndarray
+
+
+class PatchTree(NamedTuple):
+    """Patches of all meshes, one after the other, to choose among: fields of `Levels`."""
+
+    skip: np.ndarray
+    leaf: np.ndarray
+    error_m: np.ndarray
+    box: np.ndarray
+    cone: np.ndarray
+    moment: np.ndarray
+    whole: np.ndarray
+    n_faces: np.ndarray
+
+
+class SectorGeometry(NamedTuple):
+    """Where a sector looks.
+
+    rotation : (3, 3) sector_from_sonar
+    limits : low and high u, low and high v of its lattice
+    inverse, corner : (2, 2) samples per (u, v), and (u, v) of its first sample
+    size : columns and rows
+    u, v : (3,) each, of its lattice
+    """
+
+    rotation: np.ndarray
+    limits: np.ndarray
+    inverse: np.ndarray
+    corner: np.ndarray
+    size: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+
+class DetailLimits(NamedTuple):
+    """How coarse a patch may be.
+
+    near_m, far_m : nearer is cut, further is not drawn
+    range_max_m : end of the last bin
+    error_per_m : geometric error of a patch, per metre of range
+    echo_errors : (n,) relative error of its echo, of each body
+    """
+
+    near_m: float
+    far_m: float
+    range_max_m: float
+    error_per_m: float
+    echo_errors: np.ndarray
+
+
+@compiled
+def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
+    """Compute the poses of bodies relative to the sonar, in float64 before they are rounded.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) world_from_body; present : (n,) bool
+    bodies : tuple of BodyBoxes
+    pose : (4, 4) world_from_sonar
+    matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; rows : the same in float32, in the
+        first 12 of its columns
+
+    Returns
+    -------
+    outside : whether back faces may be culled: the sonar is in the box of no closed body
+    """
+    centres, bounds, closed, _, _ = bodies
+    outside = True
+    for n in range(poses.shape[0]):
+        if not present[n]:
+            continue
+        m = matrices[n]
+        for i in range(3):
+            moved = 0.0
+            for k in range(3):
+                moved += pose[k, i] * (poses[n, k, 3] - pose[k, 3])
+            for j in range(3):
+                total = 0.0
+                for k in range(3):
+                    total += pose[k, i] * poses[n, k, j]
+                m[i, j] = total
+                moved += total * centres[n, j]
+            m[i, 3] = moved
+            for j in range(4):
+                rows[n, 4 * i + j] = m[i, j]
+        if closed[n] != 0:
+            inside = True
+            for j in range(3):
+                sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+                inside &= bounds[n, 0, j] - 2 * near_m < sonar < bounds[n, 1, j] + 2 * near_m
+            if inside:
+                outside = False
+    return outside
+
+
+@compiled
+def _extend(window, x, y, z, inverse, u0, v0):
+    """Extend (low column, high column, low row, high row) to the sample that looks at a point."""
+    u, v = -y / x - u0, z / x - v0
+    for axis in range(2):
+        at = inverse[axis, 0] * u + inverse[axis, 1] * v
+        window[2 * axis] = min(window[2 * axis], at)
+        window[2 * axis + 1] = max(window[2 * axis + 1], at)
+
+
+@compiled
+def _cover(box, m, near_m, inverse, u0, v0, window):
+    """Extend `window` over a box, as far as it lies before the sector; m : (3, 4) sector_from_body."""
+    x, y, z = np.empty(8), np.empty(8), np.empty(8)
+    for corner in range(8):
+        a, b, c = box[corner & 1, 0], box[(corner >> 1) & 1, 1], box[(corner >> 2) & 1, 2]
+        x[corner] = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        y[corner] = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        z[corner] = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        if x[corner] >= near_m:
+            _extend(window, x[corner], y[corner], z[corner], inverse, u0, v0)
+    # an edge that passes the sonar is visible from where it comes in front
+    for k in range(8):
+        for axis in range(3):
+            o = k ^ (1 << axis)
+            if x[k] < near_m <= x[o]:
+                t = (near_m - x[k]) / (x[o] - x[k])
+                ys, zs = y[k] + t * (y[o] - y[k]), z[k] + t * (z[o] - z[k])
+                _extend(window, near_m, ys, zs, inverse, u0, v0)
+
+
+@compiled
+def _form(a, d):
+    """Return dᵀ A d of a symmetric matrix: xx, yy, zz, xy, xz, yz."""
+    off = a[3] * d[0] * d[1] + a[4] * d[0] * d[2] + a[5] * d[1] * d[2]
+    return a[0] * d[0] * d[0] + a[1] * d[1] * d[1] + a[2] * d[2] * d[2] + 2 * off
+
+
+@compiled
+def choose_patches(tree, bodies, view, limits, present, matrices, outside, chosen, window):
+    """Choose the patches that a sector draws, and the window of samples about their bodies.
+
+    Parameters
+    ----------
+    tree, bodies, view, limits : tuples of PatchTree, BodyBoxes, SectorGeometry and DetailLimits
+    present, matrices : of `place_bodies`
+    outside : back faces of closed bodies are not visible
+    chosen : (M, 2) int32, patch and body; overwritten
+    window : low and high column, low and high row; extended
+
+    Returns
+    -------
+    how many are chosen
+    """
+    skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
+    _, bounds, closed, roots, order = bodies
+    sector, planes_uv, inverse, corner, _, _, _ = view
+    near_m, far_m, range_max_m, error_per_m, echo_errors = limits
+    n = 0
+    m, normals, eye, ray = np.empty((3, 4)), np.empty((5, 3)), np.empty(3), np.empty(3)
+    planes = np.zeros((5, 3))  # inwards, in the sector's frame: u and v between their limits, ahead
+    for k in range(2):
+        side = 1.0 - 2.0 * k
+        u, v = planes_uv[k], planes_uv[2 + k]
+        planes[k, 0], planes[k, 1] = -side * u, -side
+        planes[2 + k, 0], planes[2 + k, 2] = -side * v, side
+    planes[4, 0] = 1.0
+    for place_in_order in range(order.shape[0]):
+        b = order[place_in_order]
+        if not present[b]:
+            continue
+        for i in range(3):
+            for j in range(4):
+                m[i, j] = 0.0
+                for k in range(3):
+                    m[i, j] += sector[i, k] * matrices[b, k, j]
+        for j in range(3):  # all in the body's frame
+            eye[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+            for k in range(5):
+                normals[k, j] = planes[k, 0] * m[0, j] + planes[k, 1] * m[1, j] + planes[k, 2] * m[2, j]
+        covered = False
+        i, end = roots[b, 0], roots[b, 1]
+        while i < end:
+            beyond, nearest = False, 0.0
+            for j in range(3):
+                ray[j] = box[i, j] - eye[j]
+                apart = max(abs(ray[j]) - box[i, 3 + j], 0.0)
+                nearest += apart * apart
+            nearest = math.sqrt(nearest)
+            for k in range(5):
+                reach, at = 0.0, 0.0
+                for j in range(3):
+                    reach += abs(normals[k, j]) * box[i, 3 + j]
+                    at += normals[k, j] * ray[j]
+                beyond |= at < -reach
+            if beyond or nearest > far_m:
+                i = skip[i]
+                continue
+            if not covered:
+                covered = True
+                _cover(bounds[b], m, near_m, inverse, corner[0], corner[1], window)
+            if not leaf[i]:
+                if nearest - error_m[i] > range_max_m:  # no echo, but for the last samples of a floor
+                    enough = error_m[i] <= BEYOND * error_per_m * nearest
+                else:
+                    enough = error_m[i] <= error_per_m * max(nearest, near_m)
+                    own, stood = _form(moment[i], ray), _form(whole[i], ray)
+                    enough &= abs(own - stood) <= echo_errors[b] * stood
+                if not enough:
+                    i += 1
+                    continue
+            hidden = False
+            if outside and closed[b] != 0 and cone[i, 3] > 0.0:
+                radius, distance, along = 0.0, 0.0, 0.0
+                for j in range(3):
+                    radius += box[i, 3 + j] * box[i, 3 + j]
+                    distance += ray[j] * ray[j]
+                    along += ray[j] * cone[i, j]
+                radius, distance = math.sqrt(radius), math.sqrt(distance)
+                hidden = along >= math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance + radius
+            if not hidden and n_faces[i] > 0:
+                chosen[n, 0], chosen[n, 1] = i, b
+                n += 1
+            i = skip[i]
+    return n
+
+
+@compiled
+def draw_patches(chosen, first_face, n_faces, closed, row, draws):
+    """Write patches as draws: (M, 5) uint32 of indices, instances, first index, first vertex, body's row.
+
+    Returns
+    -------
+    how many of them, the first, are of closed bodies
+    """
+    n_closed = 0
+    for k in range(chosen.shape[0]):
+        patch, body = chosen[k, 0], chosen[k, 1]
+        n_closed += closed[body] != 0
+        draws[k, 0], draws[k, 1], draws[k, 2] = 3 * n_faces[patch], 1, 3 * first_face[patch]
+        draws[k, 3], draws[k, 4] = 0, row + body
+    return n_closed

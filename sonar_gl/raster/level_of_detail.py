@@ -1,0 +1,332 @@
+"""Levels of detail of a mesh: a tree of patches, each a simplified version of its children.
+
+The mesh is halved recursively down to leaves of LEAF_FACES faces. Each parent joins two patches and simplifies them to
+half the number of faces. Vertices on the border of a patch stay, so every cut through the tree is a mesh without
+cracks. Above the patch of the whole mesh the tree goes on with ever coarser ones.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sonar_gl.core.compiled import compiled
+from sonar_gl.raster.simplify import simplify
+from sonar_gl.scene.primitives import closedness, fixed_vertices
+
+LEAF_FACES = 512  # faces of a leaf; a draw call costs as much as some hundred faces
+MIN_FACES_TO_SIMPLIFY = 100_000  # smaller meshes have leaves only: coarser levels would save too little
+COARSEST_FACES = 48  # the coarsening of the whole mesh ends here: no range of a sonar needs fewer faces
+MAX_LEVEL_RATIO = 0.8  # a coarser level with more than this share of the faces is dropped
+MAX_PATCH_FACES = 4 * LEAF_FACES  # patches whose union cannot be simplified to this are not joined
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The patch tree of a mesh: N patches in depth-first order from the root, each with its own vertices.
+
+    Attributes
+    ----------
+    vertices : (W,) int64, index of the mesh's vertex for each vertex of the patches, patch after patch
+    faces : (I, 3) uint16, patch after patch; indices count from the first vertex of the patch
+    first_vertex, n_vertices, first_face, n_faces : (N,) int64
+    skip : (N,) index of the next patch that is not a descendant
+    leaf : (N,) bool, whether the patch has no children
+    error_m : (N,) geometric error, the distance from the mesh; infinite for a patch without faces
+    box : (N, 6) centre and half extents of the patch's part of the mesh
+    cone : (N, 4) axis of the normals, and the least cosine of a normal to it (-1 for any direction)
+    moment : (N, 6) Σ A n nᵀ over the faces of the patch: xx, yy, zz, xy, xz, yz
+    whole : (N, 6) the same sum over the patch's part of the mesh at full detail
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    first_vertex: np.ndarray
+    n_vertices: np.ndarray
+    first_face: np.ndarray
+    n_faces: np.ndarray
+    skip: np.ndarray
+    leaf: np.ndarray
+    error_m: np.ndarray
+    box: np.ndarray
+    cone: np.ndarray
+    moment: np.ndarray
+    whole: np.ndarray
+
+
+@compiled
+def _normal(points, faces, f, n):
+    """Fill n, (3,), with twice the area vector of a face; return its length."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    wx, wy, wz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    n[0], n[1], n[2] = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    return math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+
+
+@compiled
+def measure_patch(points, faces, box, cone, moment):
+    """Fill the box, cone and moment of a patch; see `Levels`."""
+    n, low, high = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        low[k], high[k], cone[k] = np.inf, -np.inf, 0.0
+    for f in range(faces.shape[0]):
+        length = _normal(points, faces, f, n)
+        for k in range(3):
+            cone[k] += n[k]
+            for corner in range(3):
+                at = points[faces[f, corner], k]
+                low[k], high[k] = min(low[k], at), max(high[k], at)
+            if length > 0.0:
+                moment[k] += n[k] * n[k] / length / 2
+                # xy, xz, yz
+                moment[3 + k] += n[1 if k == 2 else 0] * n[1 if k == 0 else 2] / length / 2
+    for k in range(3):
+        box[k], box[3 + k] = (low[k] + high[k]) / 2, (high[k] - low[k]) / 2
+    total = math.sqrt(cone[0] * cone[0] + cone[1] * cone[1] + cone[2] * cone[2])
+    cone[3] = -1.0
+    if total > 0.0:
+        cone[3] = 1.0
+        for k in range(3):
+            cone[k] /= total
+        for f in range(faces.shape[0]):
+            length = _normal(points, faces, f, n)
+            if length > 0.0:
+                cosine = (n[0] * cone[0] + n[1] * cone[1] + n[2] * cone[2]) / length
+                cone[3] = min(cone[3], cosine)
+
+
+def split_faces(points, faces) -> tuple[np.ndarray, np.ndarray]:
+    """Halve the faces recursively along their longest extent; return their order and the bounds of leaves in it."""
+    middles = (points[faces[:, 0]] + points[faces[:, 1]] + points[faces[:, 2]]).astype(np.float32)
+    order = np.arange(len(faces))
+    depth = max(0, math.ceil(math.log2(len(faces) / LEAF_FACES)))
+    bounds = np.linspace(0, len(faces), 2**depth + 1).astype(int)
+    for level in range(depth):
+        step = 2 ** (depth - level)
+        cuts = bounds[:-1:step], bounds[step // 2 :: step], bounds[step::step]
+        for low, middle, high in zip(*cuts, strict=True):
+            part = order[low:high]
+            centres = middles[part]
+            axis = np.ptp(centres, axis=0).argmax()
+            order[low:high] = part[np.argpartition(centres[:, axis], middle - low)]
+    return order, bounds
+
+
+def leaf_range(faces, bounds, n_vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest leaf that uses each vertex; `faces` are in the order of leaves."""
+    leaf = np.repeat(np.arange(len(bounds) - 1, dtype=np.int32), np.diff(bounds))
+    lowest, highest = np.full(n_vertices, len(bounds), np.int32), np.full(n_vertices, -1, np.int32)
+    for k in range(3):  # where an index repeats, the last assignment counts
+        last = np.full(n_vertices, -1, np.int32)
+        last[faces[:, k]] = leaf
+        highest = np.maximum(highest, last)
+        last[faces[::-1, k]] = leaf[::-1]
+        lowest = np.minimum(lowest, np.where(last < 0, len(bounds), last))
+    return lowest, highest
+
+
+@dataclass
+class _Patch:
+    """A patch during construction of the tree.
+
+    Attributes
+    ----------
+    vertices : (n,) indices of the mesh's vertices; None for a patch that could not be simplified
+    faces : (m, 3) indices into `vertices`, or None likewise
+    error_m : geometric error
+    children : patches below
+    """
+
+    vertices: np.ndarray | None
+    faces: np.ndarray | None
+    error_m: float
+    children: tuple = ()
+
+
+def _patch(faces, error_m) -> _Patch:
+    """Return a patch of faces that are indices of the mesh's vertices."""
+    vertices, local = np.unique(faces, return_inverse=True)
+    return _Patch(vertices, local.reshape(-1, 3).astype(np.int32), error_m)
+
+
+def make_levels(points, faces) -> Levels:
+    """Build the patch tree of a mesh.
+
+    Parameters
+    ----------
+    points : (V, 3) float64, metres
+    faces : (F, 3) indices of vertices
+    """
+    points, faces = np.ascontiguousarray(points, np.float64), np.asarray(faces, np.int32)
+    if len(faces) <= LEAF_FACES:
+        return _flatten(points, _patch(faces, 0.0))
+    order, bounds = split_faces(points, faces)
+    is_simplified, faces = len(faces) > MIN_FACES_TO_SIMPLIFY, faces[order]
+    if is_simplified:
+        lowest, highest = leaf_range(faces, bounds, len(points))
+        fixed = fixed_vertices(faces, len(points))
+
+    def coarsen(patch, low, high, children):
+        """Return a patch of the leaves low..high - 1 with half the faces of `patch`."""
+        used = patch.vertices
+        locked = fixed[used] | (lowest[used] < low) | (highest[used] >= high)
+        fewer, error_m = simplify(points[used] - points[used[0]], patch.faces, locked, len(patch.faces) // 2)
+        remaining, fewer = np.unique(fewer, return_inverse=True)
+        fewer = fewer.reshape(-1, 3).astype(np.int32)
+        return _Patch(used[remaining], fewer, patch.error_m + error_m, children)
+
+    def join(one, other, leaves):
+        """Return the parent of two patches; it has no faces where it cannot be simplified enough."""
+        if is_simplified and one.faces is not None and other.faces is not None:
+            both = np.concatenate([one.vertices[one.faces], other.vertices[other.faces]])
+            joined = coarsen(_patch(both, max(one.error_m, other.error_m)), *leaves, (one, other))
+            if len(joined.faces) <= MAX_PATCH_FACES:
+                return joined
+        return _Patch(None, None, np.inf, (one, other))
+
+    patches = [_patch(faces[a:b], 0.0) for a, b in pairwise(bounds)]
+    width = 1
+    with ThreadPoolExecutor(2) as pool:
+        while len(patches) > 1:
+            ranges = [(k * width, (k + 2) * width) for k in range(0, len(patches), 2)]
+            patches = list(pool.map(join, patches[::2], patches[1::2], ranges))
+            width *= 2
+    top = patches[0]
+    while top.faces is not None and len(top.faces) > COARSEST_FACES:
+        fewer = coarsen(top, 0, len(bounds), (top,))
+        if len(fewer.faces) > MAX_LEVEL_RATIO * len(top.faces):
+            break
+        top = fewer
+    return _flatten(points, top)
+
+
+def _flatten(points, top: _Patch) -> Levels:
+    """Return the tree below `top` as arrays."""
+    patches, skip = [], []
+
+    def walk(patch):
+        number = len(patches)
+        patches.append(patch)
+        skip.append(0)
+        for child in patch.children:
+            walk(child)
+        skip[number] = len(patches)
+
+    walk(top)
+    n = len(patches)
+    box, cone, moment, whole = np.zeros((n, 6)), np.zeros((n, 4)), np.zeros((n, 6)), np.zeros((n, 6))
+    for number in range(n - 1, -1, -1):
+        patch = patches[number]
+        if patch.faces is None:
+            cone[number, 3] = -1.0
+        else:
+            measure_patch(points[patch.vertices], patch.faces, box[number], cone[number], moment[number])
+        whole[number] = moment[number]
+        if patch.children:
+            children = [number + 1, skip[number + 1]][: len(patch.children)]
+            whole[number] = sum(whole[k] for k in children)
+            # The box also encloses the children, or culling could drop visible parts of the mesh.
+            boxes = box[children] if patch.faces is None else box[[number, *children]]
+            low, high = (boxes[:, :3] - boxes[:, 3:]).min(axis=0), (boxes[:, :3] + boxes[:, 3:]).max(axis=0)
+            box[number] = *(low + high) / 2, *(high - low) / 2
+    with_faces = [patch for patch in patches if patch.faces is not None]
+    n_vertices = np.array([0 if patch.faces is None else len(patch.vertices) for patch in patches])
+    n_faces = np.array([0 if patch.faces is None else len(patch.faces) for patch in patches])
+    return Levels(
+        vertices=np.concatenate([patch.vertices for patch in with_faces]),
+        faces=np.concatenate([patch.faces.astype(np.uint16) for patch in with_faces]),
+        first_vertex=np.cumsum(n_vertices) - n_vertices,
+        n_vertices=n_vertices,
+        first_face=np.cumsum(n_faces) - n_faces,
+        n_faces=n_faces,
+        skip=np.array(skip),
+        leaf=np.array([not patch.children for patch in patches]),
+        error_m=np.array([patch.error_m for patch in patches]),
+        box=box,
+        cone=cone,
+        moment=moment,
+        whole=whole,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """The mesh of a body with its levels of detail, independent of the body's pose.
+
+    Attributes
+    ----------
+    centre : (3,) float64, centre of the mesh's box in the body's frame; origin of all other coordinates
+    bounds : (2, 3) low and high corner of the box
+    closed : +1 if every edge joins two faces of the same orientation, with normals that point outwards; otherwise 0
+    levels : Levels
+    points : (W, 3) float32, position of each vertex of the levels
+    normals : (W, 3) float32 of the same vertices, or None
+    reflectivity : (W,) float32, equal at the corners of each face, or None where the body has one value
+    """
+
+    centre: np.ndarray
+    bounds: np.ndarray
+    closed: int
+    levels: Levels
+    points: np.ndarray
+    normals: np.ndarray | None
+    reflectivity: np.ndarray | None
+
+
+def _merge_vertices(rows, faces):
+    """Merge vertices with equal attributes; return the indices of those that remain, and the faces by them.
+
+    Faces that collapse to a line or a point are dropped, unless all do.
+    """
+    bits = (rows + 0.0).view(np.uint64)  # adding 0 turns -0 into 0
+    hashes = np.zeros(len(rows), np.uint64)
+    for column in bits.T:
+        hashes = (hashes ^ column) * np.uint64(0x9E3779B97F4A7C15)
+        hashes ^= hashes >> np.uint64(29)
+    _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
+    inverse = inverse.ravel()
+    if not (bits == bits[first][inverse]).all():  # a hash collision
+        _, first, inverse = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+    faces = inverse.ravel()[faces]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return first, faces[proper] if proper.any() else faces
+
+
+def prepare(body) -> Prepared:
+    """Return the mesh of a body with its levels of detail."""
+    points, faces = np.asarray(body.surface.vertices, np.float64), np.asarray(body.surface.faces)
+    bounds = np.array([points.min(axis=0), points.max(axis=0)])
+    centre = bounds.mean(axis=0)
+    closed = closedness(points, faces)
+    points, normals, reflectivity = points - centre, body.normals, None
+    if closed < 0:
+        faces = faces[:, ::-1]
+    if np.ndim(body.reflectivity):  # each corner gets the reflectivity of its face, and so its own vertex
+        reflectivity = np.repeat(np.asarray(body.reflectivity, np.float64), 3)
+        corners = np.ascontiguousarray(faces).ravel()
+        points, faces = points[corners], np.arange(len(corners)).reshape(-1, 3)
+        normals = None if normals is None else normals[corners]
+    if len(faces) > MIN_FACES_TO_SIMPLIFY or reflectivity is not None:
+        columns = [points]
+        columns += [] if normals is None else [normals.astype(np.float64)]
+        columns += [] if reflectivity is None else [reflectivity[:, None]]
+        remaining, faces = _merge_vertices(np.column_stack(columns), faces)
+        points = points[remaining]
+        normals = None if normals is None else normals[remaining]
+        reflectivity = None if reflectivity is None else reflectivity[remaining].astype(np.float32)
+    levels = make_levels(points, faces)
+    vertices = levels.vertices
+    return Prepared(
+        centre=centre,
+        bounds=bounds - centre,
+        closed=abs(closed),
+        points=points[vertices].astype(np.float32),
+        normals=None if normals is None else normals[vertices],
+        reflectivity=None if reflectivity is None else reflectivity[vertices],
+        levels=levels,
+    )

@@ -1,0 +1,272 @@
+"""Scene to samples: the depth + normal pass in OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+
+from sonar_gl.acoustics.boundary import plane_of
+from sonar_gl.core.errors import Error
+from sonar_gl.ping import GBuffer
+from sonar_gl.raster.buffers import SceneBuffers
+from sonar_gl.raster.draw_list import LOBE, BodiesInView, DrawList, SectorDraws, SectorView, Window
+from sonar_gl.raster.small_triangles import merge_samples
+from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+
+NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
+CLIP_DISTANCE = 0x3000  # GL_CLIP_DISTANCE0
+NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
+MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
+
+
+class RenderTarget:
+    """A framebuffer, and arrays of its size to read it into.
+
+    Attributes
+    ----------
+    width, height : pixels in use; 0 before anything was drawn
+    has_bodies : whether bodies' numbers are drawn, too
+    """
+
+    def __init__(self):
+        self.width, self.height, self.has_bodies = 0, 0, False
+        self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
+
+    def allocate(self, context: moderngl.Context, size: tuple[int, int]) -> None:
+        """Have room for so many pixels."""
+        if self._size == size:
+            return
+        self._size, self._arrays = size, {}
+        plane_echo = context.renderbuffer(size, 4, dtype="f4")
+        body_id = context.renderbuffer(size, 1, dtype="u2")
+        depth = context.depth_renderbuffer(size)
+        self._framebuffers = {
+            False: context.framebuffer([plane_echo], depth),
+            True: context.framebuffer([plane_echo, body_id], depth),
+        }
+
+    def clear(self) -> moderngl.Framebuffer:
+        """Bind and clear the framebuffer."""
+        framebuffer = self._framebuffers[self.has_bodies]
+        framebuffer.use()
+        framebuffer.clear(depth=1.0, viewport=(0, 0, self.width, self.height))
+        return framebuffer
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return (H, W, 4) float32 and (H, W) uint16; of no size what was not drawn. The next call overwrites
+        them.
+        """
+        if not self.width:
+            return NO_SAMPLES, NO_BODIES
+        plane_echo = self._read(4, "f4", 0)
+        return plane_echo, self._read(1, "u2", 1)[..., 0] if self.has_bodies else NO_BODIES
+
+    def _read(self, components, dtype, attachment):
+        if components not in self._arrays:
+            self._arrays[components] = np.zeros(self._size[0] * self._size[1] * components, dtype)
+        out = self._arrays[components][: self.width * self.height * components]
+        self._framebuffers[self.has_bodies].read_into(
+            out,
+            viewport=(0, 0, self.width, self.height),
+            components=components,
+            dtype=dtype,
+            attachment=attachment,
+            alignment=1,
+        )
+        return out.reshape(self.height, self.width, components)
+
+
+class Renderer:
+    """Draws a fan's sectors side by side, an image for each pose, and reads them back.
+
+    Of each sector only the window that holds bodies is drawn.
+
+    Parameters
+    ----------
+    buffers : SceneBuffers
+    fan : Fan
+    specular : add the specular lobes of smooth bodies
+
+    Raises
+    ------
+    Error
+        if the samples do not fit the driver's limits.
+    """
+
+    def __init__(self, buffers: SceneBuffers, fan: Fan, specular: bool = False):
+        context = buffers.context
+        self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
+        self._far_m = FAR_FACTOR * fan.sonar.range_max_m
+        self._limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
+        self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
+        self._sectors = [SectorView(sector) for sector in fan.sectors]
+        self._list, self._uniforms, self._size = DrawList(), {}, (0, 0)
+        self._targets, self._other_targets = [], []
+
+    def render(
+        self,
+        poses: Sequence[np.ndarray],
+        states: Sequence = (None,),
+        with_bodies: bool = False,
+        full: bool = False,
+        planes: Sequence | None = None,
+        keep_last: bool = False,
+    ) -> list[ViewSamples]:
+        """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
+
+        The next call overwrites the samples.
+
+        Parameters
+        ----------
+        poses, states : of the sonar, and for each the SceneState, or None for that of the meshes
+        with_bodies : read the bodies' numbers too
+        full : draw the empty water, too, instead of the window that holds bodies
+        planes : clip plane of each pose, before which all lies that is drawn, or None: the water's surface
+        keep_last : the samples of the last call stay valid until the next one
+        """
+        if keep_last:
+            self._targets, self._other_targets = self._other_targets, self._targets
+        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._list
+        bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
+        rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
+        self._targets += [RenderTarget() for _ in bodies[len(self._targets) :]]
+        targets = self._targets[: len(bodies)]
+        out.clear()
+        draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
+        for target, sectors in zip(targets, draws, strict=True):
+            target.width, target.height = (
+                sum(d.window.columns for d in sectors),
+                max(d.window.rows for d in sectors),
+            )
+            target.has_bodies = with_bodies
+        self._make_room(max(one.width for one in targets), max(one.height for one in targets))
+        if out.draws.used:
+            self._buffers.upload(rows, out)
+        for target, sectors, one in zip(targets, draws, bodies, strict=True):
+            if target.width:
+                target.allocate(self._context, self._size)
+                self._draw(target, rows, sectors, one.plane)
+        # while one is read the driver's threads may fill the next
+        return [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
+
+    def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
+        """Find what each sector draws of the bodies of one pose."""
+        meshes, out, draws = self._buffers.meshes, self._list, []
+        n_bodies = len(meshes.bodies)
+        for view in self._sectors:
+            found = SectorDraws(0, 0, 0, slice(out.samples.used, out.samples.used), Window())
+            if n_bodies:
+                ranges = self._far_m, self._fan.sonar.range_max_m
+                found = meshes.draw_sector(view, bodies, *ranges, number * n_bodies, out)
+            if full:
+                found = found._replace(window=Window(0, 0, view.sector.columns, view.sector.rows))
+            draws.append(found._replace(n_closed=found.n_closed if bodies.outside else 0))
+        return draws
+
+    def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], plane) -> None:
+        framebuffer = target.clear()
+        array = self._buffers.array(target.has_bodies, bool(rows[:, LOBE].any()))
+        array.program["before"].write(np.asarray(NO_PLANE if plane is None else plane, np.float32))
+        self._context.enable_direct(CLIP_DISTANCE)
+        left = 0
+        for view, (first, n_closed, n, _, window) in zip(self._sectors, draws, strict=True):
+            if n:
+                sector, (i, j, columns, n_rows) = view.sector, window
+                framebuffer.viewport = (left - i, -j, sector.columns, sector.rows)
+                framebuffer.scissor = (left, 0, columns, n_rows)
+                for name, value in self._uniforms_of(array.program, view):
+                    array.program[name].write(value)
+                for name in ("u", "v"):  # pixels count from the framebuffer's corner
+                    u = getattr(sector, name)
+                    array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
+                one_sided, two_sided = moderngl.DEPTH_TEST | moderngl.CULL_FACE, moderngl.DEPTH_TEST
+                self._buffers.draw(array, one_sided, rows, self._list, first, n_closed)
+                self._buffers.draw(array, two_sided, rows, self._list, first + n_closed, n - n_closed)
+            left += window.columns
+        framebuffer.scissor = None
+        self._context.disable_direct(CLIP_DISTANCE)
+
+    def _read(self, target: RenderTarget, draws: list[SectorDraws]) -> ViewSamples:
+        """Return what was drawn, with the samples that were rasterised in software."""
+        plane_echo, body_id = target.read()
+        sectors, lefts, left = [], [], 0
+        for view, (*_, mine, (i, j, columns, rows)) in zip(self._sectors, draws, strict=True):
+            sector = view.sector
+            if target.width:
+                samples = tuple(array[mine] for array in self._list.samples.arrays)
+                merge_samples(samples, i, j, left, plane_echo, body_id)
+            if columns == 0:
+                sectors.append(SectorSamples(replace(sector, columns=0, rows=0), NO_SAMPLES, NO_BODIES))
+            else:
+                here = (slice(0, rows), slice(left, left + columns))
+                u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (sector.u, sector.v))
+                window = replace(sector, u=u, v=v, columns=columns, rows=rows)
+                bodies = body_id[here] if target.has_bodies else NO_BODIES
+                sectors.append(SectorSamples(window, plane_echo[here], bodies))
+            lefts.append(left)
+            left += columns
+        return ViewSamples(tuple(sectors), plane_echo, tuple(lefts))
+
+    def _check_size(self, width: int, height: int) -> None:
+        got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
+        if max(width, height) > self._limit:
+            raise Error(f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}")
+
+    def _make_room(self, width: int, height: int) -> None:
+        """Let render targets have at least so many pixels."""
+        self._check_size(width, height)
+        if width * height > MAX_SAMPLES:
+            raise Error(
+                f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
+                f"by {height} rows; ask for a larger tolerance or fewer samples)"
+            )
+        if width > self._size[0] or height > self._size[1]:
+            # a little more, so that a window that grows does not need new targets every time
+            self._size = tuple(
+                min(max(old, 64 * -(-new // 64)), self._limit)
+                for old, new in zip(self._size, (width, height), strict=True)
+            )
+
+    def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
+        """Return the uniforms of a sector, the same for every ping."""
+        key = (program.glo, id(view))
+        if key not in self._uniforms:
+            values = {
+                "clip_from_sonar": view.sector.projection(NEAR_M, self._far_m).T,
+                "sector_from_sonar": view.sector.rotation().T,
+                "pixel_from_uv": view.inverse.T,
+                "far_m": self._far_m,
+            }
+            self._uniforms[key] = [
+                (name, np.ascontiguousarray(value, np.float32).tobytes())
+                for name, value in values.items()
+                if name in program
+            ]
+        return self._uniforms[key]
+
+
+def gbuffers_of(view: ViewSamples) -> list[GBuffer]:
+    """Return samples that were drawn with bodies as one `GBuffer` a sector."""
+    out = []
+    for sector, plane_echo, body_id in view.sectors:
+        u, v = sector.sample_coordinates()
+        q, slopes = np.split(plane_echo[..., :3].astype(np.float64), [1], axis=-1)
+        q = q[..., 0]
+        plane = plane_of(q, slopes, np.stack([u, v], axis=-1))
+        hit = q > 0
+        length = np.where(hit, np.linalg.norm(plane, axis=-1), 1.0)
+        normal = -(plane / length[..., None]) @ sector.rotation()
+        range_m = np.where(hit, np.sqrt(1 + u * u + v * v) / np.where(hit, q, 1.0), 0.0)
+        out.append(
+            GBuffer(
+                range_m=range_m.astype(np.float32),
+                normal=np.where(hit[..., None], normal, 0).astype(np.float32),
+                echo=np.where(hit, plane_echo[..., 3] / np.where(hit, range_m, 1), 0).astype(np.float32),
+                body_id=np.where(hit, body_id, 0),  # OpenGL leaves open whether integers are cleared
+            )
+        )
+    return out

@@ -1,0 +1,192 @@
+"""Mesh simplification by half-edge collapses, in order of the quadric error.
+
+The error metric is that of Garland and Heckbert, "Surface simplification using quadric error metrics" (SIGGRAPH 1997).
+Each pass collapses independent edges. No vertex moves, so meshes that share locked vertices stay without cracks, and a
+vertex keeps its normal and reflectivity; installable simplifiers do not offer this.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sonar_gl.core.compiled import compiled
+
+MAX_PASSES = 16
+MIN_SQUARED_SINE = 1e-8  # of a face's angle after a collapse
+MIN_NORMAL_COSINE = 0.5  # between a face's normals before and after a collapse
+PASS_SLACK = 1.5  # a pass collapses edges up to this many times the error of the last one it needs
+
+
+@compiled
+def _quadrics(points, faces, quadrics):
+    """Add to the quadric of each vertex, (V, 11), the area-weighted squared distance to the planes of its faces."""
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+        wx, wy, wz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        area = math.sqrt(nx * nx + ny * ny + nz * nz)
+        if area <= 0.0:
+            continue
+        nx, ny, nz = nx / area, ny / area, nz / area
+        d = -(nx * points[a, 0] + ny * points[a, 1] + nz * points[a, 2])
+        for k in range(3):
+            q = quadrics[faces[f, k]]
+            q[0] += area * nx * nx
+            q[1] += area * ny * ny
+            q[2] += area * nz * nz
+            q[3] += area * nx * ny
+            q[4] += area * nx * nz
+            q[5] += area * ny * nz
+            q[6] += area * nx * d
+            q[7] += area * ny * d
+            q[8] += area * nz * d
+            q[9] += area * d * d
+            q[10] += area
+
+
+@compiled
+def _cost(q, p):
+    """Return the mean squared distance of p to the planes of a quadric."""
+    x, y, z = p[0], p[1], p[2]
+    total = q[0] * x * x + q[1] * y * y + q[2] * z * z + 2 * (q[3] * x * y + q[4] * x * z + q[5] * y * z)
+    total += 2 * (q[6] * x + q[7] * y + q[8] * z) + q[9]
+    return max(total, 0.0) / max(q[10], 1e-300)
+
+
+@compiled
+def _neighbours(faces, n_vertices):
+    """Return the faces around each vertex: offsets of each vertex's list, and the lists of faces."""
+    start = np.zeros(n_vertices + 1, np.int32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            start[faces[f, k] + 1] += 1
+    for v in range(n_vertices):
+        start[v + 1] += start[v]
+    fill, about = start[:-1].copy(), np.empty(3 * faces.shape[0], np.int32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            about[fill[faces[f, k]]] = f
+            fill[faces[f, k]] += 1
+    return start, about
+
+
+@compiled
+def _flips(points, faces, start, about, remap, a, b):
+    """Return whether moving vertex `a` onto `b` turns a face around `a` too far, or makes it degenerate."""
+    for n in range(start[a], start[a + 1]):
+        f = about[n]
+        i, j, k = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
+        if b in (i, j, k) or i == j or j == k or k == i:
+            continue
+        while i != a:
+            i, j, k = j, k, i
+        ex, ey, ez = points[k, 0] - points[j, 0], points[k, 1] - points[j, 1], points[k, 2] - points[j, 2]
+        ux, uy, uz = points[a, 0] - points[j, 0], points[a, 1] - points[j, 1], points[a, 2] - points[j, 2]
+        wx, wy, wz = points[b, 0] - points[j, 0], points[b, 1] - points[j, 1], points[b, 2] - points[j, 2]
+        nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
+        mx, my, mz = ey * wz - ez * wy, ez * wx - ex * wz, ex * wy - ey * wx
+        before, after = nx * nx + ny * ny + nz * nz, mx * mx + my * my + mz * mz
+        # a face that is nearly a line has no stable normal
+        thin = after <= MIN_SQUARED_SINE * (ex * ex + ey * ey + ez * ez) * (wx * wx + wy * wy + wz * wz)
+        if before > 0.0 and (
+            thin or nx * mx + ny * my + nz * mz < MIN_NORMAL_COSINE * math.sqrt(before * after)
+        ):
+            return True
+    return False
+
+
+@compiled
+def stable_argsort(costs):
+    """Return the order of rising costs, (n,) int64; equal costs stay in their order.
+
+    np.argsort is avoided: in Numba's disk cache its parts may have the names of parts of np.sort that another process
+    has cached, and the wrong one would run.
+    """
+    order, other = np.arange(costs.shape[0]), np.empty(costs.shape[0], np.int64)
+    width = 1
+    while width < costs.shape[0]:
+        for low in range(0, costs.shape[0], 2 * width):
+            middle, high = min(low + width, costs.shape[0]), min(low + 2 * width, costs.shape[0])
+            i, j = low, middle
+            for k in range(low, high):
+                if j >= high or (i < middle and costs[order[i]] <= costs[order[j]]):
+                    other[k] = order[i]
+                    i += 1
+                else:
+                    other[k] = order[j]
+                    j += 1
+        order, other = other, order
+        width *= 2
+    return order
+
+
+@compiled
+def simplify(points, faces, locked, target):
+    """Collapse edges of a mesh until `target` faces remain.
+
+    Parameters
+    ----------
+    points : (V, 3) float64, metres
+    faces : (F, 3) int32
+    locked : (V,) bool, vertices that stay; they must include the vertices of open edges
+    target : number of faces at which to stop; the result may have more
+
+    Returns
+    -------
+    faces : (F', 3) int32, over a subset of the vertices
+    error_m : largest rms distance between the end of a collapsed edge and the planes of the vertex it replaces
+    """
+    n_vertices = points.shape[0]
+    quadrics = np.zeros((n_vertices, 11))
+    _quadrics(points, faces, quadrics)
+    faces, worst = faces.copy(), 0.0
+    remap = np.arange(n_vertices).astype(np.int32)
+    touched = np.zeros(n_vertices, np.bool_)
+    for _ in range(MAX_PASSES):
+        n_faces = faces.shape[0]
+        if n_faces <= target:
+            break
+        start, about = _neighbours(faces, n_vertices)
+        pairs, costs, count = np.empty((3 * n_faces, 2), np.int32), np.empty(3 * n_faces), 0
+        for f in range(n_faces):
+            for k in range(3):
+                a, b = faces[f, k], faces[f, (k + 1) % 3]
+                # an inner edge appears twice, once in each direction; use one of them
+                if a > b or (locked[a] and locked[b]):
+                    continue
+                there = np.inf if locked[a] else _cost(quadrics[a], points[b])
+                back = np.inf if locked[b] else _cost(quadrics[b], points[a])
+                pairs[count, 0], pairs[count, 1] = (a, b) if there <= back else (b, a)
+                costs[count] = min(there, back)
+                count += 1
+        if count == 0:
+            break
+        order = stable_argsort(costs[:count])
+        n_needed = (n_faces - target + 1) // 2
+        limit = costs[order[min(n_needed, count - 1)]] * PASS_SLACK + 1e-30
+        touched[:] = False
+        done = 0
+        for n in order:
+            if done >= n_needed or costs[n] > limit:
+                break
+            a, b = pairs[n, 0], pairs[n, 1]
+            if touched[a] or touched[b] or _flips(points, faces, start, about, remap, a, b):
+                continue
+            touched[a] = touched[b] = True
+            remap[a] = b
+            quadrics[b] += quadrics[a]
+            worst = max(worst, costs[n])
+            done += 1
+        if done == 0:
+            break
+        n_left = 0
+        for f in range(n_faces):
+            i, j, k = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
+            if i != j and j != k and i != k:
+                faces[n_left, 0], faces[n_left, 1], faces[n_left, 2] = i, j, k
+                n_left += 1
+        faces = faces[:n_left].copy()
+    return faces, math.sqrt(worst)

@@ -1,0 +1,1 @@
+"""The contents of the water (bodies, bubble plumes, materials), and the readers of scene files."""

@@ -1,0 +1,109 @@
+"""Scenes by name, from files, and from objects of trimesh and pyrender."""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.scene import mesh_files
+from sonar_gl.scene.primitives import Shape, transform
+from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
+from sonar_gl.scene.scene import Body, Scene, body_at
+from sonar_gl.scene.sdf.reader import read_sdf
+
+SDF_SUFFIXES = (".sdf", ".world")
+
+
+def bundled_scenes() -> dict[str, Path]:
+    """Return name -> file of the scenes that come with the package, sorted by name."""
+    return {path.stem: path for path in sorted(data_folder("scenes").glob("*.sdf"))}
+
+
+def scene_description(path) -> str:
+    """Return the first comment of a scene file, else its first `<description>`, on one line; else ""."""
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    for pattern in (r"<!--(.*?)-->", r"<description>(.*?)</description>"):
+        if found := re.search(pattern, text, re.DOTALL):
+            return " ".join(html.unescape(found[1]).split())
+    return ""
+
+
+def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
+    """Load a scene by a bundled name, from a file, or from a scene or mesh of trimesh or pyrender.
+
+    Parameters
+    ----------
+    what : name of a bundled scene; path of an SDF file (.sdf .world) or a mesh (.glb .gltf .obj .stl .ply
+        .dae); trimesh.Trimesh; trimesh.Scene; pyrender.Scene
+    resource_paths, skip_missing : for SDF files, as in `read_sdf`
+
+    Raises
+    ------
+    Error
+        if there is no such scene, or its file is invalid.
+
+    Notes
+    -----
+    Convention: z is up. A glTF file, which is y-up by its standard, is turned by (x, y, z) -> (x, -z, y); all
+    other files and objects keep their coordinates. Each placed geometry of a mesh file becomes a body of
+    reflectivity 0.5. Objects of trimesh are shaded flat, because trimesh computes normals where a mesh has
+    none; those of pyrender keep the normals that pyrender renders with.
+    """
+    if is_pyrender_scene(what):
+        return convert_pyrender_scene(what)
+    if hasattr(what, "graph") and hasattr(what, "geometry"):
+        return _convert_trimesh_scene(what)
+    if hasattr(what, "vertices") and hasattr(what, "faces"):
+        return Scene([Body("mesh", what)])
+    if not isinstance(what, (str, os.PathLike)):
+        raise Error(
+            "a scene must be a bundled name, a path, or a scene or mesh of trimesh or pyrender "
+            f"(got {type(what).__name__})"
+        )
+    path, bundled = Path(what), bundled_scenes()
+    if isinstance(what, str) and what in bundled:
+        return read_sdf(bundled[what], resource_paths, skip_missing)
+    suffix = path.suffix.lower()
+    if suffix in SDF_SUFFIXES or suffix in mesh_files.SUFFIXES:
+        if path.is_dir():
+            raise Error(f"{path}: a scene must be a file, and this is a folder")
+        if not path.is_file():
+            raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
+        if suffix in mesh_files.SUFFIXES:
+            return _read_mesh_scene(path)
+        return read_sdf(path, resource_paths, skip_missing)
+    endings = " ".join((*SDF_SUFFIXES, *mesh_files.SUFFIXES))
+    if path.exists() or suffix or path.name != str(what):
+        raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
+    raise Error(
+        f"there is no bundled scene {str(what)!r} ({nearest_names(str(what), bundled)}; "
+        f"a file must end in one of {endings})"
+    )
+
+
+def _read_mesh_scene(path: Path) -> Scene:
+    """Return a scene with one body for each placed geometry of a mesh file."""
+    z_up = mesh_files.Z_UP_FROM_Y_UP if path.suffix.lower() in mesh_files.Y_UP_SUFFIXES else np.eye(4)
+    parts = mesh_files.read_mesh_parts(path)
+    names = [part.node for part in parts] if len(parts) > 1 else [path.stem]
+    shapes = [transform(part.shape, z_up) for part in parts]
+    with errors_at(str(path)):
+        bodies = [Body(n, s.mesh, normals=s.normals) for n, s in zip(names, shapes, strict=True)]
+        return Scene(bodies, name=path.stem)
+
+
+def _convert_trimesh_scene(scene) -> Scene:
+    """Return a scene with one body for each node of a trimesh.Scene that has faces, sorted by name."""
+    bodies = []
+    for node in sorted(scene.graph.nodes_geometry):
+        matrix, key = scene.graph[node]
+        mesh = scene.geometry[key]
+        if hasattr(mesh, "faces"):  # neither points nor lines
+            bodies.append(body_at(str(node), Shape(mesh, None), matrix))
+    return Scene(bodies)

@@ -1,0 +1,97 @@
+"""Materials by name: their acoustic properties, and the strength of their echo."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection
+from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.toml import read_toml
+
+MATERIALS = Path(__file__).with_name("materials.toml")
+WAVENUMBER_RAD_M = (
+    2 * math.pi * 900e3 / 1500
+)  # at which fine roughness divides |R|² into lobe and diffuse part
+
+
+@dataclass(frozen=True)
+class Material:
+    """The acoustic properties of a material; None stands for an unknown value.
+
+    `reflectivity` + `specular` is the intensity reflection coefficient |R|² at normal incidence. Fine
+    roughness scatters a part of it diffusely and leaves the rest to the specular lobe.
+
+    Attributes
+    ----------
+    name : heading of its table in materials.toml
+    density_ratio, speed_ratio, loss : as `rayleigh_reflection` takes them
+    reflectivity : μ of the diffuse echo, 0..1; all of |R|² if the surface is rough
+    specular : strength of the specular lobe, 0..1; 0 if the surface is rough
+    roughness_rad : rms slope, along any one direction, of the facets that make the lobe
+    height_m : rms height of the fine roughness, metres
+    source : reference for the numbers
+    """
+
+    name: str
+    density_ratio: float | None
+    speed_ratio: float | None
+    loss: float | None
+    reflectivity: float
+    specular: float
+    roughness_rad: float | None
+    height_m: float | None
+    source: str = ""
+
+
+def material(name: str) -> Material:
+    """Return the material of this name; case does not matter, and spaces and hyphens equal underscores.
+
+    Raises
+    ------
+    Error
+        if the name is unknown.
+
+    >>> material("medium sand").density_ratio
+    1.845
+    """
+    known = materials()
+    if not isinstance(name, str):
+        raise Error(f"a material must be a name (got {name!r}; such as {next(iter(known))!r})")
+    key = "_".join(name.casefold().replace("-", " ").replace("_", " ").split())
+    if key not in known:
+        raise Error(f"unknown material (got {name!r}; {nearest_names(key, known)})")
+    return known[key]
+
+
+def materials() -> dict[str, Material]:
+    """Return name -> material, with several names for some."""
+    return dict(_materials())
+
+
+@lru_cache(maxsize=1)
+def _materials() -> dict[str, Material]:
+    tables = read_toml(MATERIALS, "the table of materials")
+    own = {name: _from_table(name, table) for name, table in tables.items() if "same_as" not in table}
+    return {name: own[table.get("same_as", name)] for name, table in tables.items()}
+
+
+def _from_table(name: str, table: dict) -> Material:
+    """Return the material that one table of materials.toml describes."""
+    density, speed = table.get("density_ratio"), table.get("speed_ratio")
+    loss = None if density is None else table.get("loss", 0.0)
+    if density is None:
+        z = table["impedance_ratio"]
+        intensity = ((z - 1) / (z + 1)) ** 2
+    else:
+        intensity = abs(complex(rayleigh_reflection(np.pi / 2, density, speed, loss))) ** 2
+    coherent, height = 0.0, table.get("height_m")
+    if height is not None:
+        coherent = float(coherent_loss(np.pi / 2, height, WAVENUMBER_RAD_M)) ** 2
+    diffuse, specular = intensity * (1 - coherent), intensity * coherent
+    slope = table.get("roughness_rad")
+    return Material(name, density, speed, loss, diffuse, specular, slope, height, table["source"])

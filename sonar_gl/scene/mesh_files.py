@@ -1,0 +1,165 @@
+"""Shapes from mesh files and height maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
+Y_UP_SUFFIXES = (".glb", ".gltf")
+Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+MAX_HEIGHTMAP_PIXELS = 20_000_000
+
+
+class MeshPart(NamedTuple):
+    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres."""
+
+    node: str
+    geometry: str
+    shape: Shape
+
+
+def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
+    """Return terrain from a grey image: one vertex per pixel, flat triangles between them.
+
+    Parameters
+    ----------
+    path : 8 or 16 bit PNG, whose values are scaled to 0..1, or float TIFF, whose values are used unscaled
+    size : x, y extent of the terrain, metres, and factor of the values
+    pos : centre of the terrain, metres; height = pos z + value · size z
+
+    Raises
+    ------
+    Error
+        if the file is missing, no image, smaller than 2 x 2, larger than 20 million pixels, or not finite.
+
+    Notes
+    -----
+    Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
+    `size`.
+    """
+    import cv2
+
+    if not Path(path).is_file():
+        raise Error(f"{path}: there is no such file")
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise Error(f"{path}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)")
+    if image.ndim == 3:
+        image = image[:, :, :3].mean(axis=2) / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1)
+    elif image.dtype.kind == "u":
+        image = image / np.iinfo(image.dtype).max
+    rows, columns = image.shape
+    if min(rows, columns) < 2 or rows * columns > MAX_HEIGHTMAP_PIXELS:
+        raise Error(
+            f"{path}: a height map must have 2 x 2 to {MAX_HEIGHTMAP_PIXELS} pixels (got {columns} x {rows})"
+        )
+    if not np.isfinite(image).all():
+        raise Error(f"{path}: heights must be finite (got NaN or infinity; fill the gaps first)")
+    x, y = np.meshgrid(
+        pos[0] + np.linspace(-size[0] / 2, size[0] / 2, columns),
+        pos[1] + np.linspace(size[1] / 2, -size[1] / 2, rows),
+    )
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    below, right, across = corner + columns, corner + 1, corner + columns + 1
+    faces = np.empty((2, len(corner), 3), np.int64)
+    for column, vertices in enumerate(((corner, corner), (below, across), (across, right))):
+        faces[:, :, column] = vertices
+    vertices = np.stack([x.ravel(), y.ravel(), pos[2] + image.ravel() * size[2]], axis=1)
+    return make_shape(vertices, faces.reshape(-1, 3))
+
+
+def read_mesh_parts(path) -> list[MeshPart]:
+    """Read every placed geometry of a mesh file, in the file's own axes and in metres.
+
+    Only normals that the file itself holds are used. COLLADA's `<unit meter>` is applied and its `<up_axis>`
+    is not, as in Gazebo. Degenerate, duplicate, inverted and open triangles stay as they are.
+
+    Raises
+    ------
+    Error
+        with the name of the file, if it is missing or unreadable, has no faces (a point cloud), or a vertex
+        is not finite.
+    """
+    import trimesh
+
+    path = Path(path)
+    if not path.is_file():
+        raise Error(f"{path}: there is no such file")
+    try:
+        if path.suffix.lower() == ".dae":
+            _refuse_dtd(path)
+        scene = trimesh.load(path, force="scene", process=False, skip_materials=True, split_objects=True)
+    except Exception as why:  # trimesh and its parsers raise anything
+        raise Error(f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {why})") from None
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        matrix, key = scene.graph[node]
+        mesh = scene.geometry[key]
+        if len(getattr(mesh, "faces", ())) == 0:  # points and lines
+            continue
+        # `vertex_normals` computes missing normals; before it is read, only those of the file are in the
+        # cache
+        normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+        if not np.isfinite(mesh.vertices).all():
+            raise Error(f"{path}: vertices must be finite (got NaN or infinity in geometry {key!r})")
+        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+            raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
+        units = str(mesh.metadata.get("units", "")).split(" * ")
+        scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
+        shape = make_shape(mesh.vertices, mesh.faces, normals)
+        parts.append(MeshPart(node, key, transform(shape, scale @ matrix)))
+    if not parts:
+        raise Error(f"{path}: a mesh must have at least one face (got none; a point cloud cannot echo)")
+    return parts
+
+
+def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
+    """Read a mesh file as one shape.
+
+    Parameters
+    ----------
+    path : the file
+    submesh : name of the node or geometry to read; None reads all
+    center : whether to move the centre of the bounding box to the origin
+
+    Raises
+    ------
+    Error
+        as `read_mesh_parts` does, or if there is no such submesh.
+
+    Notes
+    -----
+    Convention: the file's own axes, as in Gazebo, even for glTF, which is y-up. A `.glb` loaded on its own as
+    a scene is turned to z-up.
+    """
+    parts = read_mesh_parts(path)
+    chosen = [part.shape for part in parts if submesh in (None, part.node, part.geometry)]
+    if not chosen:
+        known = ", ".join(sorted(part.node for part in parts))
+        raise Error(f"{path}: there is no submesh {submesh!r} (it has {known})")
+    shape = concatenate(chosen)
+    if center:
+        mesh, normals = shape
+        used = mesh.vertices[np.unique(mesh.faces)]
+        middle = (used.min(axis=0) + used.max(axis=0)) / 2
+        shape = make_shape(mesh.vertices - middle, mesh.faces, normals)
+    return shape
+
+
+def _refuse_dtd(path):
+    """Raise a ValueError if a COLLADA file declares a document type, through which entities could attack."""
+    from xml.parsers import expat
+
+    def refuse(*_):
+        raise ValueError("a document type declaration is refused")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    with open(path, "rb") as file:
+        parser.ParseFile(file)

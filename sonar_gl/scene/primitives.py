@@ -1,0 +1,229 @@
+"""Triangle meshes: simple shapes, transforms, and the topology of edges.
+
+The vertices of a curved shape lie on the true surface.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+SAGITTA_M = 5e-4  # largest distance from a chord to its arc: a fifth of the finest range bins in use
+MAX_CLOSED_FACES = (
+    50_000  # testing whether a larger mesh is closed costs more than culling its back faces saves
+)
+INFINITE_PLANE_M = (
+    2000.0  # side of the square that represents an infinite plane: beyond imaging sonars' range
+)
+
+
+class Triangles(NamedTuple):
+    """A triangle mesh as pings need it: (V, 3) float64 vertices, metres, and (F, 3) int64 faces."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def to_trimesh(self):
+        """Return a trimesh.Trimesh with the same vertices and faces."""
+        import trimesh  # takes half a second and 45 MB, and no ping needs it
+
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+
+class Shape(NamedTuple):
+    """A mesh with shading normals.
+
+    Attributes
+    ----------
+    mesh : Triangles
+    normals : (V, 3) float32 of unit length, zero at vertices that are shaded flat; None if all are
+    """
+
+    mesh: Triangles
+    normals: np.ndarray | None
+
+
+def make_shape(vertices, faces, normals=None) -> Shape:
+    """Return a shape of (V, 3) vertices, metres, (F, 3) faces, and None or (V, 3) normals of any length."""
+    mesh = Triangles(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64))
+    return Shape(mesh, None if normals is None else _unit_normals(normals))
+
+
+def box(size) -> Shape:
+    """Return an axis-aligned box of `size` (x, y, z) metres about the origin; flat faces."""
+    corners = (np.array([[(i >> axis) & 1 for axis in range(3)] for i in range(8)]) - 0.5) * size
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return make_shape(corners, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def facets_around(radius: float) -> int:
+    """Return the number of facets around a circle of `radius` metres: a multiple of four, 24 to 256.
+
+    >>> facets_around(0.1), facets_around(1.0), facets_around(50.0)
+    (32, 100, 256)
+    """
+    needed = np.pi / np.arccos(1 - min(SAGITTA_M / radius, 1.0))
+    return int(4 * np.clip(np.ceil(needed / 4), 6, 64))
+
+
+def _lathe(n: int, *profiles) -> Shape:
+    """Return a surface of revolution about z, with n facets around.
+
+    A profile is a list of rows (radius, z, radial part of the normal, z of the normal), from the bottom up.
+    Each profile has its own vertices, so that the edge between two profiles stays sharp.
+    """
+    angle = np.arange(n) * (2 * np.pi / n)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle[np.abs(circle) < 1e-15] = 0.0  # the extremes lie exactly on the axes
+    around, following = np.arange(n), (np.arange(n) + 1) % n
+    vertices, normals, faces, count = [], [], [], 0
+    for profile in profiles:
+        for radius, z, normal_radial, normal_z in profile:
+            vertices.append(np.column_stack([radius * circle, np.full(n, z)]))
+            normals.append(np.column_stack([normal_radial * circle, np.full(n, normal_z)]))
+        for row in range(len(profile) - 1):
+            low, high = count + row * n, count + (row + 1) * n
+            if profile[row][0] > 0:  # at a pole this triangle has no area
+                faces.append(np.column_stack([low + around, low + following, high + following]))
+            if profile[row + 1][0] > 0:
+                faces.append(np.column_stack([low + around, high + following, high + around]))
+        count += len(profile) * n
+    return make_shape(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
+
+
+def _arc(n: int, radius: float, start_deg: float, stop_deg: float, z: float = 0.0):
+    """Return the profile of a sphere about (0, 0, z) between two latitudes; n/2 steps span pole to pole."""
+    steps = round(n / 2 * (stop_deg - start_deg) / 180)
+    rows = []
+    for latitude in np.radians(np.linspace(start_deg, stop_deg, steps + 1)):
+        cos, sin = np.cos(latitude), np.sin(latitude)
+        cos = 0.0 if cos < 1e-15 else cos
+        rows.append((radius * cos, z + radius * sin, cos, sin))
+    return rows
+
+
+def cylinder(radius: float, length: float) -> Shape:
+    """Return a cylinder along z about the origin, metres; smooth side, flat ends with sharp edges."""
+    h = length / 2
+    return _lathe(
+        facets_around(radius),
+        [(0, -h, 0, -1), (radius, -h, 0, -1)],
+        [(radius, -h, 1, 0), (radius, h, 1, 0)],
+        [(radius, h, 0, 1), (0, h, 0, 1)],
+    )
+
+
+def sphere(radius: float) -> Shape:
+    """Return a sphere about the origin, metres; half as many facets from pole to pole as around."""
+    n = facets_around(radius)
+    return _lathe(n, _arc(n, radius, -90, 90))
+
+
+def capsule(radius: float, length: float) -> Shape:
+    """Return a cylinder of `length` along z about the origin with a half sphere on each end, metres."""
+    h, n = length / 2, facets_around(radius)
+    return _lathe(n, _arc(n, radius, -90, 0, -h) + _arc(n, radius, 0, 90, h))
+
+
+def ellipsoid(radii) -> Shape:
+    """Return an ellipsoid about the origin with half-axes `radii` (x, y, z), metres."""
+    largest = float(np.max(radii))
+    mesh, normals = sphere(largest)
+    radii = np.asarray(radii) / largest
+    return make_shape(mesh.vertices * radii, mesh.faces, normals / radii)
+
+
+def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_PLANE_M, INFINITE_PLANE_M)) -> Shape:
+    """Return a rectangle of `size` (x, y) metres about the origin, rotated from +z to `normal`."""
+    x, y = np.asarray(size) / 2
+    corners = np.array([[-x, -y, 0.0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+    nx, ny, nz = np.asarray(normal, np.float64) / np.linalg.norm(normal)
+    if nz < -1 + 1e-12:
+        rotation = np.diag([1.0, -1.0, -1.0])
+    else:  # the smallest rotation from z to the normal
+        k = 1 / (1 + nz)
+        rotation = np.array(
+            [[1 - k * nx * nx, -k * nx * ny, nx], [-k * nx * ny, 1 - k * ny * ny, ny], [-nx, -ny, nz]]
+        )
+    return make_shape(corners @ rotation.T, [(0, 1, 2), (0, 2, 3)])
+
+
+def transform(shape: Shape, matrix) -> Shape:
+    """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside."""
+    mesh, normals = shape
+    linear = np.asarray(matrix)[:3, :3]
+    mirrored = np.linalg.det(linear) < 0
+    faces = mesh.faces[:, ::-1] if mirrored else mesh.faces
+    if normals is not None:
+        # the cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
+        normals = normals @ (-cofactors if mirrored else cofactors).T
+    return make_shape(mesh.vertices @ linear.T + np.asarray(matrix)[:3, 3], faces, normals)
+
+
+def concatenate(shapes) -> Shape:
+    """Return one shape from several; vertices are not merged, so that creases stay."""
+    meshes, normals = zip(*shapes, strict=True)
+    starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    joined = None
+    if any(n is not None for n in normals):
+        joined = np.concatenate(
+            [
+                np.zeros((len(m.vertices), 3), np.float32) if n is None else n
+                for m, n in zip(meshes, normals, strict=True)
+            ]
+        )
+    faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
+    return make_shape(np.concatenate([m.vertices for m in meshes]), faces)._replace(normals=joined)
+
+
+def _unit_normals(normals):
+    """Return unit normals, zero (shaded flat) where one is zero or not finite; None if all are."""
+    normals = np.asarray(normals, np.float64)
+    length = np.linalg.norm(normals, axis=1)
+    good = np.isfinite(length) & (length > 1e-12)
+    if not good.any():
+        return None
+    out = np.zeros(normals.shape, np.float32)
+    out[good] = normals[good] / length[good, None]
+    return out
+
+
+def closedness(vertices, faces) -> int:
+    """Return the sign of the volume of a closed, consistently oriented mesh: +1, or -1 if inside out.
+
+    Return 0 for other meshes, and for those of more than MAX_CLOSED_FACES faces.
+    """
+    if len(faces) > MAX_CLOSED_FACES:
+        return 0
+    extent = np.ptp(vertices, axis=0).max()
+    # merge coincident vertices: creases and seams duplicate them
+    keys = np.ascontiguousarray(np.round(vertices / (extent or 1.0) * 1e9).astype(np.int64))
+    _, same = np.unique(keys.view([("", np.int64)] * 3).ravel(), return_inverse=True)
+    triangles = same.ravel()[faces]
+    triangles = triangles[
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    ]
+    a, b = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    n = len(vertices)
+    forward, backward = np.sort(a * n + b), np.sort(b * n + a)
+    if len(forward) == 0 or (np.diff(forward) == 0).any() or not np.array_equal(forward, backward):
+        return 0
+    middle = vertices - vertices.mean(axis=0)
+    x, y, z = (middle[faces[:, k]] for k in range(3))
+    return int(np.sign(np.einsum("ij,ij->", x, np.cross(y, z))))
+
+
+def fixed_vertices(faces, n_vertices: int) -> np.ndarray:
+    """Return (V,) bool: whether a vertex lies on an edge without exactly two faces."""
+    out = np.zeros(n_vertices, bool)
+    a, b = faces, np.roll(faces, -1, axis=1)
+    keys = (np.minimum(a, b).astype(np.int64) * n_vertices + np.maximum(a, b)).ravel()
+    keys.sort()
+    new = np.flatnonzero(np.diff(keys, prepend=-1))
+    odd = keys[new[np.diff(new, append=len(keys)) != 2]]
+    out[odd // n_vertices] = out[odd % n_vertices] = True
+    return out

@@ -1,0 +1,87 @@
+"""Scenes of pyrender: their conversion to ours, and an import of pyrender that works headless."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
+from sonar_gl.scene.scene import Scene, body_at
+
+TRIANGLES = 4  # glTF's number of the primitive mode; None means the same
+
+
+def is_pyrender_scene(what) -> bool:
+    """Return whether an object has the interface of a pyrender.Scene, without importing pyrender."""
+    return hasattr(what, "mesh_nodes") and hasattr(what, "get_pose")
+
+
+def convert_pyrender_scene(scene) -> Scene:
+    """Return a scene with one body for each node that has triangles, its primitives and instances joined.
+
+    The shading normals are those that pyrender renders with.
+    """
+    # scene.mesh_nodes is a set, whose order changes from run to run; pyrender's graph has the order of adding
+    graph = getattr(scene, "_digraph", None)
+    nodes = list(graph.nodes) if graph is not None else sorted(scene.mesh_nodes, key=lambda n: str(n.name))
+    bodies, names = [], set()
+    for node in nodes:
+        mesh = getattr(node, "mesh", None)
+        shapes = [s for primitive in mesh.primitives for s in _instances(primitive)] if mesh else []
+        if not shapes:
+            continue
+        name = stem = str(node.name or mesh.name or "mesh")
+        count = 1
+        while name in names:
+            count += 1
+            name = f"{stem}_{count}"
+        names.add(name)
+        bodies.append(body_at(name, concatenate(shapes), scene.get_pose(node)))
+    return Scene(bodies, name=str(getattr(scene, "name", None) or "scene"))
+
+
+def _instances(primitive) -> Iterator[Shape]:
+    """Yield a shape for each instance of a pyrender primitive; nothing if it holds lines or points."""
+    if primitive.mode not in (None, TRIANGLES):
+        return
+    vertices = np.asarray(primitive.positions, np.float64)
+    if primitive.indices is None:
+        faces = np.arange(len(vertices) // 3 * 3).reshape(-1, 3)
+    else:
+        faces = np.asarray(primitive.indices).reshape(-1, 3)
+    shape = make_shape(vertices, faces, primitive.normals)
+    for matrix in [np.eye(4)] if primitive.poses is None else primitive.poses:
+        yield transform(shape, matrix)
+
+
+class _NumpyWithInfty:
+    """NumPy with the name `infty`, which pyrender.mesh uses and NumPy 2 removed."""
+
+    infty = np.inf
+
+    def __getattr__(self, name):
+        return getattr(np, name)
+
+
+def import_pyrender():
+    """Return the module pyrender, made to work headless and with NumPy 2; NumPy itself is not changed.
+
+    Raises
+    ------
+    Error
+        if pyrender or the OpenGL libraries that it needs are not installed.
+    """
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    if not os.environ.get("DISPLAY"):
+        os.environ.setdefault("PYGLET_HEADLESS", "1")
+    try:
+        import pyrender
+    except Exception as why:  # a missing libGL comes as ImportError, AttributeError or others
+        raise Error(f"pyrender cannot be imported ({why}; it needs the packages libegl1 and libgl1)") from why
+    if not hasattr(np, "infty"):
+        sys.modules["pyrender.mesh"].np = _NumpyWithInfty()
+    return pyrender

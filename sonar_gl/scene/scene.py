@@ -1,0 +1,214 @@
+"""Scenes: rigid bodies, bubble plumes and the water's surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sonar_gl.core.checks import check_kind, check_number, frozen_array
+from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.poses import check_pose
+from sonar_gl.scene.materials import material
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.primitives import Shape, Triangles, transform
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Bounds of roughness_rad: below, the lobe is narrower than a sample; above, facets shadow one another.
+ROUGHNESS_BOUNDS_RAD = 0.01, 0.5
+DEFAULT_REFLECTIVITY = 0.5
+MAX_BODIES = 65535  # labels are uint16, and 0 is for bins without echo
+
+
+class _LazyMesh:
+    """Descriptor of `Body.mesh`, which converts `Body.surface` to a trimesh.Trimesh when first read.
+
+    Bodies read from files hold `Triangles`: pings need no more, and importing trimesh takes half a second.
+    """
+
+    def __get__(self, body, owner=None):
+        if body is None:  # the dataclass looks for a default value; there is none
+            raise AttributeError("mesh")
+        if isinstance(body.surface, Triangles):
+            object.__setattr__(body, "surface", body.surface.to_trimesh())
+        return body.surface
+
+    def __set__(self, body, mesh):
+        object.__setattr__(body, "surface", mesh)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body.
+
+    Parameters
+    ----------
+    name : unique in its scene
+    mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo
+    pose : (4, 4) world_from_body; None is the identity
+    reflectivity : μ, 0..1, or (F,), one value a face; or the name of a material, which also sets `specular`
+        and `roughness_rad` unless these are given
+    normals : None (flat faces) or (V, 3) shading normals, used only for the incidence angle
+    specular : strength of the specular lobe, 0..1: the intensity reflection coefficient |R|² of the smooth
+        part of the surface at normal incidence. Profiles with `specular` add the lobe to the diffuse echo.
+        Energy is conserved while μ + specular is at most 1; for a material the sum is its |R|²
+    roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width
+    material : name of the material, if one was given by name
+
+    Attributes
+    ----------
+    surface : the mesh as given, with `vertices` (V, 3), metres, and `faces` (F, 3). In bodies from files it
+        is `Triangles` until `mesh` is read for the first time
+
+    Raises
+    ------
+    Error
+        if there are no faces, a vertex is not finite, a number is out of bounds, or a name is unknown.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh = _LazyMesh()
+    pose: np.ndarray = None
+    reflectivity: float | np.ndarray = DEFAULT_REFLECTIVITY
+    normals: np.ndarray | None = None
+    specular: float = None
+    roughness_rad: float = None
+    material: str | None = None
+    surface: trimesh.Trimesh | Triangles = field(init=False, repr=False)
+
+    def __post_init__(self):
+        location = f"body {self.name!r}"
+        n_vertices, n_faces = self._check_mesh(location)
+        self._set("pose", check_pose(np.eye(4) if self.pose is None else self.pose, f"{location}: pose"))
+        self._apply_material(location)
+        for key, bounds in (("specular", (0, 1)), ("roughness_rad", ROUGHNESS_BOUNDS_RAD)):
+            self._set(key, check_number(f"{location}: {key}", getattr(self, key), *bounds))
+        one_value = np.ndim(self.reflectivity) == 0
+        shape = () if one_value else (n_faces,)
+        mu = frozen_array(self.reflectivity, np.float64, shape, f"{location}: reflectivity")
+        if mu.min() < 0 or mu.max() > 1:
+            raise Error(
+                f"{location}: reflectivity must lie in 0..1 (got {mu.min():g} to {mu.max():g}; "
+                "laser_retro is divided by 255)"
+            )
+        self._set("reflectivity", float(mu) if one_value else mu)
+        if self.normals is not None:
+            self._set(
+                "normals", frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals")
+            )
+
+    def _set(self, key: str, value):
+        object.__setattr__(self, key, value)
+
+    def _check_mesh(self, location: str) -> tuple[int, int]:
+        """Check the mesh; return the numbers of vertices and faces."""
+        vertices, faces = getattr(self.surface, "vertices", None), getattr(self.surface, "faces", None)
+        if vertices is None or faces is None:
+            raise Error(f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__})")
+        if len(faces) == 0:
+            raise Error(
+                f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
+            )
+        frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {faces.max()})")
+        return len(vertices), len(faces)
+
+    def _apply_material(self, location: str):
+        """Look up the material by name, and fill in the fields that are left out."""
+        by_name = isinstance(self.reflectivity, str)
+        name = self.reflectivity if by_name else self.material
+        with errors_at(location):
+            found = material(name) if name else None
+        if by_name and self.material not in (None, found.name):
+            # `dataclasses.replace` by another material: the lobe of the previous one goes
+            self._set("specular", None)
+            self._set("roughness_rad", None)
+        if by_name:
+            self._set("reflectivity", found.reflectivity)
+        self._set("material", found and found.name)
+        for key, default in (("specular", 0.0), ("roughness_rad", 0.1)):
+            if getattr(self, key) is None:
+                value = getattr(found, key) if by_name else None
+                self._set(key, default if value is None else value)
+
+
+def body_at(name: str, shape: Shape, world_from_body) -> Body:
+    """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
+    pose = np.array(world_from_body, np.float64)
+    linear = pose[:3, :3].copy()
+    if not np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) or np.linalg.det(linear) < 0:
+        matrix = np.eye(4)
+        matrix[:3, :3], pose[:3, :3] = linear, np.eye(3)
+        shape = transform(shape, matrix)
+    return Body(name, shape.mesh, pose, normals=shape.normals)
+
+
+class Scene:
+    """Bodies, bubble plumes, the water's surface, and the pose of the sonar if the scene's file has one.
+
+    Parameters
+    ----------
+    bodies : Body and Bubbles objects with unique names; at most 65535 bodies
+    sonar_pose : (4, 4) world_from_sonar, or None
+    name : stem of the names of files made from the scene
+    surface_z_m : height of the water's surface, metres, a planar reflector; None = out of reach
+    surface_roughness_m : rms height of the surface's waves, metres; at 900 kHz a millimetre is enough to
+        leave no coherent reflection
+
+    Attributes
+    ----------
+    bodies, plumes : tuples of Body and of Bubbles
+
+    Raises
+    ------
+    Error
+        if two names are equal, or the surface's numbers are out of bounds.
+    """
+
+    def __init__(
+        self,
+        bodies: Iterable[Body | Bubbles],
+        sonar_pose=None,
+        name: str = "scene",
+        surface_z_m: float | None = None,
+        surface_roughness_m: float = 1e-4,
+    ):
+        things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
+        for thing in things:
+            check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
+        self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
+        self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
+        self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
+        self.name = name
+        self.surface_z_m = surface_z_m
+        if surface_z_m is not None:
+            self.surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
+        self.surface_roughness_m = check_number(
+            "surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres"
+        )
+        names = [thing.name for thing in things]
+        twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
+        if twice:
+            raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
+        if len(self.bodies) > MAX_BODIES:
+            raise Error(
+                f"a scene holds at most {MAX_BODIES} bodies (got {len(self.bodies)}; join some meshes)"
+            )
+
+    def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
+        """Return the same scene with more bodies and plumes, after its own."""
+        bodies = [*self.bodies, *self.plumes, *bodies]
+        return Scene(bodies, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles of all bodies."""
+        return sum(len(body.surface.faces) for body in self.bodies)
+
+    def __repr__(self):
+        return f"Scene({self.name!r}, {len(self.bodies)} bodies, {self.n_triangles} triangles)"

@@ -1,0 +1,14 @@
+"""Reader of SDF, the scene format of Gazebo.
+
+The flow of `reader.read_sdf`:
+
+1. Files: `resources.Resources` finds the files that a scene names, in its folder and the resource paths, and
+   parses their XML.
+2. Tree: `reader.TreeReader` makes a tree of `frames.Scope` from the world, its models and includes. A scope
+   resolves the poses of its frames.
+3. Links: `links.links_of` lists the links of the tree; `links.find_sonar` picks the one with the sonar.
+4. Shapes: `shapes.BodyReader` reads the collisions or visuals of a link, with their surface properties.
+5. Bodies: shapes of one link with the same specular lobe are joined into one `Body`.
+
+`extensions` reads the elements of namespace `sonar_gl`, such as bubble plumes and the water's surface.
+"""

@@ -1,0 +1,213 @@
+"""Scenes from SDF files: worlds, and models on their own."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
+from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
+from sonar_gl.scene.sdf.frames import Frame, Scope
+from sonar_gl.scene.sdf.links import Link, find_sonar, links_of
+from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.shapes import BodyReader, echoing_shapes
+
+MAX_NESTING = 32
+MAX_MODELS = MAX_BODIES
+MAX_NAMES_IN_WARNING = 10
+
+
+def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
+    """Read a scene from an SDF file, a world or a model on its own.
+
+    Parameters
+    ----------
+    path : an .sdf or .world file
+    resource_paths : folders in which `model://` is searched, before those of the environment variables
+        GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH and the file's own folder; no file outside them is read
+    skip_missing : warn of missing models and meshes and leave them out, in place of an error
+
+    Raises
+    ------
+    Error
+        with file and element: broken XML, invalid numbers, unknown or duplicate names, missing files.
+
+    Notes
+    -----
+    Bodies. A link becomes a body, named after its model, or `model::link` if several links of the model have
+    geometry. The collisions of a link make its body; its visuals if it has no collisions, or if only visuals
+    have surface properties. The link that carries the sonar makes no body.
+
+    Surface properties of a collision or visual: reflectivity is `<laser_retro>` / 255, or 0.5, with one
+    warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and
+    `<sonar_gl:roughness>`, numbers as for `Body`; these and laser_retro override the material.
+    `<sonar_gl:reflectivity_map>`, an image applied to the shape from above, first row at the highest y,
+    overrides all of them. Shapes of one link with different specular lobes are separate bodies; those after
+    the first are named `model::shape`.
+
+    The sonar is the first `<sensor type="custom">`, else the first sensor that is named after a sonar by its
+    own name or plugin, else by its model; see `find_sonar`.
+
+    A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
+    Elements without acoustic meaning are ignored.
+    """
+    path = Path(path)
+    resources = Resources(path, resource_paths)
+    top, scope = _read_root(resources, path)
+    surface = {}
+    for child in check_extensions(top, ("surface",), scope.location):
+        surface = read_surface(child, scope.location_of("sonar_gl:surface"))
+    TreeReader(resources).fill(scope, top, (path.resolve(),))
+    links = list(links_of(scope, np.eye(4)))
+    carrier, sonar_pose = find_sonar(links)
+    bodies, unspecified = _read_bodies(links, carrier, resources)
+    if missing := resources.missing(path):
+        if not skip_missing:
+            raise Error(
+                f"{missing}\nGive the folders that hold them (--resource-path, resource_paths=), "
+                "or carry on without them (--skip-missing, skip_missing=True)."
+            )
+        warnings.warn(f"{missing}\nThe scene is read without them.", stacklevel=2)
+    if unspecified:
+        names, more = unspecified[:MAX_NAMES_IN_WARNING], len(unspecified) - MAX_NAMES_IN_WARNING
+        warnings.warn(
+            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies "
+            f"({', '.join(names)}{f' and {more} more' if more > 0 else ''}); "
+            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
+            stacklevel=2,
+        )
+    plumes = _read_plumes(links)
+    with errors_at(str(path)):
+        return Scene([*bodies, *plumes], sonar_pose, path.stem, **surface)
+
+
+def _read_root(resources: Resources, path: Path):
+    """Return the element that holds the models of a file, and an empty scope for it."""
+    root = resources.parse(path)
+    if root.tag not in ("sdf", "gazebo"):
+        raise Error(f"{path}: the root element must be <sdf> (got <{root.tag}>)")
+    world = root.find("world")
+    if world is None and root.find("model") is None:
+        raise Error(f"{path}: must hold a <world> or a <model>")
+    scope = Scope(f"{path}: " + ("" if world is None else "world"), path.parent, is_world=True)
+    return root if world is None else world, scope
+
+
+def _read_bodies(
+    links: list[Link], carrier: Link | None, resources: Resources
+) -> tuple[list[Body], list[str]]:
+    """Return the bodies of all links but the sonar's, and the names of those of unspecified reflectivity."""
+    reader = BodyReader(resources)
+    n_with_geometry = Counter(link.model for link in links if echoing_shapes(link))
+    bodies, unspecified = [], []
+    for link in links:
+        if link is carrier:
+            continue
+        name = link.model if n_with_geometry[link.model] == 1 else f"{link.model}::{link.name}"
+        found, complete = reader.read(link, name)
+        bodies += found
+        if not complete:
+            unspecified.append(name)
+    return bodies, unspecified
+
+
+def _read_plumes(links: list[Link]) -> list[Bubbles]:
+    """Return the bubble plumes of links, each named after its model unless it has a name."""
+    out = []
+    for link in links:
+        for child in check_extensions(link.element, ("bubbles",), link.location):
+            location = f"{link.location}/sonar_gl:bubbles"
+            name = child.get("name") or f"{link.model}::bubbles"
+            pose = link.world_pose() @ link.pose_in_link(child, location)
+            out.append(read_bubbles(child, name, pose, location))
+    return out
+
+
+class TreeReader:
+    """Makes the tree of scopes of a scene.
+
+    Parameters
+    ----------
+    resources : finds the files of included models
+    """
+
+    def __init__(self, resources: Resources):
+        self.resources = resources
+        self._n_models = 0
+
+    def fill(self, scope: Scope, element, stack: tuple) -> None:
+        """Add the frames, links and models of a world or model to its scope, with those of included models.
+
+        Parameters
+        ----------
+        scope : of the world or model
+        element : its `<world>`, `<model>` or root element
+        stack : for each model or file that led here, the file, or None for a model within a file
+        """
+        for child in element:
+            name = (child.get("name") or "").strip()
+            location = scope.location_of(f"{child.tag}[{name}]")
+            if child.tag == "model":
+                placement = child.get("placement_frame") or ""
+                frame = Frame(child.find("pose"), location, "", Scope(location, scope.folder), placement)
+                self._add_model(scope, name, frame, child, (*stack, None), location)
+            elif child.tag == "include":
+                self._include(scope, child, stack)
+            elif child.tag == "link":
+                scope.add(name, Frame(child.find("pose"), location))
+                scope.links[name] = child
+            elif child.tag == "frame":
+                base = (child.get("attached_to") or "").strip()
+                scope.add(name, Frame(child.find("pose"), location, base))
+        for joint in element.findall("joint"):  # last, since old files give joints the names of links
+            name = (joint.get("name") or "").strip()
+            base = (joint.findtext("child") or "").strip()
+            frame = Frame(joint.find("pose"), scope.location_of(f"joint[{name}]"), base)
+            scope.frames.setdefault(name, frame)
+        for name in [(frame.get("name") or "").strip() for frame in element.findall("frame")]:
+            scope.find(name, scope.frames[name].location)  # raises errors of frames that nothing refers to
+
+    def _add_model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, location: str):
+        self._n_models += 1
+        if len(stack) > MAX_NESTING or self._n_models > MAX_MODELS:
+            raise Error(
+                f"{location}: a scene must hold at most {MAX_MODELS} models, at most {MAX_NESTING} deep"
+            )
+        scope.add(name, frame, location)
+        self.fill(frame.scope, element, stack)
+
+    def _include(self, scope: Scope, element, stack: tuple):
+        uri = (element.findtext("uri") or "").strip()
+        name = (element.findtext("name") or "").strip()
+        location = scope.location_of(f"include[{name or uri}]")
+        path = self.resources.find_model(uri, scope.folder, location)
+        if path is None:
+            # the file is noted as missing; poses relative to the model must still resolve
+            name = name or uri.rstrip("/").rpartition("/")[2]
+            scope.frames.setdefault(name, Frame(element.find("pose"), location))
+            return
+        built_in = not isinstance(path, Path)
+        file = path if built_in else path.resolve()
+        if file in stack:
+            names = " -> ".join(str(f) for f in [*stack[stack.index(file) :], file] if f is not None)
+            raise Error(f"{location}: a model must not include itself (got {names})")
+        root = self.resources.parse(path)
+        model = root.find("model")
+        if model is None:
+            if root.find("light") is None and root.find("actor") is None:
+                raise Error(f"{path}: must hold a <model> (included by {location})")
+            return
+        name = name or (model.get("name") or "").strip()
+        model_location = f"{path}: model[{name}]"
+        pose_element, pose_location = element.find("pose"), location
+        if pose_element is None:
+            pose_element, pose_location = model.find("pose"), model_location
+        placement = (element.findtext("placement_frame") or model.get("placement_frame") or "").strip()
+        inner = Scope(model_location, scope.folder if built_in else path.parent)
+        frame = Frame(pose_element, pose_location, "", inner, placement)
+        self._add_model(scope, name, frame, model, (*stack, file), location)

@@ -1,0 +1,171 @@
+"""The files that a scene file names: found in its folder and the resource paths only, and parsed safely."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from xml.parsers import expat
+
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.sdf.extensions import declare_namespace
+
+MAX_XML_BYTES = 50_000_000
+BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
+    "model://sun": "<sdf><light/></sdf>",
+    "model://ground_plane": "<sdf><model name='ground_plane'><link name='link'><collision name='collision'>"
+    "<geometry><plane/></geometry></collision></link></model></sdf>",
+}
+
+
+class Resources:
+    """The resource paths of one scene, the files parsed so far, and a list of missing files.
+
+    Parameters
+    ----------
+    scene_path : the scene's file; its folder is searched last
+    resource_paths : folders to search first; those of GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH follow
+
+    Raises
+    ------
+    Error
+        if one of `resource_paths` is not a folder.
+    """
+
+    def __init__(self, scene_path: Path, resource_paths=()):
+        if isinstance(resource_paths, (str, os.PathLike)):
+            resource_paths = [resource_paths]
+        roots = [Path(p) for p in resource_paths]
+        for root in roots:
+            if not root.is_dir():
+                raise Error(f"resource path {str(root)!r} must be a folder (there is none of that name)")
+        for key in ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"):
+            roots += [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
+        self.roots = list(dict.fromkeys(root.resolve() for root in [*roots, scene_path.parent]))
+        self._missing: dict[str, tuple[list, list]] = {}  # uri -> locations that name it, paths searched
+        self._parsed = {}
+
+    def parse(self, path: Path):
+        """Return the root element of an XML file; document types, entities and huge files are refused.
+
+        Raises
+        ------
+        Error
+            with the name of the file, and line and column of broken XML.
+        """
+        from defusedxml import DefusedXmlException
+        from defusedxml.ElementTree import ParseError, fromstring, parse
+
+        if path in BUILT_IN:
+            return fromstring(BUILT_IN[path])
+        if path in self._parsed:
+            return self._parsed[path]
+        try:
+            if path.stat().st_size > MAX_XML_BYTES:
+                raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
+            root = parse(io.BytesIO(declare_namespace(path.read_bytes())), forbid_dtd=True).getroot()
+        except ParseError as why:
+            (line, column), text = why.position, expat.ErrorString(why.code)
+            if text == "unbound prefix":
+                text += '; declare it, as in <sdf xmlns:gz="http://gazebosim.org/schema">'
+            raise Error(f"{path}: line {line}, column {column + 1}: broken XML ({text})") from None
+        except DefusedXmlException:
+            raise Error(f"{path}: a document type or entities must not be declared (refused)") from None
+        except OSError as why:
+            raise Error(f"{path}: {why.strerror or why}") from None
+        except Error:
+            raise
+        except (LookupError, ValueError) as why:  # an unknown encoding
+            raise Error(f"{path}: broken XML ({why})") from None
+        self._parsed[path] = root
+        return root
+
+    def find(self, uri: str, base: Path, location: str) -> Path | None:
+        """Return the file or folder of a URI; None if it is missing, which is noted for `missing`.
+
+        URIs of `model://` (and ROS's `package://`) are searched in the resource paths, which may also be the
+        folders of models themselves; relative URIs in `base`, then in the resource paths.
+
+        Parameters
+        ----------
+        uri : as in the file
+        base : folder of the file that holds the URI
+        location : file and element of the URI, for messages
+
+        Raises
+        ------
+        Error
+            if it leads out of the resource paths and the scene's folder, after symbolic links are resolved.
+        """
+        scheme, _, rest = uri.rpartition("://")
+        if not rest.strip("/."):
+            raise Error(f"{location}: must name a file or a model (got {uri!r})")
+        if scheme not in ("", "model", "package", "file"):
+            self._note(uri, location, [])
+            return None
+        candidates = [base / rest] if scheme == "" or rest.startswith("/") else []
+        if not rest.startswith("/"):
+            candidates += [root / rest for root in self.roots]
+            head, _, tail = rest.partition("/")
+            candidates += [root / tail for root in self.roots if scheme and root.name == head]
+        candidates = list(dict.fromkeys(candidates))
+        try:
+            inside = [c for c in candidates if self._is_inside(c)]
+            found = next((c for c in inside if c.exists()), None)
+            outside = [c for c in candidates if c not in inside]
+            escapes = found is None and outside and (not inside or any(c.exists() for c in outside))
+        except (OSError, RuntimeError, ValueError) as why:
+            # a name that is too long, or a cycle of symbolic links
+            raise Error(f"{location}: {uri!r} must be a path ({why})") from None
+        if escapes:
+            raise Error(
+                f"{location}: {uri!r} must stay in the scene's folder and the resource paths (it leads to "
+                f"{outside[0].resolve()}; if that is to be trusted, make its folder a resource path)"
+            )
+        if found is None and uri not in BUILT_IN:
+            self._note(uri, location, inside)
+        return found
+
+    def find_model(self, uri: str, base: Path, location: str) -> Path | str | None:
+        """Return the SDF file of an `<include>`; None if it is missing; the URI itself if it is in BUILT_IN.
+
+        The URI names the file, or a folder. In a folder the file is the newest version in `model.config`,
+        else `model.sdf`. Parameters and errors are those of `find`.
+        """
+        uri = uri if uri.endswith("://") else uri.rstrip("/")
+        found = self.find(uri, base, location)
+        if found is None:
+            return uri if uri in BUILT_IN else None
+        if found.is_file():
+            return found
+        chosen = found / "model.sdf"
+        if (found / "model.config").is_file() and self._is_inside(found / "model.config"):
+            names = self.parse(found / "model.config").findall("sdf")
+            names = [(_version(e.get("version", "")), (e.text or "").strip()) for e in names]
+            chosen = found / (max(names, key=lambda n: n[0])[1] if names else "model.sdf")
+        if not self._is_inside(chosen):
+            raise Error(f"{found / 'model.config'}: sdf must name a file beside it (got {str(chosen)!r})")
+        if not chosen.is_file():
+            self._note(uri, location, [chosen])
+            return None
+        return chosen
+
+    def missing(self, scene_path) -> str:
+        """Return a message: missing files, the elements that name them, the paths searched; "" if none is."""
+        lines = [f"{scene_path}: models or files are missing:"] if self._missing else []
+        for uri, (locations, searched) in self._missing.items():
+            lines += [f"  {uri}", *(f"    named by {location}" for location in locations)]
+            lines += [f"    not at {path}" for path in searched]
+            if not searched:
+                lines.append("    not fetched: download it, and put its folder into the resource paths")
+        return "\n".join(lines)
+
+    def _note(self, uri, location, searched):
+        self._missing.setdefault(uri, ([], [str(c) for c in searched]))[0].append(location)
+
+    def _is_inside(self, path: Path) -> bool:
+        return any(path.resolve().is_relative_to(root) for root in self.roots)
+
+
+def _version(text: str) -> tuple:
+    return tuple(int(part) if part.isdigit() else 0 for part in text.strip().split("."))

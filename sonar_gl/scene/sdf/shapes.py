@@ -1,0 +1,214 @@
+"""The shapes of a link, as bodies: geometry and surface properties."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.core.checks import check_number
+from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.scene import mesh_files, primitives
+from sonar_gl.scene.materials import material
+from sonar_gl.scene.primitives import Shape
+from sonar_gl.scene.reflectivity_map import textured_from_above
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, ROUGHNESS_BOUNDS_RAD, Body
+from sonar_gl.scene.sdf.extensions import check_extensions, find_extension, list_extensions
+from sonar_gl.scene.sdf.frames import read_numbers
+from sonar_gl.scene.sdf.links import Link
+from sonar_gl.scene.sdf.resources import Resources
+
+GEOMETRIES = "box, capsule, cylinder, ellipsoid, heightmap, mesh, plane, sphere"
+EXTENSIONS = ("material", "reflectivity_map", "roughness", "specular")  # of a shape, in namespace sonar_gl
+
+
+class SurfaceProperties(NamedTuple):
+    """The surface properties of a shape, as `Body` takes them; roughness_rad is None without a lobe."""
+
+    reflectivity: float
+    specular: float
+    roughness_rad: float | None
+    material: str | None
+
+
+class ShapeOfLink(NamedTuple):
+    """A shape in the frame of its link, with its reflectivity (one value, or (F,)) and material."""
+
+    shape: Shape
+    reflectivity: float | np.ndarray
+    material: str | None
+
+
+def echoing_shapes(link: Link) -> list:
+    """Return the elements of a link that make its bodies: collisions, or visuals.
+
+    Visuals are taken if there are no collisions, or if visuals have surface properties and collisions have
+    none.
+    """
+    collisions, visuals = (
+        [e for e in link.element.findall(kind) if e.find("geometry/empty") is None]
+        for kind in ("collision", "visual")
+    )
+    only_visuals_specified = any(map(_has_surface_properties, visuals)) and not any(
+        map(_has_surface_properties, collisions)
+    )
+    return visuals if not collisions or only_visuals_specified else collisions
+
+
+def _has_surface_properties(element) -> bool:
+    return element.find("laser_retro") is not None or bool(list_extensions(element))
+
+
+def read_surface_properties(element, location: str) -> SurfaceProperties:
+    """Return the surface properties of a collision or visual.
+
+    `<laser_retro>` and the elements for single properties override the material's.
+
+    Raises
+    ------
+    Error
+        if an element or a material is unknown, or a number is invalid.
+    """
+    check_extensions(element, EXTENSIONS, location)
+
+    def number(child, name, low, high):
+        if child is None:
+            return None
+        value = read_numbers(child, f"{location}/{name}", 1)[0]
+        return check_number(f"{location}/{name}:", value, low, high)
+
+    found, named = None, find_extension(element, "material")
+    if named is not None:
+        with errors_at(f"{location}/sonar_gl:material"):
+            found = material((named.text or "").strip())
+    retro = number(element.find("laser_retro"), "laser_retro", 0, 255)
+    reflectivity = retro / 255 if retro is not None else found.reflectivity if found else DEFAULT_REFLECTIVITY
+    specular = number(find_extension(element, "specular"), "sonar_gl:specular", 0, 1)
+    if specular is None:
+        specular = found.specular if found else 0.0
+    child = find_extension(element, "roughness")
+    roughness_rad = number(child, "sonar_gl:roughness", *ROUGHNESS_BOUNDS_RAD)
+    if roughness_rad is None and found:
+        roughness_rad = found.roughness_rad
+    return SurfaceProperties(
+        reflectivity, specular, roughness_rad if specular else None, found and found.name
+    )
+
+
+class BodyReader:
+    """Makes the bodies of links. Each mesh file is read once.
+
+    Parameters
+    ----------
+    resources : finds the files that geometry names
+    """
+
+    def __init__(self, resources: Resources):
+        self.resources = resources
+        self._meshes = {}
+
+    def read(self, link: Link, name: str) -> tuple[list[Body], bool]:
+        """Return the bodies of a link, and whether the file specifies the reflectivity of all its shapes.
+
+        Shapes with the same specular lobe are joined. The body of the first shape has the name `name`, those
+        with other lobes `name::shape`.
+        """
+        groups, names, complete = {}, {}, True
+        for element in echoing_shapes(link):
+            location = f"{link.location}/{element.tag}[{element.get('name') or ''}]"
+            matrix = link.pose_in_link(element, location)
+            shape = self._read_geometry(link, element, location)
+            if shape is None:
+                continue
+            surface = read_surface_properties(element, location)
+            reflectivity, image = surface.reflectivity, find_extension(element, "reflectivity_map")
+            if image is not None:
+                location = f"{location}/sonar_gl:reflectivity_map"
+                shape, reflectivity = self._apply_map(link, element, shape, reflectivity, location)
+            specified = element.find("laser_retro"), find_extension(element, "material"), image
+            complete &= any(child is not None for child in specified)
+            lobe = surface.specular, surface.roughness_rad
+            names.setdefault(lobe, f"{name}::{element.get('name')}" if groups else name)
+            shape = primitives.transform(shape, matrix)
+            groups.setdefault(lobe, []).append(ShapeOfLink(shape, reflectivity, surface.material))
+        pose = link.world_pose()
+        with errors_at(link.location):
+            return [_join(names[lobe], group, pose, lobe) for lobe, group in groups.items()], complete
+
+    def _apply_map(self, link: Link, element, shape: Shape, reflectivity, location: str):
+        """Return a shape with its reflectivity map applied from above, and the (F,) reflectivity.
+
+        If the map's file is missing, `resources` notes it, and the shape and reflectivity stay as they are.
+        """
+        if element.tag == "collision" and element.find("geometry/plane") is not None:
+            raise Error(
+                f"{location}: must lie on a shape of some size (the plane of a collision is infinite)"
+            )
+        uri = (find_extension(element, "reflectivity_map").text or "").strip()
+        path = self.resources.find(uri, link.scope.folder, location)
+        if path is None:
+            return shape, reflectivity
+        with errors_at(location):
+            return textured_from_above(shape, path)
+
+    def _read_geometry(self, link: Link, element, location: str) -> Shape | None:
+        """Return the shape of a collision or visual; None if its file is missing (`resources` notes it)."""
+        geometry = element.find("geometry")
+        if geometry is None or len(geometry) == 0:
+            raise Error(f"{location}: must hold a <geometry> with a shape in it")
+        shape = geometry[0]
+        location = f"{location}/geometry/{shape.tag}"
+
+        def get(tag, count=1, default=None, positive=True):
+            if default is not None and shape.find(tag) is None:
+                return default
+            out = read_numbers(shape.find(tag), f"{location}/{tag}", count, positive)
+            return out if count > 1 else out[0]
+
+        if shape.tag == "box":
+            return primitives.box(get("size", 3))
+        if shape.tag in ("cylinder", "capsule"):
+            return getattr(primitives, shape.tag)(get("radius"), get("length"))
+        if shape.tag == "sphere":
+            return primitives.sphere(get("radius"))
+        if shape.tag == "ellipsoid":
+            return primitives.ellipsoid(get("radii", 3))
+        if shape.tag == "plane":
+            normal = get("normal", 3, (0.0, 0.0, 1.0), positive=False)
+            if not np.any(normal):
+                got = shape.findtext("normal").strip()
+                raise Error(f"{location}/normal: must not be zero (got {got!r})")
+            infinite = element.tag == "collision"  # its <size> is only for display
+            return (
+                primitives.plane(normal) if infinite else primitives.plane(normal, get("size", 2, (1.0, 1.0)))
+            )
+        if shape.tag not in ("mesh", "heightmap"):
+            raise Error(f"{location}: unknown geometry (known are {GEOMETRIES}; anything can be a mesh)")
+        uri = (shape.findtext("uri") or shape.findtext("filename") or "").strip()
+        path = self.resources.find(uri, link.scope.folder, f"{location}/uri")
+        if path is None:
+            return None
+        if shape.tag == "heightmap":
+            size, pos = get("size", 3, (1.0, 1.0, 1.0)), get("pos", 3, (0.0, 0.0, 0.0), positive=False)
+            with errors_at(location):
+                return mesh_files.heightmap(path, size, pos)
+        scale = get("scale", 3, (1.0, 1.0, 1.0), positive=False)
+        if not np.all(scale):
+            raise Error(f"{location}/scale: must not be zero (got {shape.findtext('scale').strip()!r})")
+        key = (path, shape.findtext("submesh/name"), (shape.findtext("submesh/center") or "").strip())
+        with errors_at(location):
+            if key not in self._meshes:
+                self._meshes[key] = mesh_files.read_mesh(path, key[1], key[2] in ("true", "1"))
+            return primitives.transform(self._meshes[key], np.diag([*scale, 1.0]))
+
+
+def _join(name: str, group: list[ShapeOfLink], pose, lobe: tuple) -> Body:
+    """Return one body from shapes in the frame of their link that have the same specular lobe."""
+    shapes, reflectivities, materials = zip(*group, strict=True)
+    mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)
+    reflectivity = reflectivities[0]
+    if any(map(np.ndim, reflectivities)) or len(set(reflectivities)) > 1:
+        per_face = [np.broadcast_to(one.reflectivity, len(one.shape.mesh.faces)) for one in group]
+        reflectivity = np.concatenate(per_face)
+    common_material = materials[0] if len(set(materials)) == 1 else None
+    return Body(name, mesh, pose, reflectivity, normals, *lobe, common_material)

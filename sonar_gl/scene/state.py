@@ -1,0 +1,37 @@
+"""The state of a scene in one ping: where bodies and bubbles are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class SceneState:
+    """The poses of a scene's n bodies, which of them are present, and the bubbles, in one ping.
+
+    Attributes
+    ----------
+    poses : (n, 4, 4) float64 world_from_body
+    present : (n,) bool
+    bubbles : (m, 4) x, y, z in the world and radius, metres, of the bubbles of all plumes; None without
+        plumes
+    time_s : time of the ping, seconds; None if it was not given
+    reflectivity : (n,) float32, replaces the bodies' own, and multiplies that of bodies with one value per
+        face; None leaves them as they are
+    """
+
+    poses: np.ndarray
+    present: np.ndarray
+    bubbles: np.ndarray | None = None
+    time_s: float | None = None
+    reflectivity: np.ndarray | None = None
+
+    def only(self, mask: np.ndarray) -> SceneState:
+        """Return this state without the bodies for which the (n,) mask is False."""
+        return replace(self, present=self.present & mask)
+
+    def without_bubbles(self) -> SceneState:
+        """Return this state without bubbles."""
+        return replace(self, bubbles=None)

@@ -1,0 +1,1 @@
+"""The instrument: data sheet, fan of views, sectors and sampling."""

@@ -1,0 +1,63 @@
+"""Samples of the fan, which the renderer returns and the beamformer sums."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.sonar.sector import Sector
+
+
+class SectorSamples(NamedTuple):
+    """The samples of one sector, R rows by C columns.
+
+    Attributes
+    ----------
+    sector : Sector, whose lattice begins at the first of these samples
+    plane_echo : (R, C, 4) float32: 1/x of the surface on the ray, 0 where it met nothing; slopes of 1/x along
+        u and v; μ cos θ times slant range
+    body_id : (R, C) uint16, number of the body, 0 where none; empty if it was not read
+    """
+
+    sector: Sector
+    plane_echo: np.ndarray
+    body_id: np.ndarray
+
+    @property
+    def lattice(self) -> tuple:
+        """A plain tuple of `beamform.kernels.Lattice`."""
+        return self.sector.u, self.sector.v, self.sector.tan_elevation, self.sector.columns
+
+
+def whole_rows(window: np.ndarray) -> np.ndarray:
+    """Return a window of an image with its rows as long as those of the image, without a copy.
+
+    The rows begin where the window's do, and run on into what lies beside it. So the array is contiguous
+    whatever the window, and kernels are compiled for contiguous arrays only. The last row may end past the
+    image: read no more columns than the window has.
+    """
+    if window.flags.c_contiguous:
+        return window
+    pitch = window.strides[0] // window.strides[1]
+    strides = window.strides
+    return np.lib.stride_tricks.as_strided(window, (len(window), pitch, *window.shape[2:]), strides)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSamples:
+    """The samples of the fan from one pose.
+
+    Attributes
+    ----------
+    sectors : SectorSamples from starboard to port
+    plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
+    left : column of the image at which the samples of each sector begin
+    bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
+    """
+
+    sectors: tuple[SectorSamples, ...]
+    plane_echo: np.ndarray | None = None
+    left: tuple[int, ...] = ()
+    bubbles: np.ndarray | None = None

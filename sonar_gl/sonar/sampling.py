@@ -1,0 +1,101 @@
+"""How densely the fan is sampled, and the sampling levels among which a tolerance chooses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.core.checks import is_number
+from sonar_gl.core.errors import Error
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_COLUMNS_PER_BEAM, MAX_ROWS = 1024, 16_000
+MIN_COLUMNS, MIN_ROWS = 24, 16  # of a sampling chosen for a tolerance
+# Maximum height of a row. Where two rows meet on a floor at grazing incidence, a bin may lack echo: some per cent of it
+# with rows a degree high, less than one per cent with rows half as high.
+MAX_ROW_DEG = 0.5
+REDUCERS = ("footprint", "point")
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How densely the fan is sampled.
+
+    Parameters
+    ----------
+    columns_per_beam : samples across one beam spacing, in azimuth
+    rows : samples up the elevation aperture
+    reducer : "footprint" spreads a sample over the ranges that it covers, "point" adds it to one bin
+    """
+
+    columns_per_beam: float
+    rows: int
+    reducer: str = "footprint"
+
+    def __post_init__(self):
+        if not (
+            isinstance(self.columns_per_beam, (int, float, np.number))
+            and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM
+        ):
+            raise Error(f"columns_per_beam must be a number in 0..1024 (got {self.columns_per_beam!r})")
+        if not (isinstance(self.rows, (int, np.integer)) and 1 <= self.rows <= MAX_ROWS):
+            raise Error(f"rows must be a whole number in 1..16000 (got {self.rows!r})")
+        if self.reducer not in REDUCERS:
+            raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {self.reducer!r})")
+
+
+COARSEST_DEG, LEVELS_PER_HALF = 1.0, 4  # width of samples at level 0; levels that halve it
+FINEST_LEVEL = 40  # unless the driver allows fewer samples
+ERROR_RATE = 1.3  # the error falls as the width of samples to this power
+WORST_BODY = 5.0  # times the tolerance: promised bound of the relative error of a single body's echo
+
+
+def check_tolerance(tolerance) -> float:
+    """Return the tolerance as a float.
+
+    Raises
+    ------
+    Error
+        if it lies outside 0.001..0.5.
+    """
+    if not (is_number(tolerance) and 0.001 <= tolerance <= 0.5):
+        raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
+    return float(tolerance)
+
+
+def sampling_of_width(sonar: Sonar, sample_deg: float) -> Sampling:
+    """Return the sampling with samples of a width, degrees, and of the same height up to MAX_ROW_DEG."""
+    columns = max(MIN_COLUMNS, sonar.azimuth_fov_deg / sample_deg)
+    # rows are even in tan φ: as high as requested on the boresight, less high above and below
+    aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
+    rows = max(MIN_ROWS, math.ceil(aperture_deg / min(sample_deg, MAX_ROW_DEG)))
+    return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
+
+
+def sampling_at(sonar: Sonar, level: int) -> Sampling:
+    """Return the samples of a sampling level, 0 the coarsest."""
+    return sampling_of_width(sonar, COARSEST_DEG * 2 ** (-level / LEVELS_PER_HALF))
+
+
+def typical_level(tolerance: float) -> int:
+    """Return the sampling level that most scenes need for a tolerance."""
+    finer = COARSEST_DEG / 0.2 * (0.02 / tolerance) ** (1 / ERROR_RATE)
+    return min(max(0, round(LEVELS_PER_HALF * math.log2(finer))), FINEST_LEVEL)
+
+
+def half_of(sampling: Sampling) -> Sampling:
+    """Return half the samples."""
+    return Sampling(
+        sampling.columns_per_beam / math.sqrt(2),
+        max(1, round(sampling.rows / math.sqrt(2))),
+        sampling.reducer,
+    )
+
+
+def extend_rows(sampling: Sampling, sonar: Sonar, true_range_sonar: Sonar) -> Sampling:
+    """Return the same rows per degree over the higher aperture of `Acoustics.true_range_sonar`."""
+    ratio = math.tan(math.radians(true_range_sonar.elevation_fov_deg) / 2)
+    ratio /= math.tan(math.radians(sonar.elevation_fov_deg) / 2)
+    return replace(sampling, rows=min(math.ceil(sampling.rows * ratio - 1e-9), MAX_ROWS))

@@ -1,0 +1,162 @@
+"""Sectors: perspective views of parts of the fan, with their lattice of samples and their strips.
+
+A sample is one pixel of a sector. On the image plane, at unit distance from the sonar, it lies at u (to
+starboard, u = −tan ψ') and v (up, v = tan φ / cos ψ'), where φ is the elevation and ψ' the azimuth relative to
+the sector's middle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# The lattice is sheared: each row is shifted by SHEAR samples against the row below, and each row rises by
+# SHEAR_ROWS of the aperture's height from one side to the other. No straight edge, whether upright, level or
+# oblique, then falls between the lines of the lattice over its whole length. SHEAR = 1/(3 + 1/golden ratio), which
+# fractions approximate badly.
+SHEAR = 0.2764
+SHEAR_ROWS = 0.18
+
+
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """The P upright strips of a sector's image plane, by rising azimuth.
+
+    A strip ends where a column of the fan ends and is at most a tenth wider than a sample. In each row it takes the
+    value of the nearest sample.
+
+    Attributes
+    ----------
+    column : (P,) int64, index of the fan's column that contains the strip
+    u : (P,) float64, middle of the strip on the image plane
+    width : (P,) float64, its width along u
+    """
+
+    column: np.ndarray
+    u: np.ndarray
+    width: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Sector:
+    """One perspective view of part of the fan, R rows by C columns of samples.
+
+    Each row is shifted against the row below by a fraction of a sample, and each column against its neighbour by a
+    fraction of a row, so that an upright or level edge crosses the strips at another place in every row. The strips
+    themselves stay upright.
+
+    Attributes
+    ----------
+    azimuth_rad : azimuth of its middle, radians
+    half_width_rad : half the azimuth that its strips cover; samples beyond it only fill sheared rows
+    rows, columns : R, C
+    u : (3,) float64; the sample at row j, column i lies at u[0] + u[1] i + u[2] j
+    v : (3,) float64; the sample at row j, column i lies at v[0] + v[1] i + v[2] j
+    tan_elevation : tangent of half the elevation aperture
+    strips : Strips
+    """
+
+    azimuth_rad: float
+    half_width_rad: float
+    rows: int
+    columns: int
+    u: np.ndarray
+    v: np.ndarray
+    tan_elevation: float
+    strips: Strips | None = None
+
+    def sample_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return u and v of all samples on the image plane, each (R, C) float64."""
+        j, i = np.mgrid[0 : self.rows, 0 : self.columns]
+        return self.u[0] + self.u[1] * i + self.u[2] * j, self.v[0] + self.v[1] * i + self.v[2] * j
+
+    def rotation(self) -> np.ndarray:
+        """Return (3, 3) sector_from_sonar, which turns the sector's middle onto the x axis."""
+        c, s = math.cos(self.azimuth_rad), math.sin(self.azimuth_rad)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def projection(self, near_m: float, far_m: float) -> np.ndarray:
+        """Return (4, 4) clip_from_sonar of OpenGL: the sheared perspective with samples on pixel centres.
+
+        Parameters
+        ----------
+        near_m, far_m : distances of the near and the far plane, metres
+        """
+        # pixel = inverse lattice of (u, v), where u = −y/x and v = z/x in the sector's frame
+        lattice = np.array([[self.u[1], self.u[2]], [self.v[1], self.v[2]]])
+        inverse = np.linalg.inv(lattice)
+        offset = 0.5 - inverse @ [self.u[0], self.v[0]]
+        scale = np.array([2.0 / self.columns, 2.0 / self.rows])
+        clip = np.zeros((4, 4))
+        for row in range(2):
+            clip[row, 0] = scale[row] * offset[row] - 1.0
+            clip[row, 1] = -scale[row] * inverse[row, 0]
+            clip[row, 2] = scale[row] * inverse[row, 1]
+        clip[2, 0] = (far_m + near_m) / (far_m - near_m)
+        clip[2, 3] = -2.0 * far_m * near_m / (far_m - near_m)
+        clip[3, 0] = 1.0
+        sector_from_sonar = np.eye(4)
+        sector_from_sonar[:3, :3] = self.rotation()
+        return clip @ sector_from_sonar
+
+
+def merge_close_azimuths(azimuths_rad) -> np.ndarray:
+    """Return azimuths in rising order, without those less than a nanoradian above the one before.
+
+    >>> merge_close_azimuths([0.5, 0.0, 0.5 + 1e-12]).tolist()
+    [0.0, 0.5]
+    """
+    azimuths = np.sort(azimuths_rad)
+    return azimuths[np.append(True, np.diff(azimuths) > 1e-9)]
+
+
+def make_sector(
+    azimuth_rad: float, half_width_rad: float, n_samples: int, rows: int, tan_elevation: float, shear: float
+) -> Sector:
+    """Return a sector, still without strips.
+
+    Parameters
+    ----------
+    azimuth_rad, half_width_rad : middle, and half of the azimuth that it covers, radians
+    n_samples : samples of a row over that azimuth; rows get more samples as the shear requires
+    rows : rows over the aperture; the sector gets more rows as the curved edge of the aperture and the shear require
+    tan_elevation : tangent of half the elevation aperture
+    shear : shift of each row against the row below, in samples; 0 gives a plain grid
+    """
+    tan_width = math.tan(half_width_rad)
+    du, dv = 2 * tan_width / n_samples, 2 * tan_elevation / rows
+    top = tan_elevation / math.cos(
+        half_width_rad
+    )  # the aperture's curved edge is highest at the sector's sides
+    shear_v = min(SHEAR_ROWS * rows, n_samples) if shear else 0.0
+    R = 2 * math.ceil((2 * top / dv + shear_v) / 2)
+    shear_u = min(abs(shear) * R, n_samples / 4)
+    C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
+    step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(shear_v / C * dv, shear)
+    u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])
+    v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
+    return Sector(azimuth_rad, half_width_rad, R, C, u, v, tan_elevation)
+
+
+def make_strips(sector: Sector, column_edges_rad) -> Strips:
+    """Return the strips of a sector: the fan's columns, divided evenly where they are wider than a sample.
+
+    Parameters
+    ----------
+    sector : Sector
+    column_edges_rad : (columns + 1,) azimuths between which the columns of the fan lie, rising
+    """
+    low, high = sector.azimuth_rad - sector.half_width_rad, sector.azimuth_rad + sector.half_width_rad
+    inside = (column_edges_rad > low) & (column_edges_rad < high)
+    azimuths = merge_close_azimuths(np.concatenate([[low], column_edges_rad[inside], [high]]))
+    edges = -np.tan(azimuths - sector.azimuth_rad)
+    # hardly wider than a sample: a sample that is nearest to the middle of no strip would be lost
+    pieces = np.maximum(np.ceil((edges[:-1] - edges[1:]) / sector.u[1] - 0.1), 1).astype(int)
+    edges = np.concatenate(
+        [np.linspace(edges[k], edges[k + 1], n, endpoint=False) for k, n in enumerate(pieces)] + [edges[-1:]]
+    )
+    u = (edges[1:] + edges[:-1]) / 2
+    columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
+    return Strips(np.clip(columns, 0, len(column_edges_rad) - 2), u, edges[:-1] - edges[1:])

@@ -1,0 +1,226 @@
+"""The data sheet of a sonar, read from presets and TOML files."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.core.checks import check_number, check_whole_number, frozen_array
+from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.toml import read_toml
+
+PRESETS = Path(__file__).with_name("sonars.toml")
+
+
+@dataclass(frozen=True)
+class Sonar:
+    """A multibeam imaging sonar, as its data sheet describes it.
+
+    Parameters
+    ----------
+    name : name for records and messages
+    frequency_hz : centre frequency, hertz, 1e3..1e8
+    n_beams : number of beams across the fan
+    n_bins : number of range bins, which divide [range_min_m, range_max_m) evenly
+    azimuth_fov_deg : width of the fan, degrees, up to 360; beam b points at −fov/2 + (b + ½) fov / n_beams
+    elevation_fov_deg : height of a beam, degrees, up to 170: the full aperture, or the −3 dB width of the two-way
+        pattern if `Acoustics.elevation_pattern` is not a box
+    beam_width_deg : −3 dB width of a receive beam in azimuth, degrees; beams overlap where it exceeds the spacing
+    range_min_m, range_max_m : slant ranges of the first bin's near edge and of the last bin's far edge, metres
+    beam_azimuths_deg : azimuths of the n_beams beams, degrees, rising, positive to port, within the fan; None for an
+        even spacing
+    source : reference for the numbers
+
+    Raises
+    ------
+    Error
+        if a number is out of bounds, or the beams do not lie in rising order within the fan.
+    """
+
+    name: str
+    frequency_hz: float
+    n_beams: int
+    n_bins: int
+    azimuth_fov_deg: float
+    elevation_fov_deg: float
+    beam_width_deg: float
+    range_min_m: float
+    range_max_m: float
+    beam_azimuths_deg: tuple[float, ...] | None = None
+    source: str = ""
+
+    def __post_init__(self):
+        location = f"sonar {self.name!r}"
+        for key in ("n_beams", "n_bins"):
+            check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
+        for key, low, high, hint in (
+            ("frequency_hz", 1e3, 1e8, "give hertz, 900e3 for 900 kHz"),
+            ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
+            ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
+            ("beam_width_deg", 1e-3, 180.0, "give degrees"),
+            ("range_min_m", 0.0, 1e5, "give metres"),
+            ("range_max_m", 1e-3, 1e5, "give metres"),
+        ):
+            check_number(f"{location}: {key}", getattr(self, key), low, high, hint)
+        if self.range_min_m >= self.range_max_m:
+            raise Error(
+                f"{location}: range_min_m must be less than range_max_m "
+                f"(got {self.range_min_m:g} and {self.range_max_m:g})"
+            )
+        # at most 2π wide, and finer than the beams of any device: unlikely but possible, thus a warning
+        if self.n_beams > 8 and self.azimuth_fov_deg <= 6.2832 and self.azimuth_fov_deg / self.n_beams < 0.02:
+            warnings.warn(
+                f"{location}: azimuth_fov_deg = {self.azimuth_fov_deg:g} puts {self.n_beams} beams within less "
+                f"than 7 degrees; if it is in radians, give {math.degrees(self.azimuth_fov_deg):.4g}",
+                stacklevel=3,
+            )
+        if self.beam_azimuths_deg is not None:
+            azimuths = frozen_array(
+                self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
+            )
+            if (np.diff(azimuths) <= 0).any():
+                raise Error(f"{location}: beam_azimuths_deg must rise (starboard first, positive to port)")
+            if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
+                raise Error(
+                    f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
+                    f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"
+                )
+            object.__setattr__(self, "beam_azimuths_deg", tuple(azimuths.tolist()))
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """Beam centres, (B,) float64, radians, rising, positive to port."""
+        if self.beam_azimuths_deg is not None:
+            return np.radians(self.beam_azimuths_deg)
+        return np.radians(self.azimuth_fov_deg * ((np.arange(self.n_beams) + 0.5) / self.n_beams - 0.5))
+
+    @property
+    def bin_edges_m(self) -> np.ndarray:
+        """Edges of the bins, (K + 1,) float64, metres."""
+        return np.linspace(self.range_min_m, self.range_max_m, self.n_bins + 1)
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """Bin centres, (K,) float64, metres."""
+        edges = self.bin_edges_m
+        return (edges[1:] + edges[:-1]) / 2
+
+    @property
+    def bin_size_m(self) -> float:
+        """Length of a bin, metres."""
+        return (self.range_max_m - self.range_min_m) / self.n_bins
+
+    def max_ping_rate_hz(self, sound_speed_m_s: float) -> float:
+        """Return the highest ping rate, hertz: the echo from range_max_m arrives after 2R/c, before the next ping.
+
+        Parameters
+        ----------
+        sound_speed_m_s : c, metres per second
+
+        >>> round(load_sonar("p900-45").with_range(30.0).max_ping_rate_hz(1500.0), 6)
+        25.0
+        """
+        return sound_speed_m_s / (2 * self.range_max_m)
+
+    def with_range(self, range_max_m: float) -> Sonar:
+        """Return the sonar set to another maximum range, with bins of the same size."""
+        if not (math.isfinite(range_max_m) and range_max_m > self.range_min_m):
+            raise Error(
+                f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "
+                f"(got {range_max_m:g})"
+            )
+        n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
+        return replace(self, range_max_m=range_max_m, n_bins=n_bins)
+
+
+def load_sonar(what: str | Path) -> Sonar:
+    """Return a preset, or the sonar of a file.
+
+    Parameters
+    ----------
+    what : name of a preset, in upper or lower case, or path of a .toml file that contains one sonar, as top-level keys
+        or as a table; "path.toml#table" selects one of several tables
+
+    Raises
+    ------
+    Error
+        if there is no such preset, file or table, or the file does not describe a sonar.
+
+    >>> load_sonar("P900-45").n_beams
+    256
+    """
+    if not isinstance(what, (str, Path)):
+        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {what!r})")
+    known = presets()
+    text = str(what)
+    if isinstance(what, str) and text.casefold() in known:
+        return known[text.casefold()]
+    stem, mark, table = text.rpartition(".toml#")
+    path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
+    if not path.is_file():
+        if isinstance(what, str) and path.name == text and path.suffix != ".toml":
+            raise Error(f"unknown sonar (got {text!r}; {nearest_names(text.casefold(), known)})")
+        raise Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()})")
+    tables = _read_tables(path)
+    if path != Path(text):  # the text names a table
+        if table not in tables:
+            raise Error(f"{path}: unknown table (got {table!r}; {nearest_names(table, tables)})")
+    elif len(tables) > 1:
+        raise Error(
+            f"{path}: must contain one sonar, or one of its tables must be named "
+            f"(got {', '.join(tables)}; write {path}#{next(iter(tables))})"
+        )
+    else:
+        (table,) = tables
+    return _sonar_from_table(f"{path} [{table}]", table, tables[table])
+
+
+def presets() -> dict[str, Sonar]:
+    """Return the sonars that come with the package, by name."""
+    return dict(_presets())
+
+
+@lru_cache(maxsize=1)
+def _presets() -> dict[str, Sonar]:
+    return {
+        name: _sonar_from_table(f"{PRESETS} [{name}]", name, t) for name, t in _read_tables(PRESETS).items()
+    }
+
+
+def _read_tables(path: Path) -> dict[str, dict]:
+    """Return the tables of a file by name; top-level keys are one table, named after the file."""
+    data = read_toml(path, "the sonar's file")
+    tables = {key: value for key, value in data.items() if isinstance(value, dict)}
+    if not data:
+        raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
+    if not tables:
+        return {path.stem: data}
+    if len(tables) < len(data):
+        key = next(key for key in data if key not in tables)
+        raise Error(
+            f"{path}: must contain either a sonar's keys or tables, not both "
+            f"(got key {key!r} and table {next(iter(tables))!r})"
+        )
+    return tables
+
+
+def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
+    """Return the sonar that a table of a file describes; messages begin with the location."""
+    required = {field.name: field.default is MISSING for field in fields(Sonar)}
+    with errors_at(location):
+        for key in table:
+            if key not in required:
+                raise Error(f"unknown key (got {key!r}; {nearest_names(key, required)})")
+        for key in ("name", "source"):
+            if not isinstance(table.get(key, ""), str):
+                raise Error(f"{key} must be text (got {table[key]!r}; put it in quotes)")
+        table = {"name": name} | table
+        missing = [key for key, is_required in required.items() if is_required and key not in table]
+        if missing:
+            raise Error(f"every required key must be present (missing: {', '.join(missing)})")
+        return Sonar(**table)

@@ -1,0 +1,223 @@
+"""The settings of `Acoustics`, and its range gain against identities."""
+
+import doctest
+import json
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from sonar_gl.acoustics import acoustics, beam_pattern, boundary, pulse, water
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.errors import Error
+from sonar_gl.sonar.sonar import load_sonar
+
+
+def error_of(make, *args, **kwargs) -> str:
+    """Return the message of the error that a call raises."""
+    with pytest.raises(Error) as caught:
+        make(*args, **kwargs)
+    return str(caught.value)
+
+
+@pytest.fixture
+def sonar():
+    return load_sonar("p900-45")
+
+
+def test_support_of_the_receive_pattern(sonar):
+    """A box ends at half its width; a line array is cut at a null, and little lies beyond."""
+    half = np.radians(0.5)
+    assert Acoustics.ideal().receive_support_rad(sonar) == pytest.approx(half, rel=1e-15)
+    assert Acoustics.ideal().receive_pattern(sonar) is None
+    physical = Acoustics.physical()
+    support, pattern = physical.receive_support_rad(sonar), physical.receive_pattern(sonar)
+    assert pattern(half, 0.0) == pytest.approx(0.5, abs=1e-11)
+    assert pattern(0.3 + support, 0.3) < 1e-25
+    beyond = np.linspace(support, np.pi / 2, 100_000)
+    assert 10 * np.log10(pattern(beyond, 0.0).max()) < -22.9  # the fourth side lobe
+    # beyond the n-th null lies 1/(π² n) of the integral over a line array's pattern: 2.5 % beyond the 4th
+    step = (np.pi / 2) / 1_000_000
+    power = pattern(step * (np.arange(1_000_000) + 0.5), 0.0)
+    assert power[: round(support / step)].sum() / power.sum() == pytest.approx(
+        1 - 1 / (4 * np.pi**2), abs=2e-3
+    )
+    wide = replace(sonar, beam_width_deg=60.0)
+    assert physical.receive_support_rad(wide) == np.pi / 2
+
+
+def test_range_gain_of_the_ideal_profile_is_one(sonar):
+    assert (Acoustics.ideal().range_gain(sonar.range_m, sonar) == 1).all()
+    assert Acoustics.ideal().range_gain(sonar.range_m, sonar).dtype == np.float64
+
+
+@pytest.mark.parametrize("frequency_hz", [375e3, 900e3, 3000e3])
+def test_a_tvg_of_20_log_r_with_the_right_absorption_cancels_the_transmission_loss(sonar, frequency_hz):
+    r = np.concatenate([[0.0, 1e-6, 1e-3], np.geomspace(0.1, 1e5, 1000)])
+    gain = Acoustics.physical().range_gain(r, replace(sonar, frequency_hz=frequency_hz))
+    np.testing.assert_allclose(gain, 1, rtol=0, atol=1e-12)
+
+
+def test_range_gain_of_the_physical_profile_is_the_sonar_equation(sonar):
+    """r^-2 · 10^(−2αr/10) · 10^(TVG/10), term by term."""
+    acoustics = Acoustics.physical(depth_m=0, tvg_k=33.0, tvg_absorption_db_m=0.25)
+    r, alpha = sonar.range_m, 0.299463
+    tvg_db = 33.0 * np.log10(r) + 2 * 0.25 * r
+    expected = r**-2 * 10 ** (-2 * alpha * r / 10) * 10 ** (tvg_db / 10)
+    # α has six digits: 2 · 5e-7 dB/m · 30 m is 7e-6 of the power
+    np.testing.assert_allclose(acoustics.range_gain(r, sonar), expected, rtol=7e-6)
+
+
+def test_range_gain_without_tvg(sonar):
+    """The two-way transmission loss of a surface's echo per solid angle is 20 log r + 2αr."""
+    acoustics = Acoustics.physical(absorption_db_m=0.3, tvg_k=0, tvg_absorption_db_m=0)
+    gain_db = 10 * np.log10(acoustics.range_gain(np.array([1.0, 10.0, 50.0]), sonar))
+    np.testing.assert_allclose(gain_db, [-0.6, -20 - 6, -33.97940008672037 - 30], rtol=1e-14)
+
+
+def test_absorption_follows_the_frequency(sonar):
+    acoustics = Acoustics.physical(tvg_absorption_db_m=0)
+    low, high = (acoustics.range_gain([30.0], replace(sonar, frequency_hz=f))[0] for f in (450e3, 900e3))
+    extra_db = 60 * (acoustics.absorption(900e3) - acoustics.absorption(450e3))
+    assert 10 * np.log10(low / high) == pytest.approx(extra_db, rel=1e-12)
+    assert extra_db == pytest.approx(60 * (0.299296 - 0.109570), abs=1e-3)  # at 10 m depth
+
+
+def test_range_laws_of_demarco2015(sonar):
+    r = np.array([0.0, 0.5, 1.0, 10.0, sonar.range_max_m])
+    printed = Acoustics.demarco2015().range_gain(r, sonar)
+    np.testing.assert_allclose(printed, (r / sonar.range_max_m) ** 2, rtol=1e-15)
+    assert (printed[0], printed[-1]) == (0, 1)
+    assert Acoustics.demarco2015("constant").range_gain(r, sonar).tolist() == [1, 1, 1, 1, 1]
+    inverse = Acoustics.demarco2015(range_law="inverse").range_gain(r, sonar)
+    np.testing.assert_allclose(inverse, [1, 1, 1, 0.01, sonar.range_max_m**-2], rtol=1e-15)
+
+
+def test_the_printed_law_is_a_tvg_of_40_log_r(sonar):
+    """Eq. (4) as printed is the sonar equation with a TVG of 40 log r + 2αr, scaled."""
+    r = sonar.range_m
+    tvg = Acoustics.physical(tvg_k=40).range_gain(r, sonar)
+    printed = Acoustics.demarco2015().range_gain(r, sonar)
+    np.testing.assert_allclose(printed * sonar.range_max_m**2, tvg, rtol=1e-13)
+
+
+@pytest.mark.parametrize("k", [0, 20, 60])
+@pytest.mark.parametrize(("absorption", "assumed"), [(0, 1e5), (1e5, 0), (1e5, 1e5)])
+def test_range_gain_is_finite_and_positive_in_float32(sonar, k, absorption, assumed):
+    acoustics = Acoustics.physical(tvg_k=k, absorption_db_m=absorption, tvg_absorption_db_m=assumed)
+    gain = acoustics.range_gain(np.array([0.0, 1e-9, 0.5, 100.0, 1e5]), sonar).astype(np.float32)
+    assert np.isfinite(gain).all() and (gain > 0).all()
+
+
+def test_profiles():
+    assert Acoustics() == Acoustics.physical() == Acoustics("physical")
+    assert Acoustics("ideal") == Acoustics.ideal()
+    assert [a.beam_pattern for a in (Acoustics.ideal(), Acoustics.demarco2015(), Acoustics())] == [
+        "box",
+        "box",
+        "line_array",
+    ]
+    assert replace(Acoustics.ideal(), beam_pattern="line_array").range_law == "constant"
+    with pytest.raises(FrozenInstanceError):
+        Acoustics().tvg_k = 30
+
+
+def test_terms_of_the_profiles():
+    for profile, physical in (("ideal", False), ("demarco2015", False), ("physical", True)):
+        model = Acoustics(profile)
+        assert (model.specular, model.bubbles, model.multipath) == (physical, physical, "none")
+        assert (model.elevation_pattern, model.bandwidth_hz, model.transmit_width_deg) == ("box", None, None)
+        assert Acoustics(profile, specular=not physical).specular is not physical
+
+
+@pytest.mark.parametrize("assumed", [None, 0.0, 0.4])
+def test_range_gain_is_tvg_times_transmission_loss(sonar, assumed):
+    acoustics = Acoustics.physical(tvg_k=33.0, tvg_absorption_db_m=assumed)
+    r = np.concatenate([[0.0], sonar.range_m])
+    without = replace(acoustics, tvg_k=0.0, tvg_absorption_db_m=0.0)
+    tvg = acoustics.tvg(r, sonar)
+    np.testing.assert_allclose(tvg * without.range_gain(r, sonar), acoustics.range_gain(r, sonar), rtol=1e-12)
+    assert (without.tvg(r, sonar) == 1).all()
+    assert np.isfinite(acoustics.tvg([1e5], sonar).astype(np.float32)).all()
+
+
+def test_the_tvg_of_other_range_laws_is_one(sonar):
+    for law in ("constant", "printed", "inverse"):
+        assert (Acoustics.physical(range_law=law).tvg(sonar.range_m, sonar) == 1).all()
+
+
+@pytest.mark.parametrize("module", [acoustics, beam_pattern, boundary, pulse, water])
+def test_docstring_examples(module):
+    assert doctest.testmod(module).failed == 0
+
+
+def test_meta_survives_json():
+    acoustics = Acoustics.physical(tvg_k=30.0)
+    assert Acoustics(**json.loads(json.dumps(acoustics.meta()))) == acoustics
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"profile": "phisical"}, "unknown profile (got 'phisical'; did you mean 'physical'?)"),
+        ({"profile": None}, "unknown profile (got None; known are demarco2015, ideal, physical)"),
+        ({"range_law": "print"}, "unknown range_law (got 'print'; did you mean 'printed'?)"),
+        ({"beam_pattern": "dot"}, "unknown beam_pattern (got 'dot'; known are box, gaussian, line_array)"),
+        ({"temperature_c": 283}, "temperature_c must lie in -2..40 (got 283; give °C)"),
+        (
+            {"salinity_psu": -1},
+            "salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
+        ),
+        (
+            {"depth_m": -5},
+            "depth_m must lie in 0..12000 (got -5; give metres below the surface, positive down)",
+        ),
+        ({"ph": 0}, "ph must lie in 7..9 (got 0; sea water has about 8)"),
+        ({"ph": float("nan")}, "ph must lie in 7..9 (got nan; sea water has about 8)"),
+        ({"tvg_k": 61}, "tvg_k must lie in 0..60 (got 61; usual are 20, 30 and 40)"),
+        ({"tvg_k": "20"}, "tvg_k must be a number (got '20')"),
+        ({"tvg_k": None}, "tvg_k must be a number (got None)"),
+        (
+            {"absorption_db_m": -0.3},
+            "absorption_db_m must lie in 0..100000 "
+            "(got -0.3; give dB per metre one way, a thousandth of dB per km)",
+        ),
+        ({"taper": "hann"}, "unknown taper (got 'hann'; did you mean 'hamming'?)"),
+        ({"taper": None}, "unknown taper (got None; known are chebyshev, hamming, taylor, uniform)"),
+        ({"steered": "bent"}, "unknown steered (got 'bent'; known are alike, straight)"),
+        (
+            {"absorption_formula": "thorp"},
+            "unknown absorption_formula (got 'thorp'; known are ainslie_mccolm, francois_garrison)",
+        ),
+        (
+            {"sound_speed_formula": "teos"},
+            "unknown sound_speed_formula (got 'teos'; did you mean 'teos10'?)",
+        ),
+        ({"multipath": True}, "unknown multipath (got True; known are coherent, incoherent, none)"),
+        ({"specular": "yes"}, "specular must be True or False (got 'yes')"),
+        ({"bubbles": 1}, "bubbles must be True or False (got 1)"),
+        (
+            {"sonar_sound_speed_m_s": 1.5},
+            "sonar_sound_speed_m_s must lie in 1000..2000 "
+            "(got 1.5; give metres per second, about 1500 in water)",
+        ),
+        ({"sound_speed_m_s": True}, "sound_speed_m_s must be a number (got True)"),
+        (
+            {"side_lobe_db": -30},
+            "side_lobe_db must lie in 15..60 (got -30; give dB below the main lobe, positive)",
+        ),
+        ({"transmit_width_deg": 0}, "transmit_width_deg must lie in 0.001..180 (got 0; give degrees)"),
+        (
+            {"bandwidth_hz": 0.03},
+            "bandwidth_hz must lie in 1..1e+08 (got 0.03; give hertz, 30e3 for 30 kHz)",
+        ),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    assert error_of(Acoustics, **settings) == f"acoustics: {message}"
+
+
+def test_the_range_law_of_demarco2015_is_checked():
+    assert error_of(Acoustics.demarco2015, "invers") == (
+        "acoustics: unknown range_law (got 'invers'; did you mean 'inverse'?)"
+    )

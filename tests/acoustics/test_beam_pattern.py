@@ -1,0 +1,311 @@
+"""Beam patterns against published numbers, and pings with them against the reference."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.acoustics.beam_pattern import (
+    ArrayPattern,
+    aperture_pattern,
+    box_pattern,
+    chebyshev_pattern,
+    gaussian_pattern,
+    line_array_pattern,
+    main_lobe_edge,
+    taper_series,
+)
+from sonar_gl.analysis.verify import ping_error
+
+
+@pytest.mark.parametrize("width_deg", [0.25, 1.0, 2.0, 20.0, 90.0])
+@pytest.mark.parametrize("steer_deg", [0.0, 65.0, -180.0])
+def test_a_line_array_has_half_power_at_the_edges_of_its_width(width_deg, steer_deg):
+    width, steer = np.radians([width_deg, steer_deg])
+    edges = line_array_pattern(steer + np.array([-0.5, 0.5]) * width, steer, width)
+    np.testing.assert_allclose(edges, 0.5, rtol=0, atol=1e-13)
+    assert line_array_pattern(steer, steer, width) == 1.0
+    fine = line_array_pattern(np.linspace(-0.5, 0.5, 101) * width, 0.0, width)
+    assert (np.diff(fine[50:]) < 0).all()  # falls from the axis to the edge
+
+
+def test_nulls_and_side_lobes_of_an_untapered_array():
+    """First null, first side lobe and width in λ/L have their textbook values."""
+    half_power = main_lobe_edge((), 0.5)
+    assert half_power == pytest.approx(0.885893 / 2, abs=2.5e-7)
+    width = np.radians(1.0)
+    apertures = half_power / np.sin(width / 2)  # L/λ
+    # 0.885893 / 0.01745329, and 1.3e-5 of it for the sine of half a degree
+    assert apertures == pytest.approx(50.7586, abs=5e-5)
+    assert line_array_pattern(np.arcsin(1 / apertures), 0.0, width) < 1e-25
+    u = np.linspace(1, 2, 100_001) / apertures
+    lobe = line_array_pattern(np.arcsin(u), 0.0, width)
+    assert 10 * np.log10(lobe.max()) == pytest.approx(-13.2615, abs=5e-5)
+    assert u[lobe.argmax()] * apertures == pytest.approx(1.4303, abs=5e-5)
+    # equivalent width: the integral over u is λ/L, except for the tail beyond ±1, which is 1/(π² · 50.8) of it
+    u = np.linspace(-1, 1, 2_000_001)[1:-1]
+    total = line_array_pattern(np.arcsin(u), 0.0, width).sum() * 1e-6 * apertures
+    assert total == pytest.approx(1 - 1 / (np.pi**2 * apertures), abs=1e-5)
+
+
+def test_the_pattern_is_zero_behind_a_line_array():
+    behind = np.radians([91.0, 135.0, 180.0, 269.0])
+    assert line_array_pattern(behind, 0.0, np.radians(1.0)).tolist() == [0, 0, 0, 0]
+    # azimuths beyond ±180° are periodic
+    a, b = line_array_pattern(np.radians([0.3, 360.3]), 0.0, np.radians(1.0))
+    assert a == pytest.approx(b, rel=1e-12)
+
+
+def test_every_direction_lies_in_one_of_contiguous_boxes():
+    steer, width = (
+        (np.arange(8) - 3.5) / 4,
+        0.25,
+    )  # binary fractions, so that some directions are exactly edges
+    azimuth = np.arange(64) / 32 - 1
+    assert 0.125 in azimuth - steer[0]  # an edge
+    assert (box_pattern(azimuth[:, None], steer, width).sum(axis=1) == 1).all()
+
+
+def test_boxes_extend_across_180_degrees():
+    assert box_pattern(np.radians([-179.8, 179.8, 179.0]), np.pi, np.radians(1.0)).tolist() == [1, 1, 0]
+
+
+def peak_db(pattern, x):
+    """Return the level of the highest side lobe, beyond the first null or minimum."""
+    db = 10 * np.log10(np.maximum(pattern, 1e-30))
+    return db[np.argmax(np.diff(db) > 0) :].max()
+
+
+X = np.linspace(0, 40, 400_001)
+
+
+@pytest.mark.parametrize(
+    ("taper", "side_lobe_db", "width", "highest_db", "loss_db"),
+    [
+        ("uniform", 30.0, 0.885893, -13.2615, 0.0),
+        # Harris has other values: of 102 elements, whose weights fall to 0.08 inside the array, not at its ends
+        ("hamming", 30.0, 1.3030, -42.675, -1.344),
+        ("taylor", 25.0, 1.0565, -25.38, -0.43),
+        ("taylor", 30.0, 1.1247, -30.30, -0.69),
+        ("taylor", 40.0, 1.2485, -40.17, -1.15),
+    ],
+)
+def test_tapers_have_textbook_values(taper, side_lobe_db, width, highest_db, loss_db):
+    """−3 dB width in λ/L, highest side lobe and loss of gain."""
+    assert 2 * main_lobe_edge(taper_series(taper, side_lobe_db), 0.5) == pytest.approx(width, rel=2e-4)
+    pattern = aperture_pattern(X, taper, side_lobe_db)
+    assert pattern[0] == 1.0
+    assert peak_db(pattern, X) == pytest.approx(highest_db, abs=0.02)
+    series = np.array(taper_series(taper, side_lobe_db))
+    assert -10 * np.log10(1 + 2 * (series**2).sum()) == pytest.approx(loss_db, abs=6e-3)
+
+
+def test_hamming_taper_against_a_sum_over_elements():
+    """NumPy's 102 weights: 1.3114 λ/L wide with L from the first to the last element's centre, −42.6 dB."""
+    weights, places = np.hamming(102), np.arange(102) - 50.5
+    x = np.linspace(0, 10, 4001)
+    field = np.cos(2 * np.pi * places * x[:, None] / 102) @ weights / weights.sum()
+    assert peak_db(field**2, x) == pytest.approx(-42.59, abs=0.02)
+    # the aperture is half a spacing longer at either end, 102/101 of the distance of the outer elements
+    pattern = aperture_pattern(x * 101 / 102, "hamming")
+    assert np.abs(pattern - field**2)[x < 1.5].max() < 3e-3
+
+
+@pytest.mark.parametrize(("side_lobe_db", "width", "loss_db"), [(30.0, 1.0671, -0.63), (40.0, 1.2113, -1.03)])
+def test_chebyshev_arrays_have_equal_side_lobes_and_textbook_values(side_lobe_db, width, loss_db):
+    """102 elements."""
+    pattern = chebyshev_pattern(X, 102, side_lobe_db)
+    assert pattern[0] == pytest.approx(1.0, rel=1e-12)
+    assert 2 * X[np.argmax(pattern < 0.5)] == pytest.approx(width, abs=2e-3)
+    peaks = np.flatnonzero((np.diff(pattern[:-1]) > 0) & (np.diff(pattern[1:]) < 0)) + 1
+    np.testing.assert_allclose(10 * np.log10(pattern[peaks]), -side_lobe_db, atol=1e-6)
+    # the weights are the Fourier series of the pattern: loss of gain against even weights, by Parseval
+    turn = np.linspace(0, 102, 20_400, endpoint=False)
+    mean = chebyshev_pattern(turn, 102, side_lobe_db).mean()
+    assert -10 * np.log10(102 * mean) == pytest.approx(loss_db, abs=6e-3)
+
+
+ARRAYS = [("gaussian", "uniform", 30.0), *(("line_array", t, 30.0) for t in ("uniform", "hamming", "taylor"))]
+ARRAYS += [("line_array", "chebyshev", s) for s in (20.0, 30.0, 50.0)]
+
+
+@pytest.mark.parametrize("two_way_width", [False, True])
+@pytest.mark.parametrize("width_deg", [0.3, 1.0, 20.0, 90.0])
+@pytest.mark.parametrize(("shape", "taper", "side_lobe_db"), ARRAYS)
+def test_the_width_of_array_patterns_is_exact(shape, taper, side_lobe_db, width_deg, two_way_width):
+    pattern = ArrayPattern(shape, math.radians(width_deg), taper, side_lobe_db, two_way_width)
+    edge, axis = pattern.power(np.sin(np.radians([width_deg / 2, 0.0])))
+    assert edge ** (1 + two_way_width) == pytest.approx(0.5, abs=1e-11)
+    assert axis == pytest.approx(1.0, abs=1e-11)  # cosh and arcosh of a Chebyshev array
+    for level in (0.9, 0.1):
+        assert pattern.power(pattern.main_lobe_sine(level)) == pytest.approx(level, abs=1e-11)
+
+
+def test_the_two_way_pattern_is_narrower():
+    """Its width is 0.637833 λ/L, 0.72 of the one-way width."""
+    assert 2 * main_lobe_edge((), math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
+
+
+@pytest.mark.parametrize(("shape", "taper", "side_lobe_db"), ARRAYS[1:])
+def test_array_patterns_are_cut_at_a_null_with_only_low_side_lobes_beyond(shape, taper, side_lobe_db):
+    pattern = ArrayPattern(shape, math.radians(1.0), taper, side_lobe_db)
+    sine = pattern.support_sine()
+    assert pattern.power(sine) < 1e-20
+    beyond = 10 * np.log10(pattern.power(np.linspace(sine, 1.0, 1_000_001)[1:]).max())
+    limit = {"uniform": -22.9, "hamming": -42.5}.get(taper, -side_lobe_db + 0.01)
+    assert beyond <= limit
+    within = pattern.power(np.linspace(0, sine, 100_001)[1:-1])
+    nulls = (np.diff(within[:-1]) < 0) & (np.diff(within[1:]) > 0)
+    assert nulls.sum() == 3  # the main lobe and three side lobes to each side are kept
+
+
+@pytest.mark.parametrize(("steer_deg", "broader"), [(45.0, 1.414), (65.0, 2.366)])
+@pytest.mark.parametrize("pattern", [line_array_pattern, gaussian_pattern])
+def test_beams_of_a_straight_array_broaden_with_the_steering_angle(pattern, steer_deg, broader):
+    width, steer = np.radians(0.1), np.radians(steer_deg)
+    offsets = np.radians(np.linspace(-0.5, 0.5, 200_001))
+    for steered, factor in (("alike", 1.0), ("straight", broader)):
+        inside = pattern(steer + offsets, steer, width, steered=steered) >= 0.5
+        assert np.ptp(offsets[inside]) / width == pytest.approx(factor, rel=1e-3)
+    assert pattern(np.radians(91.0), steer, width, steered="straight") == 0  # behind the array
+
+
+SONAR = sg.Sonar("test", 900e3, 32, 200, 32.0, 20.0, 1.5, 2.0, 16.0)
+
+
+def ping(bodies, acoustics, sonar=SONAR, pose=None, **more):
+    with sg.Simulator(sg.Scene(bodies), sonar, acoustics, **more) as simulator:
+        return simulator.ping(np.eye(4) if pose is None else pose, labels=True)
+
+
+def room():
+    """Return a floor, a leaning wall and a ball, at high and low elevations."""
+    floor = sg.Body("floor", trimesh.creation.box((60, 60, 0.1)), sg.pose(10, 0, -1.85, 0, 0.05, 0), 0.5)
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 40, 12)), sg.pose(12, 0, 2, 0, 0.2, 0.3), 0.3)
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.7), sg.pose(5, 1, 1.2), 1.0)
+    return [floor, wall, ball]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"elevation_pattern": "line_array", "transmit_width_deg": 25.0},
+        {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+        pytest.param({"taper": "taylor", "steered": "straight", "fan": 130.0}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_pings_with_patterns_agree_with_the_reference(settings):
+    sonar = replace(SONAR, azimuth_fov_deg=settings.get("fan", 32.0))
+    acoustics = sg.Acoustics.physical(**{key: settings[key] for key in settings if key != "fan"})
+    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.02)
+    assert truth.meta["converged"]
+    found = ping(room(), acoustics, sonar, tolerance=0.005)
+    assert ping_error(found, truth) < 0.01  # including 2e-3, the error of the reference
+    np.testing.assert_allclose(found.body_echo[1:], truth.body_echo[1:], rtol=0.01)
+    plain = ping(room(), sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern), sonar, tolerance=0.01)
+    assert ping_error(plain, truth) > 0.04  # the pattern matters here
+
+
+@pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
+def test_a_sphere_about_the_sonar_reads_its_reflectivity_with_every_elevation_pattern(settings):
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
+    totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)
+    np.testing.assert_allclose(
+        totals, 0.3, rtol=2e-3
+    )  # facets of 2 degrees deviate from the sphere by 1 degree
+    truth = sg.reference_ping(sg.Scene([ball]), SONAR, np.eye(4), sg.Acoustics.physical(**settings), 0.1)
+    np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.3, rtol=2e-3)
+
+
+def test_the_transmit_pattern_weights_the_beams():
+    """Inside a sphere, narrow beams read the transmit pattern on their axes."""
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
+    acoustics = sg.Acoustics.physical(beam_pattern="gaussian", transmit_width_deg=24.0)
+    totals = ping([ball], acoustics, replace(SONAR, beam_width_deg=0.5)).intensity.sum(axis=1)
+    transmitted = line_array_pattern(SONAR.azimuth_rad, 0.0, np.radians(24.0))
+    assert transmitted.min() < 0.3
+    np.testing.assert_allclose(totals, 0.3 * transmitted, rtol=3e-3)
+
+
+def chip(azimuth_deg, elevation_deg, size=0.02):
+    """Return a small plate at 10 m that faces the sonar."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    x, y = 10 * np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    pose = sg.pose(x, y, 10 * np.sin(elevation), 0, -elevation, azimuth)
+    return sg.Body("chip", trimesh.creation.box((0.002, size, size)), pose, 1.0)
+
+
+def test_echoes_follow_the_two_way_elevation_pattern():
+    """A plate at several elevations: −3 dB at the edges of the aperture, less beyond, nothing beyond the support."""
+    acoustics = sg.Acoustics.physical(elevation_pattern="line_array", beam_pattern="box")
+    sonar = replace(SONAR, n_beams=3, azimuth_fov_deg=3.0, beam_width_deg=1.0)
+    at_deg = np.array([0.0, 5.0, 10.0, -10.0, 20.0, -24.0])
+    fine = sg.Sampling(150, 1000)  # 85 columns and 28 rows on a plate
+    levels = [ping([chip(0.0, e, 0.1)], acoustics, sonar, sampling=fine).intensity.sum() for e in at_deg]
+    x = 0.318917 * np.sin(np.radians(at_deg)) / np.sin(np.radians(10.0))
+    np.testing.assert_allclose(np.array(levels) / levels[0], np.sinc(x) ** 4, rtol=0.02)
+    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±27\.3\d°"):
+        dark = ping([chip(0.0, 30.0)], acoustics, sonar)
+    assert dark.intensity.sum() == 0
+
+
+@pytest.mark.parametrize(
+    ("taper", "highest_db"), [("uniform", -13.26), ("taylor", -30.3), ("hamming", -43.6)]
+)
+def test_a_strong_target_has_side_lobes_in_azimuth(taper, highest_db):
+    """Beams a tenth of their width apart sample the pattern: main lobe, nulls and side lobes."""
+    sonar = replace(SONAR, n_beams=160, azimuth_fov_deg=16.0, beam_width_deg=1.0)
+    acoustics = sg.Acoustics.physical(taper=taper)
+    target = chip(0.0, 0.0, 0.01)
+    power = ping([target], acoustics, sonar, sampling=sg.Sampling(4, 800)).intensity.sum(axis=1)
+    power = power / power.max()
+    off = np.abs(np.degrees(sonar.azimuth_rad))
+    support = np.degrees(acoustics.receive_support_rad(sonar))
+    null = np.degrees(math.asin(math.sin(math.radians(0.5)) / main_lobe_edge(taper_series(taper, 30.0), 0.5)))
+    if taper == "hamming":
+        null *= 2
+    elif taper == "taylor":
+        null *= 1.5
+    side = (off > null) & (off < support - 0.1)
+    assert 10 * np.log10(power[side].max()) == pytest.approx(highest_db, abs=0.6)
+    assert power[side].min() < power[side].max() / 10  # nulls between
+    assert not power[off > support + 0.15].any()
+
+
+def test_straight_arrays_are_limited_in_steering_and_in_pattern():
+    sonar = replace(SONAR, azimuth_fov_deg=170.0)
+    acoustics = sg.Acoustics.physical(steered="straight")
+    with pytest.raises(sg.Error) as caught:
+        ping(room(), acoustics, sonar)
+    assert str(caught.value) == (
+        'acoustics: steered "straight" needs beams within ±80° of the boresight '
+        '(got 82.34°: one array cannot receive along its own line; take "alike")'
+    )
+    with pytest.raises(sg.Error) as caught:
+        sg.Acoustics("ideal", steered="straight")
+    assert str(caught.value) == (
+        'acoustics: steered "straight" needs a beam_pattern that a straight array can have '
+        '(got \'box\'; take "line_array" or "gaussian")'
+    )
+
+
+def test_the_true_range_sonar_covers_the_support_in_elevation():
+    """Down to −30 dB of the two-way pattern, but 85 degrees at most; a box keeps the aperture of the sonar."""
+    acoustics = sg.Acoustics.physical(elevation_pattern="line_array")
+    assert sg.Acoustics.physical().true_range_sonar(SONAR) is SONAR
+    top = acoustics.true_range_sonar(SONAR).elevation_fov_deg / 2
+    assert acoustics.two_way_elevation_pattern(SONAR)(math.sin(math.radians(top))) == pytest.approx(
+        1e-3, rel=1e-9
+    )
+    assert acoustics.true_range_sonar(replace(SONAR, elevation_fov_deg=80.0)).elevation_fov_deg == 170.0
+    # little of the pattern lies beyond: 3e-4 of a Gaussian, and the side lobes of a line array
+    sines = np.linspace(0, 1, 100_001)
+    for pattern, limit in (("line_array", 4e-3), ("gaussian", 3e-4)):
+        acoustics = sg.Acoustics.physical(elevation_pattern=pattern)
+        power = acoustics.two_way_elevation_pattern(SONAR)(sines)
+        top = acoustics.true_range_sonar(SONAR).elevation_fov_deg / 2
+        assert power[sines > math.sin(math.radians(top))].sum() < limit * power.sum()

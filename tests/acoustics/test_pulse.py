@@ -1,0 +1,127 @@
+"""The range response of a pulse: width, side lobes, energy, and the correlation of noise."""
+
+import numpy as np
+import pytest
+
+from sonar_gl.acoustics.pulse import (
+    PULSE_TAPERS,
+    amplitude_response,
+    bin_weights,
+    field_weights,
+    matched_filter,
+)
+from sonar_gl.core.errors import Error
+
+BANDWIDTH_HZ, SPEED_M_S = 30e3, 1500.0
+NULL_M = 0.025  # c/2B
+
+
+def power(x, taper):
+    """Return the power response at x times c/2B."""
+    return amplitude_response(np.asarray(x) * NULL_M, BANDWIDTH_HZ, taper, SPEED_M_S) ** 2
+
+
+@pytest.mark.parametrize(
+    ("taper", "width", "first_null", "side_lobe_db"),
+    # Harris 1978, Table 1: -13 and -43 dB, widths 0.89 and 1.30; these are exact, of continuous tapers
+    [("uniform", 0.885893, 1.0, -13.2615), ("hamming", 1.302982, 2.0, -42.67)],
+)
+def test_width_null_and_side_lobes_of_the_response(taper, width, first_null, side_lobe_db):
+    assert power(0.0, taper) == 1
+    assert power([-width / 2, width / 2], taper) == pytest.approx(0.5, abs=2e-6)
+    assert power(first_null, taper) == pytest.approx(0, abs=1e-20)
+    beyond = power(np.linspace(first_null, 40, 400_001), taper)
+    assert 10 * np.log10(beyond.max()) == pytest.approx(side_lobe_db, abs=0.05)
+
+
+@pytest.mark.parametrize("taper", PULSE_TAPERS)
+@pytest.mark.parametrize("bin_size_m", [0.002, 0.01, 0.025, 0.04, 0.2])
+def test_bin_weights_are_integrals_of_the_response(taper, bin_size_m):
+    weights = bin_weights(bin_size_m, BANDWIDTH_HZ, taper, SPEED_M_S)
+    assert weights.dtype == np.float32 and len(weights) % 2 == 1 and not weights.flags.writeable
+    assert (weights == weights[::-1]).all()
+    assert weights.sum(dtype=np.float64) == pytest.approx(1, abs=1e-6)
+    # integrated by the midpoint rule; the total follows from Parseval
+    per_bin = 200
+    half_length = len(weights) // 2 + 0.5
+    r = (np.arange(len(weights) * per_bin) + 0.5) / per_bin * bin_size_m - half_length * bin_size_m
+    energy = power(r / NULL_M, taper).reshape(-1, per_bin).mean(1) * bin_size_m
+    total = NULL_M * (1 if taper == "uniform" else 1 + 2 * (0.23 / 0.54) ** 2)
+    assert 0.999 * total <= energy.sum() <= total * (1 + 1e-6)
+    np.testing.assert_allclose(
+        weights, energy / energy.sum(), rtol=0, atol=2e-5
+    )  # error of the midpoint rule
+
+
+def test_coarse_bins_contain_nearly_the_whole_pulse():
+    """The side lobes of sinc² beyond half a bin, x = 10 c/2B, have 1/(π² x) of the energy."""
+    assert bin_weights(20 * NULL_M, BANDWIDTH_HZ).max() == pytest.approx(1 - 1 / (np.pi**2 * 10), abs=1e-3)
+    assert bin_weights(20 * NULL_M, BANDWIDTH_HZ, "hamming").tolist() == [1.0]
+
+
+def test_the_matched_filter_keeps_energy_except_at_the_ends():
+    weights = bin_weights(0.01, BANDWIDTH_HZ)
+    half_length = len(weights) // 2
+    rng = np.random.default_rng(1)
+    echo = np.zeros((7, 4 * half_length), np.float32)
+    echo[:, half_length:-half_length] = rng.random((7, 2 * half_length))
+    out = matched_filter(echo, weights)
+    assert out.shape == echo.shape and out.dtype == np.float32 and out.min() >= 0
+    assert out.sum(1, dtype=np.float64) == pytest.approx(echo.sum(1, dtype=np.float64), rel=1e-6)
+    expected = [np.convolve(row.astype(np.float64), weights, "same") for row in echo]
+    np.testing.assert_allclose(out, expected, rtol=1e-5)  # float32 sums of about 500 numbers
+    at_the_end = matched_filter(np.eye(1, 50, dtype=np.float32), np.float32([0.25, 0.5, 0.25]))
+    assert at_the_end[0, :3].tolist() == [0.5, 0.25, 0.0]  # a quarter is lost
+
+
+@pytest.mark.parametrize("n_bins", [1, 2, 5, 64])
+def test_kernels_may_be_longer_than_the_ping(n_bins):
+    weights = bin_weights(0.002, BANDWIDTH_HZ)
+    assert len(weights) > 2 * n_bins
+    echo = np.random.default_rng(0).random((3, n_bins)).astype(np.float32)
+    middle = len(weights) // 2
+    expected = [np.convolve(row, weights)[middle : middle + n_bins] for row in echo]
+    np.testing.assert_allclose(matched_filter(echo, weights), expected, rtol=1e-4)
+    assert matched_filter(echo, np.ones(1, np.float32)).tolist() == echo.tolist()
+
+
+def test_range_side_lobes_of_a_point_echo():
+    """In fine bins the side lobes have the place and the level of those of the response."""
+    echo = np.zeros((1, 2001), np.float32)
+    echo[0, 1000] = 1
+    out = matched_filter(echo, bin_weights(NULL_M / 50, BANDWIDTH_HZ))[0]
+    assert out.argmax() == 1000
+    lobe = out[1050:1100]
+    assert 50 + lobe.argmax() == pytest.approx(1.4303 * 50, abs=1)
+    assert 10 * np.log10(lobe.max() / out.max()) == pytest.approx(-13.26, abs=0.02)  # bins are 1/50 c/2B long
+
+
+@pytest.mark.parametrize("taper", PULSE_TAPERS)
+@pytest.mark.parametrize("ratio", [0.1, 0.4, 0.5, 1.0, 1.5, 3.0])
+def test_field_weights_correlate_noise_as_the_pulse_does(taper, ratio):
+    """The correlation over bins is the Fourier transform of the power spectrum."""
+    weights = field_weights(ratio * NULL_M, BANDWIDTH_HZ, taper, SPEED_M_S).astype(np.float64)
+    assert (weights**2).sum() == pytest.approx(1, abs=1e-6)
+    found = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    f = (np.arange(20_000) + 0.5) / 20_000 - 0.5
+    spectrum = (np.ones_like(f) if taper == "uniform" else 0.54 + 0.46 * np.cos(2 * np.pi * f)) ** 2
+    lags = np.arange(min(len(found), 40))
+    expected = np.cos(2 * np.pi * np.outer(lags * ratio, f)) @ spectrum / spectrum.sum()
+    assert np.abs(found[: len(lags)] - expected).max() < 8e-3  # amplitudes below a per cent are left out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0.01, 0.0), "pulse: bandwidth_hz must be a number above 0 (got 0)"),
+        ((0.01, np.nan), "pulse: bandwidth_hz must be a number above 0 (got nan)"),
+        ((0.0, 1e3), "pulse: bin_size_m must be a number above 0 (got 0)"),
+        ((0.01, 1e3, "hann"), "pulse: unknown taper (got 'hann'; did you mean 'hamming'?)"),
+        ((0.01, 1e3, "uniform", -1.0), "pulse: sound_speed_m_s must be a number above 0 (got -1)"),
+    ],
+)
+def test_arguments_are_checked(arguments, message):
+    for function in (bin_weights, field_weights):
+        with pytest.raises(Error) as caught:
+            function(*arguments)
+        assert str(caught.value) == message

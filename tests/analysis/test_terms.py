@@ -1,0 +1,243 @@
+"""The price of terms in a scene, and the acoustics that it needs."""
+
+import doctest
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.analysis import terms
+from sonar_gl.analysis.terms import SPECKLE, TERMS, differs, everything_on, needed_acoustics, price, without
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.noise import add_noise
+
+SONAR = sg.Sonar("small", 900e3, 32, 160, 40.0, 16.0, 2.0, 0.5, 12.5)
+NAMES = [term.name for term in TERMS]
+ACOUSTIC = [term.name for term in TERMS if not term.of_noise]
+
+
+@pytest.fixture(autouse=True)
+def timed_once(monkeypatch):
+    """Time terms once only: no test here depends on the times."""
+    monkeypatch.setattr(terms, "TURNS", 1)
+
+
+def room(pitch=0.15, **more):
+    """Return a sphere above a level floor, with fields of the scene, and of the sphere's lobe."""
+    floor = trimesh.Trimesh([(-30, -30, 0), (30, -30, 0), (30, 30, 0), (-30, 30, 0)], [(0, 1, 2), (0, 2, 3)])
+    sphere = trimesh.creation.icosphere(3, 0.4)
+    body = {key: more.pop(key) for key in ("specular", "roughness_rad") if key in more}
+    bodies = [sg.Body("floor", floor, None, 0.3), sg.Body("sphere", sphere, sg.pose(7, 0.5, 1), 0.8, **body)]
+    return sg.Scene(bodies, sg.pose(0, 0, 1.5, 0, pitch), "room", **more)
+
+
+def priced(scene, *more, **settings):
+    """Return Price by name."""
+    return {one.name: one for one in price(scene, SONAR, *more, **settings)}
+
+
+def image_of(ping, acoustics, noise, speckle):
+    """Return a ping with its noise; without speckle, the mean of many such pings."""
+    if speckle and noise.speckle:
+        return np.float64(add_noise(ping, noise, 0).intensity)
+    power = 0.0 if noise.electronic_db is None else 10 ** (noise.electronic_db / 10)
+    return ping.intensity + power * acoustics.tvg(SONAR.range_m, SONAR)
+
+
+def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
+    scene = room()
+    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
+    noise = replace(noise, electronic_db=-50.0)
+    with sg.Simulator(scene, SONAR, full, tolerance=0.05) as simulator:
+        ping = simulator.ping(scene.sonar_pose)
+    many = np.mean([np.float64(add_noise(ping, noise, seed).intensity) for seed in range(400)], axis=0)
+    mean = image_of(ping, full, noise, speckle=False)
+    # the mean of 400 exponential values errs by 5 %; sums over beams and bins err far less
+    assert abs(many.sum() / mean.sum() - 1) < 0.01
+    assert np.abs(many / mean - 1).mean() == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
+
+
+def test_every_switch_switches_its_term_off_and_on_again():
+    start = sg.Acoustics.physical(), sg.Noise.physical()
+    full = everything_on(*start, SONAR)
+    assert everything_on(*full, SONAR) == full
+    for term in TERMS:
+        less = without(*full, [term])
+        assert less != full and less[term.of_noise is False] == full[term.of_noise is False]
+        assert everything_on(*less, SONAR)[1 if term.of_noise else 0] == full[1 if term.of_noise else 0]
+    bare = without(*full, TERMS)
+    assert bare[1] == sg.Noise.none()
+    # then the settings are those of "ideal", except for the range law, of which only absorption is a term
+    ideal = {key: getattr(sg.Acoustics.ideal(), key) for key in ("beam_pattern", "specular", "bubbles")}
+    assert {key: getattr(bare[0], key) for key in ideal} == ideal
+    assert bare[0].multipath == "none" and bare[0].bandwidth_hz is None and bare[0].elevation_pattern == "box"
+    assert bare[0].absorption(900e3) == 0
+
+
+def test_settings_of_terms_that_are_on_stay():
+    mine = sg.Acoustics.physical(
+        beam_pattern="gaussian",
+        elevation_pattern="gaussian",
+        bandwidth_hz=5e3,
+        multipath="coherent",
+        tvg_k=40.0,
+    )
+    noise = sg.Noise(speckle=True, looks=3, ambient_db=-70.0)
+    assert everything_on(mine, noise, SONAR) == (mine, noise)
+    # a straight array has no box beams
+    straight = replace(mine, steered="straight")
+    assert without(straight, noise, TERMS[1:2])[0] == replace(mine, beam_pattern="box")
+    speed = everything_on(sg.Acoustics.physical(sonar_sound_speed_m_s=1600.0), noise, SONAR)[0]
+    assert speed.bandwidth_hz == pytest.approx(1600 / 2 / SONAR.bin_size_m)
+
+
+def test_differences_are_those_of_pings_by_hand():
+    """Each term's change, from two pings with the same samples, each in a world of its own."""
+    scene = room(0.0, surface_z_m=3.0)
+    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
+    with sg.Simulator(scene, SONAR, full, tolerance=0.05) as simulator:
+        simulator.plan([scene.sonar_pose])
+        sampling = simulator.sampling
+    found = priced(scene, 0.01)
+    assert list(found) == NAMES
+    for term in TERMS:
+        images = []
+        for acoustics, amounts in ((full, noise), without(full, noise, [term])):
+            with sg.Simulator(scene, SONAR, acoustics, sampling, tolerance=0.01) as simulator:
+                ping = simulator.ping(scene.sonar_pose)
+            images.append(image_of(ping, acoustics, amounts, speckle=term is SPECKLE))
+        difference, (full_image, _) = np.abs(images[0] - images[1]), images
+        assert found[term.name].changes == pytest.approx(difference.sum() / full_image.sum(), rel=1e-9)
+        assert found[term.name].worst_bin == pytest.approx(difference.max() / full_image.max(), rel=1e-9)
+    # surface and floor reflect; E|g − 1| of speckle's exponential g is 2/e, here of few strong grains
+    assert found["multipath"].changes > 0.003
+    assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
+
+
+def test_terms_without_anything_to_act_on_change_and_cost_nothing():
+    found = priced(room())
+    for name in ("lobes", "bubbles"):
+        assert (found[name].changes, found[name].worst_bin, found[name].time_ms) == (0, 0, 0)
+        assert found[name].on is False
+    shiny = priced(room(specular=0.5, roughness_rad=0.05))["lobes"]
+    assert shiny.changes > 0.01 and shiny.on and shiny.worst_bin > 0.1
+    sphere = sg.Scene(room().bodies[1:], room().sonar_pose)  # curved everywhere: no planar reflector
+    assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, False)
+
+
+def test_absorption_acts_through_the_noise_that_the_tvg_amplifies():
+    """A right TVG cancels absorption in the echo; a TVG of fixed absorption does not."""
+    scene = room()
+    assert priced(scene, noise=sg.Noise(speckle=True, electronic_db=-300.0))["absorption"].changes < 1e-6
+    wrong = sg.Acoustics.physical(tvg_absorption_db_m=0.0)
+    changes = priced(scene, acoustics=wrong)["absorption"].changes
+    assert changes > 1  # 0.35 dB/m, both ways, over some 10 m: without it most echoes are twice as strong
+
+
+@pytest.mark.slow
+def test_of_several_poses_the_largest_change_counts():
+    scene = room()
+    poses = [scene.sonar_pose, sg.pose(0, 0, 1.5, 0, 0.15, np.pi), sg.pose(3, 0, 1.5, 0, 0.3)]
+    single = [priced(scene, poses=[pose]) for pose in poses]
+    together = priced(scene, poses=poses)
+    for name in ("azimuth pattern", "elevation pattern", "pulse"):
+        # all three share the samples that the most demanding one needs
+        most = max(one[name].changes for one in single)
+        assert together[name].changes == pytest.approx(most, rel=0.05)
+
+
+def needed_and_full(scene, sonar, tolerance):
+    """Return the needed acoustics, those with everything on, and the share by which their pings differ."""
+    needed = sg.needed_acoustics(scene, sonar, tolerance)
+    full, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), sonar)
+    with sg.Simulator(scene, sonar, full, tolerance=tolerance) as simulator:
+        simulator.plan([scene.sonar_pose])
+        full_ping = simulator.ping(scene.sonar_pose)
+        with sg.Simulator(simulator, sonar, needed, simulator.sampling, tolerance) as other:
+            needed_ping = other.ping(scene.sonar_pose)
+    return needed, full, differs(full_ping.intensity, needed_ping.intensity)[0]
+
+
+@pytest.mark.parametrize(
+    "name, tolerance",
+    [
+        ("pylon", 0.02),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("pylon", 0.15), ("diver", 0.15), ("diver_vertical", 0.3), ("ocean_floor", 0.02))
+        ),
+    ],
+)
+def test_the_image_changes_by_no_more_than_the_tolerance(name, tolerance):
+    scene, sonar = sg.load_scene(name), replace(sg.load_sonar("p900-45"), n_bins=500)
+    needed, full, share = needed_and_full(scene, sonar, tolerance)
+    # changes are measured with coarser samples, and err as those do
+    assert share <= 1.1 * tolerance
+    assert needed != full  # no scene here has lobes
+
+
+@pytest.mark.slow
+def test_small_terms_are_left_out_only_as_far_as_all_of_them_together_stay_small():
+    scene, left = room(0.0, surface_z_m=3.0), 0
+    for tolerance in (0.006, 0.05, 0.3):
+        found = priced(scene, tolerance).values()
+        on, off = ([one.changes for one in found if one.on is state] for state in (True, False))
+        assert max(off) <= min(on) and max(off) <= tolerance
+        *_, share = needed_and_full(scene, SONAR, tolerance)
+        assert share <= 1.1 * tolerance
+        assert len(off) >= left
+        left = len(off)
+    assert left >= 5 and any(changes > 0 for changes in off)
+
+
+def test_needed_acoustics_are_reproducible():
+    scene = room(surface_z_m=3.0)
+    first = sg.needed_acoustics(scene, SONAR, 0.05)
+    assert (
+        sg.needed_acoustics(scene, SONAR, 0.05)
+        == first
+        == needed_acoustics(scene, SONAR, 0.05, [scene.sonar_pose])
+    )
+    assert sg.needed_acoustics(scene, SONAR, 0.05, scene.sonar_pose) == first
+    on = {one.name for one in price(scene, SONAR, 0.05) if one.on}
+    assert (first.multipath != "none") == ("multipath" in on)
+    assert (first.beam_pattern != "box") == ("azimuth pattern" in on)
+    assert (first.bandwidth_hz is not None) == ("pulse" in on)
+    assert first.profile == "physical" and first.tvg_k == 20
+
+
+def test_examples():
+    assert doctest.testmod(terms).failed == 0
+
+
+def test_mistakes():
+    without_sonar = sg.Scene(room().bodies)
+    for function in (price, sg.needed_acoustics):
+        with pytest.raises(Error, match="scene 'scene' has no sonar in it; give a pose"):
+            function(without_sonar, SONAR)
+        with pytest.raises(Error, match="tolerance must be a number"):
+            function(room(), SONAR, 0.7)
+        with pytest.raises(Error, match="poses must hold at least one pose"):
+            function(room(), SONAR, 0.1, [])
+    assert sg.needed_acoustics(without_sonar, SONAR, 0.1, room().sonar_pose).profile == "physical"
+
+
+@pytest.mark.filterwarnings("ignore:no echo came back")
+def test_a_scene_without_echo_needs_no_term():
+    found = price(sg.Scene([], sg.pose()), SONAR, noise=sg.Noise(speckle=True, electronic_db=-300.0))
+    assert [one.changes for one in found if one.name in ACOUSTIC and one.name != "absorption"] == [0] * 6
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("needed,tvg_k=3", "needed must stand alone"),
+        ("", "must be key=value"),
+        ("tvg_k=3,", "must be key=value"),
+    ],
+)
+def test_acoustics_of_a_command_line_that_are_wrong(text, message):
+    with pytest.raises(sg.Error, match=message):
+        sg.Acoustics.parse(text)

@@ -1,0 +1,631 @@
+"""Batches: the requests of a job, the files of its pings, and that users' tools read them."""
+
+import json
+import math
+import shutil
+from contextlib import nullcontext
+from dataclasses import replace
+
+import cv2
+import fsspec
+import numpy as np
+import pytest
+import trimesh
+import xarray as xr
+from pycocotools.coco import COCO
+from rosbags.highlevel import AnyReader
+
+import sonar_gl as sg
+from sonar_gl.batch.cluster import Cluster
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import Job, read_job
+from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
+from sonar_gl.batch.parts import create_store, finalize, make_part, plan_manifest
+from sonar_gl.batch.pool import IN_PROGRESS
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.batch.schema import Schema, round_mantissa
+from sonar_gl.batch.store import PingTable
+from sonar_gl.engine import sequence
+from sonar_gl.engine.run import Run
+from sonar_gl.imaging.boxes import body_map, boxes_of
+from tests.support.batches import LABELS, MORE, files_of, make_all, open_batch, write_job
+from tests.support.command_line import run
+
+N = 10
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A folder with the job file, and its batch in `out`."""
+    folder = tmp_path_factory.mktemp("small")
+    make_all(write_job(folder, N, LABELS + MORE), folder / "out")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def requests(small):
+    return BatchRequests(read_job(small / "job.toml"))
+
+
+@pytest.fixture(scope="module")
+def pings(small, requests):
+    """The pings that a simulator makes of the same requests, by sonar."""
+    manifest, out = Manifest.load(Folder(small / "out")), {}
+    for name, sonar in requests.sonars.items():
+        sampling = sg.Sampling(**manifest.samplings[0][name])
+        with sg.Simulator(requests.scene(0), sonar, requests.acoustics, sampling) as simulator:
+            out[name] = [
+                simulator.ping(
+                    request.vehicle_pose @ requests.mounts[name],
+                    request.noise,
+                    requests.noise_seed(name),
+                    labels=True,
+                    ping_number=request.number,
+                    bodies=request.bodies,
+                    time_s=request.time_s,
+                    reflectivity=request.reflectivity,
+                    water=request.water,
+                    background=["floor", "wall"],
+                )
+                for request in requests
+            ]
+    return out
+
+
+@pytest.mark.parametrize("sonar", ["level", "upright"])
+def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
+    data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
+    assert data.intensity.dims == ("ping", "beam", "range")
+    assert dict(data.sizes) | {"ping": N} == dict(data.sizes)
+    assert np.array_equal(data.azimuth_rad, requests.sonars[sonar].azimuth_rad)
+    assert np.array_equal(data.range, requests.sonars[sonar].range_m) and data.range.attrs["units"] == "m"
+    n_shadowed = 0
+    for number, ping in enumerate(pings[sonar]):
+        stored = data.isel(ping=number)
+        assert np.array_equal(stored.pose, ping.pose)
+        assert float(stored.time_s) == ping.meta["time_s"]
+        error = np.abs(stored.intensity.values - ping.intensity)
+        assert (error <= stored.intensity.attrs["relative_error_max"] * ping.intensity).all()
+        assert np.array_equal(stored.body_id, ping.body_id)
+        assert np.array_equal(stored.class_id, np.array([0, 1, 2, 1])[ping.body_id])
+        for name, values in (
+            ("elevation_rad", ping.elevation_rad),
+            ("true_range_m", ping.true_range_m),
+            ("incidence_rad", ping.incidence_rad),
+            ("share", ping.share),
+        ):
+            # half a step, and the rounding of float32
+            step = stored[name].encoding["scale_factor"]
+            assert np.array_equal(np.isnan(stored[name]), np.isnan(values))
+            assert np.nanmax(np.abs(stored[name].values - values)) <= step / 2 * (1 + 1e-4) + 1e-6
+        assert np.array_equal(stored.shadow, ping.shadow)
+        n_shadowed += int(ping.shadow.sum())
+        assert np.allclose(stored.body_echo, ping.body_echo[1:], rtol=1e-6)
+        bright = np.where(ping.intensity >= 1e-6, ping.body_id, 0).astype(np.uint16)
+        boxes = boxes_of(replace(ping, body_id=bright), 512)
+        visible = boxes.body_id.astype(int) - 1
+        assert np.array_equal(np.flatnonzero(stored.body_bins), visible)
+        assert np.array_equal(stored.body_pixels[visible], boxes.pixels)
+        assert np.array_equal(stored.body_box[visible], np.hstack([boxes.beams, boxes.bins]))
+    assert n_shadowed > 0 or sonar == "upright"
+    assert (data.status == 1).all()
+    assert data.attrs["noise_seed"] == requests.noise_seed(sonar) and data.attrs["seed"] == 5
+    assert sg.Sonar(**json.loads(data.attrs["specification"])) == requests.sonars[sonar]
+    assert sg.Acoustics(**json.loads(data.attrs["acoustics"])) == requests.acoustics
+    assert not [key for key, value in data.attrs.items() if isinstance(value, dict)]  # netCDF has none
+    assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
+
+
+def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
+    write_job(tmp_path)
+    text = (tmp_path / "job.toml").read_text()
+    begin, end = text.index('[[sonars]]\nname = "upright"'), text.index("[[poses]]")
+    (tmp_path / "job.toml").write_text(text[:begin] + text[end:])
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    mesh = xr.open_dataset(tmp_path / "out" / "pings.zarr").intensity[0].plot()
+    assert mesh.get_array().size == 24 * 80
+
+
+def test_varied_values_are_stored(small, requests):
+    data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
+    n_present = 0
+    for number in range(N):
+        request, stored = requests[number], data.isel(ping=number)
+        assert float(stored.water_temperature_c) == request.water["temperature_c"]
+        assert float(stored.noise_electronic_db) == request.noise.electronic_db
+        pose = request.bodies["box_1"]
+        assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
+        if pose is not None:
+            n_present += 1
+            assert np.array_equal(stored.moved_pose[0], pose)
+            assert float(stored.reflectivity[0]) == request.reflectivity["box_1"]
+    assert 0 < n_present < N
+    assert data.moved_pose.attrs["bodies"] == ["box_1"]
+
+
+def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(small, requests):
+    temperatures = [requests[n].water["temperature_c"] for n in range(N)]
+    again = BatchRequests(read_job(small / "job.toml"))
+    assert [again[n].water["temperature_c"] for n in reversed(range(N))] == temperatures[::-1]
+    assert len(set(temperatures)) == N
+    assert all(2 <= t <= 20 for t in temperatures)
+    other = BatchRequests(read_job(small / "job.toml").model_copy(update={"seed": 6}))
+    assert not {other[n].water["temperature_c"] for n in range(N)} & set(temperatures)
+    table = requests.job.vary.bodies[0]
+    job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 2000}]})
+    poses = [request.bodies["box_1"] for request in BatchRequests(job)]
+    shifts = [pose[0, 3] - 3 for pose in poses if pose is not None]
+    # 4 standard errors: of a share of 0.8, and of the mean and variance of a uniform distribution
+    assert len(shifts) / 2000 == pytest.approx(table.there, abs=4 * math.sqrt(0.8 * 0.2 / 2000))
+    assert np.mean(shifts) == pytest.approx(0, abs=4 / math.sqrt(12 * len(shifts)))
+    assert np.var(shifts) == pytest.approx(1 / 12, abs=4 / math.sqrt(180 * len(shifts)))
+    assert min(shifts) >= -0.5 and max(shifts) <= 0.5
+
+
+def test_varied_looks_are_whole_numbers_within_their_bounds(small):
+    vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
+    requests = BatchRequests(read_job(small / "job.toml").model_copy(update={"vary": vary}))
+    assert {request.noise.looks for request in requests} <= {2, 3, 4, 5}
+
+
+def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
+    batch, reports = open_batch(small / "job.toml", tmp_path / "out"), []
+    plan_manifest(batch).save(batch.folder)
+    create_store(batch)
+    make_part(batch, 1, one_by_one=True, report=lambda *report: reports.append(report))
+    batch.close()
+    assert reports[:2] == [("started", 4), ("finished", 4)]
+    before = files_of(small / "out")
+    made = files_of(tmp_path / "out")
+    assert "parts/0000001.json" in made
+    record = json.loads(made["parts/0000001.json"])
+    assert len(record["files"]) > 20
+    names = [name for name, found in record["files"].items() if found]
+    for name in [*names, "parts/0000001.json", "planned.json"]:
+        assert made[name] == before[name]
+
+
+def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
+    """One ping fails once, as when the device is short of memory; another fails each time."""
+    tries, real = [], Run.set_up
+
+    def failing(run, request):
+        tries.append(request.time_s)
+        if request.time_s == 1.0 or (request.time_s == 1.2 and tries.count(1.2) == 1):
+            raise RuntimeError("out of something")
+        return real(run, request)
+
+    batch = open_batch(small / "job.toml", tmp_path / "out")
+    Manifest.load(Folder(small / "out")).save(batch.folder)
+    create_store(batch)
+    monkeypatch.setattr(Run, "set_up", failing)
+    record = make_part(batch, 1)
+    batch.close()
+    assert record.set_aside == {"5": "RuntimeError: out of something"}
+    made = xr.open_zarr(tmp_path / "out" / "pings.zarr", group="level", consolidated=False).intensity
+    expected = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
+    assert (made[5] == 0).all()
+    assert np.array_equal(made[[4, 6, 7]], expected[[4, 6, 7]])
+
+
+def test_a_part_without_a_single_ping_ends_the_batch(small, tmp_path, monkeypatch):
+    def failing(*_):
+        raise sg.Error("nothing works")
+
+    batch = open_batch(small / "job.toml", tmp_path / "out")
+    Manifest.load(Folder(small / "out")).save(batch.folder)
+    create_store(batch)
+    monkeypatch.setattr(Run, "set_up", failing)
+    with pytest.raises(sg.Error, match=r"^no ping of part 1 could be made \(nothing works\)$"):
+        make_part(batch, 1)
+    batch.close()
+    assert not list((tmp_path / "out").glob("parts/*"))
+
+
+def test_a_part_replaces_its_damaged_files(small, tmp_path):
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    for name in ("pings.zarr/level/intensity/c/2/0/0", "pings.zarr/upright/share/c/2/0/0"):
+        (out / name).write_bytes(before[name][:100])  # of the last part
+    batch = open_batch(small / "job.toml", out)
+    make_part(batch, 2)
+    batch.close()
+    assert files_of(out) == before
+
+
+def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
+    batch = open_batch(write_job(tmp_path, 2, LABELS + MORE), tmp_path / "out")
+    plan_manifest(batch).save(batch.folder)
+    create_store(batch)
+    make_part(batch, 0, {0: "it kills", 1: "it kills"}, one_by_one=True)
+    finalize(batch)
+    batch.close()
+    assert (xr.open_dataset(tmp_path / "out" / "pings.zarr", group="level").status == 2).all()
+    assert COCO(str(tmp_path / "out" / "coco" / "level" / "instances.json")).getImgIds() == []
+    assert not list((tmp_path / "out").glob("*.mp4")) and not (tmp_path / "out" / "bag").exists()
+    assert check(batch.folder, batch.manifest, nullcontext) == []
+
+
+def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
+    for sonar in requests.sonars:
+        folder = small / "out" / "coco" / sonar
+        coco = COCO(str(folder / "instances.json"))
+        assert coco.getImgIds() == list(range(N))
+        assert [c["name"] for c in coco.loadCats(coco.getCatIds())] == ["fixed", "target"]
+        for number, ping in enumerate(pings[sonar]):
+            (image,) = coco.loadImgs(number)
+            picture = cv2.imread(str(folder / "images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
+            mask = cv2.imread(str(folder / "masks" / image["file_name"]), cv2.IMREAD_UNCHANGED)
+            assert np.array_equal(mask, np.where(picture > 0, body_map(ping, 100), 0))
+            annotations = coco.loadAnns(coco.getAnnIds(number))
+            assert {a["body_id"] for a in annotations} == set(np.unique(mask)) - {0}
+            for annotation in annotations:
+                assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
+
+
+def test_pictures_and_npz_files_are_those_of_a_simulator(small, pings):
+    for number in (0, N - 1):
+        ping = pings["upright"][number]
+        name = f"upright/00000/{number:08d}"
+        loaded = sg.load_npz(small / "out" / "npz" / f"{name}.npz")
+        assert np.array_equal(loaded.intensity, ping.intensity)
+        assert loaded.meta["ping_number"] == number
+        picture = cv2.imread(str(small / "out" / "png" / f"{name}.png"))[..., ::-1]
+        assert np.array_equal(picture, sg.colorize(sg.fan_image(ping, 60), "jet"))
+    film = cv2.VideoCapture(str(small / "out" / "level.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == N
+
+
+def test_the_bag_holds_every_ping_in_order(small, pings):
+    with AnyReader([small / "out" / "bag"]) as reader:
+        topics = {c.topic: c.msgcount for c in reader.connections}
+        assert topics["/level/projected_image"] == topics["/upright/projected_image"] == N
+        assert topics["/level/image"] == N
+        times = [t / 1e9 for c, t, _ in reader.messages() if c.topic == "/level/projected_image"]
+    assert times == pytest.approx([p.meta["time_s"] for p in pings["level"]], abs=1e-9)
+
+
+def test_optical_images_are_stored_with_the_pings(small, tmp_path):
+    more = "[optical]\nwidth = 40\nheight = 30\n[ros]\n"
+    write_job(tmp_path, 4, more)
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    names = sorted(path.name for path in (tmp_path / "out" / "optical" / "rgb").rglob("*.png"))
+    assert names == [f"{n:08d}.png" for n in range(4)]
+    depth = cv2.imread(str(tmp_path / "out/optical/depth/00000/00000000.png"), cv2.IMREAD_UNCHANGED)
+    assert depth.dtype == np.uint16 and depth.shape == (30, 40)
+    with AnyReader([tmp_path / "out" / "bag"]) as reader:
+        topics = {c.topic: c.msgcount for c in reader.connections}
+    assert topics["/camera/image"] == topics["/camera/depth"] == topics["/camera/camera_info"] == 4
+
+
+def test_a_batch_may_be_written_to_a_url(tmp_path):
+    write_job(tmp_path, 4, "[pictures]\nheight = 40\n")
+    manifest = make_all(tmp_path / "job.toml", "memory://batch")
+    data = xr.open_dataset("memory://batch/pings.zarr", group="level", engine="zarr")
+    assert float(data.intensity.max()) > 0 and (data.status == 1).all()
+    assert fsspec.filesystem("memory").exists("/batch/png/level/00000/00000003.png")
+    assert check(Folder("memory://batch"), manifest, nullcontext) == []
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    for name, data in files_of(tmp_path / "out").items():
+        assert fsspec.filesystem("memory").cat_file(f"/batch/{name}") == data
+
+
+@pytest.mark.parametrize("bits", [1, 5, 12])
+def test_mantissas_are_rounded_within_the_stated_error(bits):
+    values = np.exp(np.random.default_rng(0).uniform(-80, 80, 10000)).astype(np.float32)
+    rounded = round_mantissa(values, bits)
+    error = np.abs(rounded.astype(float) - values) / values
+    assert error.max() <= 2.0 ** -(bits + 1)
+    half = 2.0 ** -(bits + 1)  # half a step above 1, where the relative error is largest
+    assert error.max() == pytest.approx(half / (1 + half), rel=0.02)
+    assert (rounded.view(np.uint32) & ((1 << (23 - bits)) - 1) == 0).all()
+    assert round_mantissa(np.zeros(3, np.float32), bits).tolist() == [0, 0, 0]
+    assert round_mantissa(values, 23) is values
+
+
+def test_the_size_of_parts_follows_from_that_of_pings():
+    assert default_pings_per_part(1e9) == 8
+    assert default_pings_per_part(1.0) == 128
+    assert default_pings_per_part(1e6) == 128
+    assert default_pings_per_part(4e6) == 32
+    manifest = Manifest({}, "", 10, 4, [], [])
+    assert manifest.n_parts == 3 and list(manifest.numbers(2)) == [8, 9]
+
+
+def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
+    write_job(tmp_path, 2, "[labels]\n")
+    text = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "other.sdf").write_text(
+        text.replace("box_1", "box_2").replace('world name="tank"', 'world name="o"')
+    )
+    job = read_job(tmp_path / "job.toml")
+    job = job.model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
+    requests = BatchRequests(job)
+    assert len(requests) == 4
+    assert [request.scene for request in requests] == [0, 0, 1, 1]
+    # there is a second between runs
+    assert [request.time_s for request in requests] == pytest.approx([0, 0.2, 1.2, 1.4])
+    schema = Schema(requests)
+    assert schema.bodies == ["wall", "box_1", "floor", "wall", "box_2", "floor"]
+    assert schema.classes == ["wall", "box", "floor"]
+    assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 2, 3]
+    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 2, 3] and schema.first_body == [0, 3]
+
+
+def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
+    more = '[[vary.bodies]]\nnames = ["rock_?"]\nz_m = [1.0, 2.0]\n'
+    path = write_job(tmp_path, 2, more + '[labels]\nlayers = ["shadow"]\nbackground = ["floor", "sand"]\n')
+    text = (tmp_path / "tank.sdf").read_text().replace('world name="tank"', 'world name="o"')
+    (tmp_path / "other.sdf").write_text(text.replace("box_1", "rock_1").replace("floor", "sand"))
+    job = read_job(path).model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
+    requests = BatchRequests(job)
+    table = PingTable(requests)
+    assert table.moved == [(0, "box_1"), (1, "rock_1")]
+    assert [set(request.bodies) for request in requests] == [{"box_1"}] * 2 + [{"rock_1"}] * 2
+    rows = np.array([table.row(request) for request in requests])
+    poses = table.column(rows, "moved").reshape(4, 2, 12)
+    shift_z = poses[2:, 1, 11] + 0.3  # from the rock's height in the scene
+    assert np.isnan(poses[:2, 1]).all() and np.isnan(poses[2:, 0]).all()
+    assert ((shift_z >= 1) & (shift_z <= 2)).all()
+    assert [Schema(requests).background(scene) for scene in (0, 1)] == [["floor"], ["sand"]]
+    for kind, place, name in (
+        (PingTable, "vary.bodies[1].names", "rock_?"),
+        (Schema, "labels.background", "sand"),
+    ):
+        with pytest.raises(sg.Error) as caught:
+            kind(BatchRequests(read_job(path)))
+        assert str(caught.value).startswith(f"{path}: {place} must name bodies of the scene (got {name!r};")
+
+
+def test_a_changed_mesh_changes_the_digest(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    wall = "<box><size>1 20 20</size></box>"
+    text = (tmp_path / "tank.sdf").read_text()
+    assert wall in text
+    (tmp_path / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.stl</uri></mesh>"))
+    digests = set()
+    for size in (1, 1, 1.01):
+        trimesh.creation.box((size, 20, 20)).export(tmp_path / "wall.stl")
+        digests.add(Schema(BatchRequests(read_job(path))).digest)
+    assert len(digests) == 2
+
+
+def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
+    """On workers of a cluster, too. Another order changes the digest."""
+    path = write_job(tmp_path)
+    text = path.read_text()
+    one = read_job(path)
+    fixed, target = 'fixed = ["wall", "floor"]\n', 'target = ["box*"]\n'
+    path.write_text(text.replace(fixed + target, target + fixed))
+    other = read_job(path)
+    assert other.digest != one.digest
+    assert Schema(BatchRequests(other)).classes == ["target", "fixed"]
+    on_worker = Job(**json.loads(Cluster("tcp://nowhere", other, "").arguments[0]))
+    assert Schema(BatchRequests(on_worker)).classes == ["target", "fixed"]
+    assert on_worker.digest == other.digest
+
+
+BAD = [
+    ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
+    ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
+    ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
+    ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
+    ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
+    ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
+    ("mount = [0.0,", "mount = [", "sonars[1].mount: list should have at least 6 items"),
+    ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
+    ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
+    (
+        '"physical"\ntvg',
+        '"fysical"\ntvg',
+        "acoustics: acoustics: unknown profile (got 'fysical'",
+    ),
+    ("tvg_absorption_db_m = 0.3", "tvg = 1", "acoustics: unknown key (got 'tvg'; did you mean 'tvg_k'"),
+    (
+        "temperature_c = [2.0, 20.0]",
+        "temperature_c = [2.0, 90.0]",
+        "temperature_c must lie in -2..40",
+    ),
+    ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
+    (
+        "electronic_db",
+        "electric_db",
+        "vary.noise: unknown key (got 'electric_db'; did you mean",
+    ),
+    (
+        'names = ["box_*"]',
+        'names = ["bax*"]',
+        "vary.bodies[0].names must name bodies",
+    ),
+    (
+        "x_m = [-0.5, 0.5]",
+        "x_m = [0.5, -0.5]",
+        "vary.bodies[0].x_m: should be a number, or [low, high] (got [0.5,",
+    ),
+    (
+        "reflectivity = [0.2, 0.9]",
+        "reflectivity = [0.2, 9]",
+        "bodies[0].reflectivity: should lie in 0..1",
+    ),
+    (
+        "electronic_db = [-80.0, -60.0]",
+        "median = [3, 5]",
+        "vary.noise: median cannot vary; set it in the table noise",
+    ),
+    (
+        "yaw_rad = [-1.0, 1.0]",
+        "yaw_rad = 90.0",
+        ".yaw_rad: should lie in -6.283..6.283 (got 90.0)\n",
+    ),
+    ('kind = "sector"', 'kind = ["sector"]', "poses[0]: kind must be one of trajectory, lawnmower"),
+    ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
+    ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
+    ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
+    (
+        'target = ["box*"]',
+        'target = ["box*", "wa*"]',
+        "labels.classes.target must hold bodies of no other class (got 'wall', which is in 'fixed')",
+    ),
+    (
+        'target = ["box*"]',
+        'target = ["bax*"]',
+        "labels.classes.target must name bodies",
+    ),
+    ('"share", "shadow"', '"share", "shade"', "labels.layers[6]: should be 'body', 'class'"),
+    (
+        'preset = "physical"',
+        'preset = "loud"',
+        "noise.preset must be one of none",
+    ),
+    ('scenes = ["tank.sdf"]', 'scenes = ["tonk.sdf"]', "scenes[0]: "),
+    ('scenes = ["tank.sdf"]', "", "scenes must be given"),
+    ("seed = 5", "seed = = 5", "the job file must be TOML ("),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), BAD, ids=[new or sentence for _, new, sentence in BAD])
+def test_errors_in_a_job_name_file_table_and_key(tmp_path, old, new, sentence):
+    path = write_job(tmp_path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    status, out, err = run("batch", path, "--out", tmp_path / "out", "--workers", "1")
+    assert (status, out) == (2, "")
+    assert err.startswith(f"error: {path}: ") and sentence in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_needs_of_outputs_are_checked_before_anything_is_made(tmp_path):
+    path = write_job(tmp_path, 10, "[coco]\n")
+    with pytest.raises(sg.Error, match=f"^{path}: coco must stand with labels .got none; add a line"):
+        read_job(path)
+    write_job(tmp_path, 10, '[ros]\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n')
+    text = path.read_text()
+    path.write_text(text[: text.index("[[poses]]")] + text[text.index("[[vary.bodies]]") :])
+    for times, message in (
+        ([0, 1, 1, 0.5, 2], "got 0.5 s after 1 s"),
+        ([-1, 0], "got -1 s after 0 s"),
+        ([2, 2, 3], None),
+    ):
+        lines = [f"{t},0,0,0,0,0,0" for t in times]
+        (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *lines]))
+        if message is None:
+            assert len(BatchRequests(read_job(path))) == 3
+        else:
+            with pytest.raises(sg.Error, match=rf"^{path}: poses\[0\].file must hold times .*{message}"):
+                BatchRequests(read_job(path))
+    path.write_text(path.read_text().replace("tank.sdf", "~nobody-of-that-name/tank.sdf"))
+    with pytest.raises(sg.Error, match=r"scenes\[0\]: ~nobody-of-that-name/tank.sdf: there is no such file"):
+        Schema(BatchRequests(read_job(path)))
+
+
+def test_unfinished_files_are_removed(tmp_path):
+    folder = Folder(tmp_path)
+    with folder.writing("png/1.png") as path:
+        path.write_bytes(b"half")
+        assert not list((tmp_path / "png").iterdir())
+    assert folder.get("png/1.png") == b"half"
+    with folder.writing("png/2.png") as path:  # as a killed process leaves it
+        path.write_bytes(b"half")
+        with folder.locked():
+            assert not path.exists()
+        path.parent.mkdir()
+        path.touch()
+    assert files_of(tmp_path).keys() == {"png/1.png", "png/2.png"}
+
+
+@pytest.mark.slow
+def test_damage_is_found_and_mended(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    status, out, _ = run("batch", "--check", copy)
+    assert (status, out) == (0, f"{copy}: all files are as they were written\n")
+    one = copy / "pings.zarr" / "level" / "intensity" / "c" / "1" / "0" / "0"
+    data = bytearray(one.read_bytes())
+    data[len(data) // 2] ^= 1
+    one.write_bytes(data)
+    two = next((copy / "png").rglob("*.png"))
+    two.unlink()
+    three = copy / "pings.zarr" / "level" / "time_s" / "c" / "0"
+    three.write_bytes(b"")
+    status, out, _ = run("batch", "--check", copy)
+    assert status == 1
+    assert f"{one}: has changed since it was written\n" in out and f"{two}: is missing\n" in out
+    assert f"{three}: has changed since it was written\n" in out
+    assert out.endswith(f"{copy}: 3 files are missing or damaged\n")
+
+    # to mend it, only damaged parts are made again
+    untouched = copy / "parts" / "0000002.json"
+    before, expected = untouched.stat().st_mtime_ns, files_of(small / "out")
+    status, out, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--mend", "--workers", "1")
+    assert (status, out) == (0, f"{copy}: {N} of {N} pings\n")
+    assert f"{one}: has changed since it was written\n" in err
+    assert untouched.stat().st_mtime_ns == before
+    assert files_of(copy) == expected
+    status, _, err = run("batch", "--check", tmp_path / "nowhere")
+    assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
+
+
+def test_partial_files_are_removed_from_a_store(small, tmp_path):
+    """A process that is killed leaves them, while the store is created or the batch is finalized."""
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    store = out / "pings.zarr"
+    partial = [store / name / "zarr.1.partial" for name in ("", "level", "level/echo")]
+    batch = open_batch(small / "job.toml", out)
+    for step in (create_store, finalize):
+        for path in partial:
+            path.write_bytes(b"half")
+        step(batch)
+        assert not [path for path in partial if path.exists()]
+    assert files_of(out) == before
+
+
+def test_a_folder_has_one_batch_at_a_time(small, tmp_path):
+    with Folder(tmp_path / "out").locked():
+        status, _, err = run("batch", small / "job.toml", "--out", tmp_path / "out")
+        expected = f"error: {tmp_path / 'out'}: must have one batch at a time (another is running in it)\n"
+        assert (status, err) == (2, expected)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_error_for_a_damaged_part_says_how_to_make_it_again(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    (copy / "done.json").unlink()
+    table, record = copy / "parts" / "0000001.npy", copy / "parts" / "0000001.json"
+    table.write_bytes(b"half")
+    status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert status == 2
+    assert f"error: {table}: must be the table of a part (it is damaged; delete parts/0000001.json" in err
+    record.write_text("{}")
+    status, _, err = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert status == 2 and f"error: {record}: must be the record of a part (it is damaged; delete it)" in err
+    record.unlink()
+    status, shown, _ = run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")
+    assert (status, shown) == (0, f"{copy}: {N} of {N} pings\n")
+    assert files_of(copy) == files_of(small / "out")
+
+
+def test_existing_files_are_not_overwritten(small, tmp_path):
+    job, out = small / "job.toml", small / "out"
+    before = files_of(out)
+    status, _, err = run("batch", job, "--out", out)
+    assert status == 2 and "must hold no batch yet (continue it by --resume" in err
+    changed = tmp_path / "job.toml"
+    write_job(tmp_path, N, LABELS + MORE)
+    changed.write_text(changed.read_text().replace("seed = 5", "seed = 6"))
+    status, _, err = run("batch", changed, "--out", out, "--resume")
+    assert status == 2 and "(changed: seed;" in err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("years")
+    status, _, err = run("batch", job, "--out", tmp_path / "full", "--resume")
+    assert status == 2 and "must be an empty folder, or one with a batch to --resume" in err
+    assert files_of(out) == before
+    status, shown, _ = run("batch", job, "--out", out, "--resume")  # nothing is left to do
+    assert (status, shown) == (0, f"{out}: {N} of {N} pings\n")
+    assert files_of(out) == before
+
+
+def test_the_pings_in_progress_are_those_that_a_sequence_may_have_begun():
+    assert IN_PROGRESS == 2 * sequence.BATCH + 1

@@ -1,0 +1,235 @@
+"""Parts of a batch on a real cluster of two workers, some of which die."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from functools import partial
+from pathlib import Path
+
+import pytest
+from distributed import Client, LocalCluster
+
+from sonar_gl import Error
+from sonar_gl.batch import cluster
+from sonar_gl.batch.cluster import run_on_cluster
+from tests.support import cluster_parts
+from tests.support.batches import files_of, make_all, write_job
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Driver:
+    """Runs parts on a cluster and counts the results."""
+
+    def __init__(self, when_done=lambda part: None):
+        self.done, self.killed, self._when_done = Counter(), {}, when_done
+
+    def run(self, address, make, parts, timeout_s=20):
+        def done(part, result):
+            assert result["part"] == part
+            self._when_done(part)
+            self.done[part] += 1
+
+        run_on_cluster(address, make, parts, done, self.killed.__setitem__, timeout_s)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Address of a scheduler with two workers, each a program of its own as on a real cluster."""
+    folder = tmp_path_factory.mktemp("cluster")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+    }
+    meeting = f"--scheduler-file={folder / 'scheduler.json'}"
+    commands = (
+        ("scheduler", "--host=127.0.0.1", "--port=0", meeting),
+        ("worker", "--nworkers=2", "--nthreads=1", meeting),
+    )
+    with open(folder / "log", "w") as log:
+        programs = [
+            subprocess.Popen(
+                [sys.executable, "-m", "dask", *command, "--no-dashboard"],
+                env=environment,
+                cwd=folder,
+                stdout=log,
+                stderr=log,
+            )
+            for command in commands
+        ]
+    try:
+        while not (folder / "scheduler.json").exists():
+            assert programs[0].poll() is None, (folder / "log").read_text()
+            time.sleep(0.02)
+        address = json.loads((folder / "scheduler.json").read_text())["address"]
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=30)
+        yield address
+    finally:
+        for program in reversed(programs):
+            program.terminate()
+            program.wait()
+
+
+@pytest.fixture(scope="module")
+def inside():
+    """Address of a cluster of threads in this process."""
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, protocol="tcp", processes=False, dashboard_address=":0"
+    ) as here:
+        yield here.scheduler_address
+
+
+def tries(folder):
+    """Return part -> processes that tried it."""
+    return {int(file.name): file.read_text().split() for file in folder.iterdir()}
+
+
+def test_the_part_of_a_dead_worker_is_made_by_another(address, tmp_path):
+    """Every other part is made once, and the result of each part comes once."""
+    victims, begun = [], []
+
+    def parts():
+        for part in range(40):
+            begun.append(part)
+            yield part
+
+    def kill_worker_of_part_5(part):
+        assert len(begun) - driver.done.total() <= 3  # this one, one at the other worker, the next
+        if not victims and 5 in tries(tmp_path):
+            victims.extend(tries(tmp_path)[5])
+            os.kill(int(victims[0]), signal.SIGKILL)
+
+    driver = Driver(kill_worker_of_part_5)
+    driver.run(address, partial(cluster_parts.count, tmp_path), parts())
+    assert driver.done == dict.fromkeys(range(40), 1) and not driver.killed
+    by_part = tries(tmp_path)
+    first, second = by_part.pop(5)
+    assert first == victims[0] != second
+    # the part that the dead worker had just made may be made again, since its result is lost
+    assert sum(len(pids) for pids in by_part.values()) <= len(by_part) + 1
+
+
+def test_a_part_that_kills_two_workers_is_given_up(address, tmp_path):
+    """New workers make all other parts."""
+    driver = Driver()
+    driver.run(address, partial(cluster_parts.deadly, tmp_path), range(8))
+    assert driver.done == dict.fromkeys({*range(8)} - {3}, 1)
+    assert set(driver.killed) == {3} and driver.killed[3].startswith("2 workers died of it")
+    assert len(set(tries(tmp_path)[3])) == 2
+
+
+def test_a_batch_has_the_same_bytes_if_a_worker_dies(address, tmp_path):
+    """The command line, with workers that write into the folder themselves."""
+    job, out = write_job(tmp_path, 48, more=""), tmp_path / "out"
+    with Client(address, set_as_default=False) as client:
+        workers = list(client.run(os.getpid).values())
+    command = "batch", job, "--out", out, "--cluster", address
+    batch = subprocess.Popen([sys.executable, "-m", "sonar_gl", *command], stdout=subprocess.PIPE)
+    while len(list((out / "parts").glob("*.json"))) < 2:
+        assert batch.poll() is None
+        time.sleep(0.005)
+    os.kill(workers[0], signal.SIGKILL)
+    assert len(list((out / "parts").glob("*.json"))) < 12
+    shown, _ = batch.communicate(timeout=100)
+    assert (batch.returncode, shown.decode()) == (0, f"{out}: 48 of 48 pings\n")
+    make_all(job, tmp_path / "here")
+    assert files_of(out) == files_of(tmp_path / "here")
+
+
+def test_workers_keep_freed_memory(address):
+    """With Dask's own setting it would be 50 times the 256 pages of the array."""
+    found = []
+    run_on_cluster(
+        address, cluster_parts.pages, range(4), lambda part, result: found.append(result["pages"]), print
+    )
+    assert len(found) == 4 and max(found) < 2 * 256
+
+
+@pytest.fixture
+def interruptible():
+    """SIGINT interrupts, even if the tests were started with SIGINT ignored, as shells start background jobs."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_finishes_the_parts_in_progress_and_begins_no_others(inside, tmp_path):
+
+    def interrupt(part):
+        if not interrupts:
+            interrupts.append(part)
+            signal.raise_signal(signal.SIGINT)
+
+    interrupts, driver = [], Driver(interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        driver.run(inside, partial(cluster_parts.count, tmp_path), [0, 5, 6, 7])
+    assert driver.done == dict.fromkeys(tries(tmp_path), 1) == {0: 1, 5: 1} and interrupts == [0]
+
+
+def test_exceptions_of_a_part_are_raised_here(inside):
+    with pytest.raises(OSError, match="no space left for part 2"):
+        Driver().run(inside, cluster_parts.failing, [2])
+
+
+def test_a_worker_with_another_version_is_refused(inside, monkeypatch):
+    calls = []
+    make = partial(calls.append)
+    monkeypatch.setattr(cluster, "__version__", "0.0.1")
+    theirs = partial(cluster.run_part, version="0.0.2")
+    monkeypatch.setattr(cluster, "run_part", lambda make, part, _: theirs(make, part))
+    with pytest.raises(Error, match=r"must have sonar_gl 0.0.2, as here \(got 0.0.1 at tcp:.*same there"):
+        Driver().run(inside, make, [1])
+    assert not calls
+
+
+def test_a_worker_with_several_threads_is_refused():
+    with (
+        LocalCluster(
+            n_workers=1, threads_per_worker=2, protocol="tcp", processes=False, dashboard_address=":0"
+        ) as here,
+        pytest.raises(Error, match=r"must have one thread.*\(got 2 at tcp:.*--nthreads 1"),
+    ):
+        Driver().run(here.scheduler_address, cluster_parts.failing, [1])
+
+
+def test_a_cluster_without_workers_is_refused():
+    with (
+        LocalCluster(n_workers=0, protocol="tcp", processes=False, dashboard_address=":0") as here,
+        pytest.raises(Error, match=r"must have a worker \(got none for 0.1 s; start some: dask worker tcp:"),
+    ):
+        Driver().run(here.scheduler_address, cluster_parts.failing, [1], timeout_s=0.1)
+
+
+def test_another_server_at_the_address_is_refused():
+    """It stays silent, as a web server does until it gets a request."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = "tcp://{}:{}".format(*other.getsockname())
+        with pytest.raises(
+            Error, match=f"a Dask scheduler must answer at {address} .got: silence; start one"
+        ):
+            Driver().run(address, cluster_parts.failing, [1], timeout_s=0.2)
+
+
+@pytest.mark.parametrize("wrong", ["tcp://127.0.0.1:9", "nothing://there", "tcp://no.such.host.invalid:80"])
+def test_an_address_without_a_scheduler_is_refused(wrong):
+    with pytest.raises(Error, match=f"a Dask scheduler must answer at {wrong} .got: .*start one"):
+        Driver().run(wrong, cluster_parts.failing, [1], timeout_s=0.3)
+
+
+def test_the_error_for_a_dead_scheduler(address, tmp_path):
+    """The last test here, since it leaves no cluster."""
+    with Client(address, set_as_default=False) as client:
+        pid = client.run_on_scheduler(os.getpid)
+    driver = Driver(lambda part: os.kill(pid, signal.SIGKILL))
+    with pytest.raises(Error, match=f"the scheduler at {address} must stay"):
+        driver.run(address, partial(cluster_parts.count, tmp_path), range(1000), timeout_s=2)

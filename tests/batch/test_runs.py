@@ -1,0 +1,209 @@
+"""Batches in which something goes wrong: nothing is lost or damaged, and nothing is made twice."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from sonar_gl.batch import pool as pool_module
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import read_job
+from sonar_gl.batch.manifest import Manifest
+from sonar_gl.batch.pool import Pool
+from tests.support.batches import LABELS, files_of, make_all, write_job
+
+ROOT = Path(__file__).resolve().parents[2]
+N, PART = 48, 4
+MORE = "[coco]\nheight = 60\n[ros]\n"
+
+
+def start(*arguments, before=(), **environment):
+    """Start a batch in a process of its own."""
+    command = [*before, sys.executable, "-m", "tests.support.batch_faults", "batch", *map(str, arguments)]
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]), **environment}
+    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": paths}
+    return subprocess.Popen(command, **settings)
+
+
+def finish(process):
+    """Wait for a batch; return its exit status, stdout and stderr."""
+    out, err = process.communicate(timeout=100)
+    return process.returncode, out, err
+
+
+def workers_of(process) -> list[int]:
+    """Return the ids of the processes that make the parts of a batch."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            command = (folder / "cmdline").read_text()
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == process.pid and "spawn_main" in command:
+            found.append(int(folder.name))
+    return found
+
+
+def wait_for_parts(folder: Path, count: int, process):
+    """Wait until so many parts are done."""
+    deadline = time.monotonic() + 60
+    while len(list((folder / "parts").glob("*.json"))) < count:
+        assert process.poll() is None, finish(process)
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    return write_job(tmp_path_factory.mktemp("job"), N, LABELS + MORE)
+
+
+@pytest.fixture(scope="module")
+def expected(job, tmp_path_factory):
+    """Every file of the batch, made in one process without a fault."""
+    out = tmp_path_factory.mktemp("expected") / "out"
+    make_all(job, out)
+    return files_of(out)
+
+
+def assert_same(found: dict, expected: dict):
+    assert list(found) == list(expected)
+    assert [name for name in found if found[name] != expected[name]] == []
+
+
+@pytest.mark.slow
+def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
+    out, warnings, parts = tmp_path / "out", [], []
+    out.mkdir()
+    (out / "planned.json").write_bytes(expected["planned.json"])
+
+    def warn(text):
+        warnings.append(text)
+        monkeypatch.undo()
+
+    def done(record):
+        parts.append(record.part)
+        if len(parts) == 1:  # from now on it hangs, and the pool soon gives it up
+            os.kill(pool.processes[0].pid, signal.SIGSTOP)
+            monkeypatch.setattr(pool_module, "STALL_S", 0.1)
+
+    with Pool(read_job(job).plain, str(out), [None], warn) as pool:
+        pool.call("create")
+        pool.run_parts(range(3), Manifest.load(Folder(out)).numbers, done)
+    assert parts == [0, 1, 2]
+    assert warnings == ["a process died at part 1 (exit code -9); another takes its place"]
+    found = files_of(out / "parts")
+    assert found == {name: expected[f"parts/{name}"] for name in found} and len(found) == 6
+
+
+@pytest.mark.slow
+def test_a_batch_can_be_resumed_whatever_stopped_it(job, expected, tmp_path):
+    """Killed while its store is created; a process killed, then Ctrl-C; killed itself; complete at last."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".planned.0123.json").write_text("{")  # of a batch that was killed even earlier
+    process = start(job, "--out", out, "--workers", "1")
+    while not (out / "pings.zarr" / "level" / "zarr.json").exists():
+        assert process.poll() is None, finish(process)
+    process.kill()
+    process.communicate()
+    (out / ".planned.0123.json").unlink()
+    assert (out / "planned.json").read_bytes() == expected["planned.json"]
+    assert not (out / "parts").exists()
+
+    process = start(job, "--out", out, "--workers", "2", "--resume", SLOW_S="0.05")
+    wait_for_parts(out, 1, process)
+    workers = workers_of(process)
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    wait_for_parts(out, 2, process)
+    process.send_signal(signal.SIGINT)
+    status, shown, err = finish(process)
+    assert status == 130
+    command = f"sonar-gl batch {job} --out {out} --resume"
+    assert re.fullmatch(f"{out}: \\d+ of {N} pings; continue with: {command}\n", shown)
+    assert len(re.findall(r"^a process died at part \d \(exit code -9\)", err, re.MULTILINE)) == 1
+    assert "finishing the parts in progress" in err and "Traceback" not in err
+    first = files_of(out / "parts")
+    assert 4 <= len(first) < 2 * N / PART
+
+    process = start(job, "--out", out, "--workers", "2", "--resume", SLOW_S="0.05")
+    wait_for_parts(out, len(first) // 2 + 1, process)
+    workers = workers_of(process)
+    process.kill()
+    process.communicate()
+    assert len(workers) == 2
+    deadline = time.monotonic() + 10
+    while any(Path(f"/proc/{worker}").exists() for worker in workers):  # they do not outlive it
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    second = files_of(out / "parts")
+    assert len(first) < len(second) < 2 * N / PART
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.suffix == ".json"}
+
+    status, shown, err = finish(start(job, "--out", out, "--workers", "1", "--resume"))
+    assert (status, shown) == (0, f"{out}: {N} of {N} pings\n"), err
+    assert {name: expected[f"parts/{name}"] for name in second} == second
+    again = [path for path, at in times.items() if "parts" in path.parts and path.stat().st_mtime_ns != at]
+    assert again == []  # no finished part is made again
+    assert_same(files_of(out), expected)
+
+
+@pytest.mark.slow
+def test_a_ping_that_kills_two_processes_is_set_aside(job, expected, tmp_path):
+    out = tmp_path / "out"
+    status, shown, err = finish(start(job, "--out", out, "--workers", "1", DEADLY="1.2"))
+    assert status == 3
+    assert shown == f"{out}: {N - 1} of {N} pings, 1 set aside\n"
+    (line,) = [line for line in err.splitlines() if line.startswith("set aside")]
+    assert line == (
+        "set aside: ping 6 of seed 5, vehicle at '0 0 0 0 0 0.12' in tank.sdf: "
+        "the process that made it died, 2 times"
+    ) or re.match(r"set aside: ping 6 of seed 5, vehicle at '0 0 0 0 -?0 \S+' in tank.sdf: the process", line)
+    data = xr.open_dataset(out / "pings.zarr", group="level")
+    assert data.status.values.tolist() == [1] * 6 + [2] + [1] * (N - 7)
+    assert (data.intensity[6] == 0).all()
+    found = files_of(out)
+    assert {name for name in expected if "/1/0" not in name and found.get(name) != expected[name]} < {
+        *(f"parts/0000001.{suffix}" for suffix in ("json", "npy")),
+        *(
+            name
+            for name in expected
+            if name.startswith(("bag/", "coco/")) or "status" in name or "echo" in name
+        ),
+        "done.json",
+    }
+    record = json.loads(found["parts/0000001.json"])
+    assert record["set_aside"] == {"6": "the process that made it died, 2 times"}
+
+
+@pytest.mark.slow
+def test_a_batch_can_be_resumed_after_a_full_disk(job, expected, tmp_path):
+    """On a file system of its own, which is too small at first."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = f"""
+        mount -t tmpfs -o size=500k tmpfs {disk}
+        "$@" --out {disk}/out; echo "status $?"
+        mount -o remount,size=50m {disk}
+        "$@" --out {disk}/out --resume; echo "status $?"
+        cp -r {disk}/out {tmp_path}/out
+    """
+    apart = "unshare", "--user", "--map-root-user", "--mount", "sh", "-c"
+    if shutil.which("unshare") is None or subprocess.run([*apart, f"mount -t tmpfs tmpfs {disk}"]).returncode:
+        why = "a full disk is a file system mounted in a namespace of its own, which must be allowed"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
+    _, shown, err = finish(start(job, "--workers", "1", before=(*apart, script, "sh")))
+    first, _, then = shown.partition("status 2\n")
+    assert first == "" and then == f"{disk}/out: {N} of {N} pings\nstatus 0\n", (shown, err)
+    assert "No space left on device" in err and "--resume" in err and "Traceback" not in err
+    assert_same(files_of(tmp_path / "out"), expected)

@@ -1,0 +1,198 @@
+"""The compiled kernels against NumPy: the distribution of 1/r over a rectangle, divided into bins."""
+
+import math
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights
+from sonar_gl.beamform.kernels import (
+    ENERGY,
+    FOOTPRINT_ROWS,
+    A,
+    B,
+    S,
+    bin_table,
+    spread_footprints,
+    weigh_columns,
+)
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.samples import SectorSamples
+
+EDGES = np.linspace(0.5, 30.5, 301)
+
+
+def spread(s, a, b, energy=1.0, edges=EDGES):
+    """Return the bins of one footprint, or of several if s, a and b are arrays."""
+    s, a, b = np.broadcast_arrays(np.atleast_1d(s), a, b)
+    sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
+    bins = bin_table(edges)
+    per_metre, spans = K / (edges[-1] - edges[0]), np.tile([K, 0], (3, 1))
+    work = np.full((FOOTPRINT_ROWS, len(s) + 2), np.nan)  # the first and the last are not used
+    work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
+    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins.s, bins.density32, edges[0], per_metre)
+    assert not sums[[0, 2]].any()
+    assert (spans[[0, 2]] == [K, 0]).all()
+    assert not np.delete(sums[1], slice(*spans[1])).any()  # bins outside of the span are empty
+    return sums[1].astype(float)
+
+
+def brute(s, a, b, edges=EDGES, n=4000):
+    """Return the energy s ds by a fine grid over the rectangle; beyond the horizon, s <= 0, there is none."""
+    t = (np.arange(n) + 0.5) / n * 2 - 1
+    values = (s + a * t[:, None] + b * t[None, :]).ravel()
+    values = values[values > 0]
+    return np.histogram(1 / values, bins=edges, weights=values)[0] / n**2
+
+
+@pytest.mark.parametrize(
+    "s, a, b",
+    [
+        (0.103, 1e-9, 1e-9),  # facing: one bin
+        (0.103, 0.0, 0.0),
+        (0.1, 0.02, 0.0),  # a box
+        (0.1, 0.0, 0.02),  # a and b exchanged
+        (0.1, 0.02, 0.01),  # a trapezoid
+        (0.1, 0.015, 0.015),  # a triangle
+        (0.04, 0.03, 0.004),  # past the last bin
+        (0.5, 1.2, 0.0),  # from before the first bin
+        (0.3, 0.25, 0.04),
+    ],
+)
+def test_spread_is_the_distribution_over_the_rectangle(s, a, b):
+    got, want = spread(s, a, b), brute(s, a, b)
+    if s - a - b <= 0:
+        # a plane cut by its horizon: the energy of the centre is spread over the visible part
+        inside = np.linspace(-1, 1, 2001)
+        visible = np.clip(s + a * inside[:, None] + b * inside[None, :], 0, None).mean()
+        want *= s / visible
+    np.testing.assert_allclose(got.sum(), want.sum(), rtol=2e-3)
+    # 1 %: the grid of the brute force. Ramps shorter than a quarter of the box become steps, which moves
+    # thin / (2 wide) of a single sample's energy, and none of a row of samples whose ramps overlap
+    thin, wide = min(a, b), max(a, b, 1e-12)
+    steps = thin / wide / 2 if 4 * thin < wide else 0.0
+    assert np.abs(got - want).sum() <= (0.01 + steps) * want.sum()
+
+
+def test_a_footprint_keeps_its_energy():
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        s = 1 / rng.uniform(2, 25)
+        a, b = s * 0.05 * rng.random(2) ** 3
+        assert spread(s, a, b).sum() == pytest.approx(s, rel=1e-5)  # all bins in range: s ∫ p = s
+
+
+def test_footprints_outside_the_bins_add_nothing():
+    for s in (1 / 40.0, 1 / 0.4, 10.0):
+        assert not spread(s, 1e-4, 1e-5).any()
+    assert spread(1 / EDGES[0] * (1 - 1e-9), 0.0, 0.0).argmax() == 0
+    assert spread(1 / EDGES[-1] * (1 + 1e-9), 0.0, 0.0).argmax() == 299
+
+
+def test_neighbouring_rows_leave_no_gaps_or_rings():
+    """Footprints of the rows of a grazing floor tile it, and their sum is smooth to float32."""
+    h, rows = 3.0, np.linspace(-0.02, -0.16, 60)
+    half = (rows[0] - rows[1]) / 2
+    total = np.zeros(len(EDGES) - 1)
+    for v in rows:
+        total += spread(-v / h, 0.0, half / h, energy=1.0)
+    inner = (EDGES[1:] < 29) & (EDGES[:-1] > h / 0.16 + 0.2)
+    want = -np.diff(1 / EDGES**2) / 2 * h / (2 * half)
+    np.testing.assert_allclose(total[inner], want[inner], rtol=1e-4)
+
+
+def test_many_footprints_are_the_sum_of_each():
+    """Boxes and trapezoids, in range or not, are spread in one call."""
+    rng = np.random.default_rng(3)
+    s = 1 / rng.uniform(0.3, 60, 41)
+    a, b = s * rng.random((2, 41)) ** 4
+    want = sum(spread(*one) for one in zip(s, a, b, strict=True))
+    np.testing.assert_allclose(spread(s, a, b), want, rtol=1e-5, atol=1e-7 * want.max())  # float32 sums
+
+
+@pytest.mark.parametrize("n_weights", [4, 8])
+def test_weigh_columns_is_a_circular_matrix_product(n_weights):
+    rng = np.random.default_rng(1)
+    sums = rng.random((7, 11), np.float32)
+    spans = np.array([[0, 11], [11, 0], [3, 4], [0, 5], [6, 11], [11, 0], [2, 9]])
+    for row, span in zip(sums, spans, strict=True):
+        row[: span[0]], row[span[1] :] = 0, 0
+    first, weights = np.array([-2, 0, 5]), rng.random((3, n_weights), np.float32)
+    out, gain = np.zeros((2, 3, 11), np.float32), rng.random(11, np.float32)
+    weigh_columns(sums, spans, first, weights, gain[:0], out[0])
+    weigh_columns(sums, spans, first, weights, gain, out[1])
+    dense = np.zeros((3, 7))
+    for b in range(3):
+        for w in range(n_weights):
+            dense[b, (first[b] + w) % 7] += weights[b, w]
+    np.testing.assert_allclose(out[0], dense @ sums, rtol=1e-5)
+    np.testing.assert_allclose(out[1], dense @ sums * gain, rtol=1e-5)
+
+
+def fan_and_samples(reducer="footprint", rows=60, n_bodies=2, fov_deg=90.0):
+    """Return a small fan of two or more sectors, and synthetic samples: planes with gaps, of several bodies."""
+    sonar = sg.Sonar("test", 900e3, 40, 200, fov_deg, 20.0, 3.0, 0.5, 20.0)
+    fan = make_fan(sonar, sg.Sampling(1, rows, reducer), math.radians(1.5))
+    rng, samples = np.random.default_rng(rows), []
+    for sector in fan.sectors:
+        u, v = sector.sample_coordinates()
+        plane_echo = np.zeros((*u.shape, 4), np.float32)
+        bodies = rng.integers(1, n_bodies + 1, u.shape).astype(np.uint16)
+        slope_u, slope_v = rng.normal(0, 0.1, (2, *u.shape))
+        q = 0.12 + slope_u * u + slope_v * v
+        plane_echo[..., 0], plane_echo[..., 1], plane_echo[..., 2] = q, slope_u, slope_v
+        plane_echo[..., 3] = rng.random(u.shape)
+        plane_echo[(q <= 0) | (rng.random(u.shape) < 0.3)] = 0
+        samples.append(SectorSamples(sector, plane_echo, bodies))
+    return fan, samples
+
+
+def silent(samples, row=None):
+    """Return the samples with one row of surfaces, or none."""
+    return [
+        one._replace(
+            plane_echo=np.where(np.arange(len(one.plane_echo))[:, None, None] == row, one.plane_echo, 0)
+        )
+        for one in samples
+    ]
+
+
+@pytest.mark.parametrize("reducer", ["footprint", "point"])
+def test_a_ping_does_not_depend_on_the_one_before(reducer):
+    fan, samples = fan_and_samples(reducer)
+    weights = beam_weights(fan, None, math.radians(1.5))
+    used, fresh = Beamformer(fan, weights), Beamformer(fan, weights)
+    before = used.sum_footprints(samples).intensity
+    copy = before.copy()
+    for others in (silent(samples, row=30), silent(samples), samples):
+        echo = used.sum_footprints(others)
+        np.testing.assert_array_equal(echo.intensity, fresh.sum_footprints(others).intensity)
+        assert echo.total == echo.intensity.sum(dtype=np.float64)
+        fresh = Beamformer(fan, weights)
+    assert not used.sum_footprints(silent(samples)).intensity.any()
+    np.testing.assert_array_equal(before, copy)  # the caller owns the result
+    assert before.any()
+
+
+def only(body, samples):
+    """Return the samples with the echo of one body only; the other bodies still bound its samples."""
+    mask = np.array([1, 1, 1, 0])
+    return [
+        one._replace(plane_echo=np.where((one.body_id == body)[..., None] | mask, one.plane_echo, 0))
+        for one in samples
+    ]
+
+
+def test_the_echo_is_the_sum_over_bodies():
+    """The echoes of single bodies sum to the echo of all, with one thread and with two."""
+    fan, samples = fan_and_samples()
+    weights = beam_weights(fan, None, math.radians(1.5))
+    beamformer = Beamformer(fan, weights, thread=SecondThread())
+    assert sum(len(one.sector.strips.u) * len(one.plane_echo) for one in samples) > FEW_ROWS  # two threads
+    whole = beamformer.sum_footprints(samples).intensity
+    parts = [beamformer.sum_footprints(only(body, samples)).intensity for body in (1, 2)]
+    assert all(part.any() for part in parts)
+    np.testing.assert_allclose(sum(parts), whole, rtol=1e-5, atol=1e-6 * whole.max())  # float32 sums
+    np.testing.assert_array_equal(Beamformer(fan, weights).sum_footprints(samples).intensity, whole)

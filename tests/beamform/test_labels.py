@@ -1,0 +1,255 @@
+"""Labels, the strongest body of each bin and its echo, against closed forms and brute force."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.beamform.beamformer import Beamformer, beam_weights
+from sonar_gl.beamform.kernels import acos, bin_table
+from tests.beamform.test_footprint import fan_and_samples, only
+
+IDEAL, HERE = sg.Acoustics.ideal(), np.eye(4)
+SONAR = sg.Sonar("test", 900e3, 48, 240, 40.0, 40.0, 2.0, 0.5, 24.5)
+HEIGHT_M = 3.0
+FLOOR = sg.Body("floor", trimesh.creation.box((400, 400, 1)), sg.pose(0, 0, -HEIGHT_M - 0.5), 0.4)
+
+
+def plate(name, x, low, high, mu=0.8, y=(-200, 200)):
+    """Return a thin plate across the boresight, between two heights relative to the sonar."""
+    size = 0.002, y[1] - y[0], high - low
+    return sg.Body(name, trimesh.creation.box(size), sg.pose(x + 0.001, sum(y) / 2, (low + high) / 2), mu)
+
+
+def ping(scene, sonar=SONAR, acoustics=IDEAL, sampling=None, labels=True, **more):
+    sampling = sampling or sg.Sampling(2, 160)
+    with sg.Simulator(sg.Scene(scene), sonar, acoustics, sampling) as simulator:
+        return simulator.ping(HERE, labels=labels, **more)
+
+
+@pytest.mark.parametrize("reducer", ["footprint", "point"])
+@pytest.mark.parametrize("n_bodies, fov_deg", [(2, 90.0), (300, 90.0), (3, 360.0)])
+def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_deg):
+    """The strongest body follows from the echo of each body alone; a fan of 360 degrees wraps its columns."""
+    fan, samples = fan_and_samples(reducer, n_bodies=n_bodies, fov_deg=fov_deg)
+    beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
+    gain = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32)
+    echoes = np.array(
+        [beamformer.sum_footprints(only(body, samples)).intensity for body in range(n_bodies + 1)]
+    )
+    is_background = np.arange(n_bodies + 2) % 2 == 0
+    unshadowed = only(1, samples)  # any samples serve as the unshadowed background
+    alone = beamformer.sum_footprints(unshadowed).intensity
+    for _ in range(2):  # the second call reuses the arrays of the first
+        found = beamformer.label(samples, gain, n_bodies + 1, (is_background, unshadowed))
+        strongest, whole = echoes.max(axis=0), echoes.sum(axis=0)
+        second = np.partition(echoes, -2, axis=0)[-2]
+        clear = strongest - second > 1e-5 * strongest  # float32 sums
+        assert clear.sum() > 1000
+        np.testing.assert_array_equal(found.body_id[clear], echoes.argmax(axis=0)[clear])
+        np.testing.assert_array_equal(found.body_id > 0, whole > 0)
+        share = np.divide(strongest, whole, out=np.zeros_like(whole), where=whole > 0)
+        np.testing.assert_allclose(found.share, share, atol=1e-5)
+        body_echo = np.append((echoes.astype(float) @ gain).sum(axis=1), 0.0)
+        np.testing.assert_allclose(found.body_echo, body_echo, rtol=1e-5)
+        remaining = echoes[0::2].sum(axis=0)
+        sure = np.abs(remaining - 0.1 * alone) > 1e-4 * alone
+        np.testing.assert_array_equal(found.shadow[sure], ((alone > 0) & (remaining < 0.1 * alone))[sure])
+        for name in ("elevation_rad", "incidence_rad", "true_range_m"):
+            np.testing.assert_array_equal(np.isnan(getattr(found, name)), whole == 0)
+
+
+def test_acos_and_the_centre_of_bins():
+    c = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose([acos(one) for one in c], np.arccos(c), atol=3e-8)
+    edges = np.array([0.5, 1.0, 1.7])
+    fine = 1 / np.linspace(1 / edges[:-1], 1 / edges[1:], 100_001)  # even in s = 1/r
+    # ∫ r s ds / ∫ s ds over each bin
+    np.testing.assert_allclose(bin_table(edges).middle_m, 1 / (1 / fine).mean(axis=0), rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def walled():
+    """Return a ping of a floor and a wall at 16 m."""
+    return ping([FLOOR, plate("wall", 16.0, -HEIGHT_M, 30.0)])
+
+
+def test_incidence_and_elevation_of_a_floor_and_a_wall(walled):
+    """cos θ is a plane's distance divided by the range."""
+    r = walled.true_range_m
+    floor, wall = (walled.body_id == 1) & (r < 15.5), (walled.body_id == 2) & (walled.share == 1)
+    assert floor.sum() > 500 and wall.sum() > 300
+    # a sample is 40°/160 high; the angle of its centre applies to all bins that it covers
+    limit = math.radians(0.25) / 2
+    np.testing.assert_allclose(walled.incidence_rad[floor], np.arccos(HEIGHT_M / r[floor]), atol=limit)
+    np.testing.assert_allclose(walled.elevation_rad[floor], -np.arcsin(HEIGHT_M / r[floor]), atol=limit)
+    # near normal incidence the mean of angles exceeds the angle of the mean
+    far = wall & (r > 16.5)
+    np.testing.assert_allclose(walled.incidence_rad[far], np.arccos(16 / r[far]), atol=2 * limit)
+    assert np.nanmin(walled.incidence_rad[walled.body_id == 2]) < 0.1
+    assert walled.incidence_rad.dtype == walled.true_range_m.dtype == walled.share.dtype == np.float32
+    assert not any(array.flags.writeable for array in (walled.incidence_rad, walled.share))
+
+
+def test_incidence_of_an_oblique_wall():
+    """The wall is 10 m away and oblique, so that 1/x has slopes along both axes of the view."""
+    yaw = 0.9
+    wall = trimesh.creation.box((0.002, 200, 200))
+    wall_pose = sg.pose(10.001 * math.cos(yaw), 10.001 * math.sin(yaw), 0, yaw=yaw)
+    got = ping([sg.Body("wall", wall, wall_pose, 0.8)])
+    lone = (got.share == 1) & (got.true_range_m < 20)
+    assert lone.sum() > 500
+    # a sample is 0.42° wide and 0.25° high, which bounds the change of the angle
+    np.testing.assert_allclose(got.incidence_rad[lone], np.arccos(10 / got.true_range_m[lone]), atol=0.005)
+
+
+@pytest.mark.parametrize("reducer", ["footprint", "point"])
+def test_true_range_is_the_mean_within_the_bin(reducer):
+    """The true range is the mean of bins forty times as fine; in partly filled bins it is far from the centre."""
+    bodies = [FLOOR, plate("upright", 9.3, -2.0, 1.0), plate("far", 17.9, -3.0, 2.0)]
+    sampling = sg.Sampling(2, 160, reducer)
+    coarse = ping(bodies, replace(SONAR, n_bins=24), sampling=sampling)
+    fine = ping(bodies, replace(SONAR, n_bins=960), sampling=sampling)
+    echo = np.where(fine.body_id.reshape(48, 24, 40) == coarse.body_id[..., None], 1.0, 0.0)
+    echo *= (fine.intensity * fine.share).reshape(48, 24, 40)
+    lone = (coarse.share > 0.999) & (coarse.body_id > 0)
+    mean = (echo * fine.range_m.reshape(24, 40)).sum(axis=-1)[lone] / echo.sum(axis=-1)[lone]
+    assert lone.sum() > 250
+    # the error is that of half a fine bin
+    assert np.abs(coarse.true_range_m[lone] - mean).max() < 0.025 / 2 + 1e-4
+    assert np.abs(coarse.true_range_m - coarse.range_m)[lone].max() > 0.35
+    edges = np.linspace(0.5, 24.5, 25)
+    inside = (coarse.true_range_m >= edges[:-1]) & (coarse.true_range_m <= edges[1:])
+    np.testing.assert_array_equal(inside, coarse.body_id > 0)
+
+
+def test_true_range_does_not_depend_on_the_sonar_s_speed_setting():
+    """A sonar set to a higher speed of sound displays a plate too far away; the true range is unaffected."""
+    set_wrong = sg.Acoustics.physical(sound_speed_m_s=1450.0, sonar_sound_speed_m_s=1500.0)
+    got = ping([plate("plate", 10.0, -0.3, 0.3, y=(-0.3, 0.3))], acoustics=set_wrong)
+    assert np.nanmin(got.true_range_m) == pytest.approx(10.0, abs=0.005)
+    shown = got.range_m[(got.body_id > 0).any(axis=0)]
+    assert shown.min() == pytest.approx(10 * 1500 / 1450, abs=0.1)
+
+
+def test_share_of_two_bodies():
+    """The share is that of the stronger echo of two plates, one above the other."""
+    bodies = [plate("low", 8.0, -2.5, -0.5, 0.3), plate("high", 8.0, 0.5, 2.0, 0.9)]
+    both, low, high = ping(bodies), ping(bodies[:1]), ping(bodies[1:])
+    met = (low.intensity > 1e-4) & (high.intensity > 1e-4)
+    assert met.sum() > 100
+    stronger, total = np.maximum(low.intensity, high.intensity), low.intensity + high.intensity
+    np.testing.assert_allclose(both.share[met], stronger[met] / total[met], rtol=1e-4)
+    stronger = np.where(high.intensity > low.intensity, 2, 1)
+    np.testing.assert_array_equal(both.body_id[met], stronger[met])
+    assert (both.share[both.body_id == 0] == 0).all() and both.share.max() <= 1
+
+
+def test_shadow_of_a_plate_on_a_floor():
+    """The shadow of a plate of height h at X extends from hypot(X, H) to hypot(X H / (H - h), H).
+
+    H is the height of the sonar over the floor; X grows as 1/cos ψ across the fan.
+    """
+    x, top = 9.0, 1.5
+    got = ping([FLOOR, plate("plate", x, -HEIGHT_M, top - HEIGHT_M)], background=["floor"])
+    across = (x / np.cos(got.azimuth_rad))[:, None]
+    foot, head = np.hypot(across, HEIGHT_M), np.hypot(across * HEIGHT_M / (HEIGHT_M - top), HEIGHT_M)
+    low, high = SONAR.bin_edges_m[:-1], SONAR.bin_edges_m[1:]
+    # within a beam of 2° at 20° the ends vary by 0.7 %; and by a bin
+    inside = (low > foot * 1.007 + 0.1) & (high < head * 0.993 - 0.1)
+    outside = (high < foot * 0.993 - 0.1) | (low > head * 1.007 + 0.1)
+    assert inside.sum() > 1000 and outside.sum() > 1000
+    assert got.shadow.dtype == bool and not got.shadow.flags.writeable
+    assert got.shadow[inside].all()
+    assert not got.shadow[outside].any()
+
+
+def test_open_water_is_not_a_shadow():
+    """A body without background behind it casts no shadow; over a floor only the floor's own echo counts."""
+    hung = plate("hung", 5.0, -1.0, 0.0, y=(-0.5, 0.5))
+    behind = plate("behind", 12.0, -6, -4, y=(-1, 1))
+    assert not ping([hung, behind], background=["behind"]).shadow.any()
+    floor_only = ping([FLOOR], background=["floor"])
+    assert not floor_only.shadow.any() and (floor_only.body_id > 0).any()
+    over = ping([FLOOR, hung], background=["floor"])
+    alone, remaining = floor_only.intensity, ping([FLOOR, replace(hung, reflectivity=0.0)]).intensity
+    np.testing.assert_array_equal(over.shadow, (alone > 0) & (remaining < 0.1 * alone))
+    assert over.shadow.any() and (alone[over.shadow] > 0).all()
+    assert not over.shadow[:, over.range_m < 8].any()  # the floor begins at 3 m / sin 20°
+
+
+def test_the_background_casts_no_shadow_on_itself():
+    """Bodies of the background and absent bodies cast no shadows."""
+    bodies = [FLOOR, plate("wall", 10.0, -HEIGHT_M, 5.0), plate("box", 6.0, -HEIGHT_M, -1, y=(-1, 1))]
+    assert not ping(bodies, background=["floor", "wall", "box"]).shadow.any()
+    assert not ping(bodies[:2], background=["floor", "wall"]).shadow.any()
+    assert not ping(bodies, background=["floor", "wall"], bodies={"box": None}).shadow.any()
+    assert ping(bodies, background=["floor", "wall"]).shadow.any()
+    assert not ping(bodies, background=[]).shadow.any()
+    assert ping(bodies).shadow is None
+    plain = ping(bodies, labels=False)
+    names = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "body_echo", "shadow"
+    assert all(getattr(plain, name) is None for name in names)
+
+
+def test_background_must_be_bodies():
+    for more, message in (
+        ({"background": ["flor"]}, r"background must be bodies .*'flor'; did you mean 'floor'"),
+        ({"background": "floor"}, r"several names .*'floor'; make \[name\]"),
+        ({"background": 7}, "several names .*got 7"),
+        ({"background": ["floor"], "labels": False}, "background must come with labels=True"),
+    ):
+        with pytest.raises(sg.Error, match=message):
+            ping([FLOOR], **more)
+
+
+def test_labels_of_a_moving_sonar():
+    """All labels of a cell move with its echo."""
+    bodies = [FLOOR, plate("box", 7.0, -HEIGHT_M, -1, y=(-1, 1))]
+    still = ping(bodies, background=["floor"])
+    moved = ping(bodies, background=["floor"], velocity=(1.0, 0, 0, 0, 0, 3.0))
+    names = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
+    cells = {tuple(getattr(still, name)[at] for name in names) for at in np.ndindex(still.body_id.shape)}
+    changed = np.argwhere((moved.body_id > 0) & (still.body_id != moved.body_id))
+    assert len(changed) > 50
+    assert all(tuple(getattr(moved, name)[tuple(at)] for name in names) in cells for at in changed)
+
+
+def test_labels_of_depth_images():
+    """For a wall before a depth camera cos θ is its distance over the range; the true range is that of the rays."""
+    sonar = replace(SONAR, elevation_fov_deg=20.0)
+    camera = sg.Camera.of_fov(400, 240, fov_x_rad=1.0)
+    numbers = np.full((240, 400), 3)
+    numbers[:, :200] = 0  # unknown, to port
+    got = sg.ping_from_depth(np.full((240, 400), 6.0), sonar, camera, IDEAL, body_id=numbers, labels=True)
+    has_echo = got.share > 0
+    assert got.shadow is None and set(got.body_id[has_echo].tolist()) == {0, 3}
+    assert got.body_echo[0] == pytest.approx(got.body_echo[3], rel=0.02) and not got.body_echo[1:3].any()
+    assert np.isfinite(got.incidence_rad[has_echo]).all() and np.isnan(got.incidence_rad[~has_echo]).all()
+    off = got.incidence_rad[has_echo] - np.arccos(np.minimum(6 / got.true_range_m[has_echo], 1))
+    # angle of the mean range; in the first bins, near normal incidence, angles change quickly
+    assert np.abs(off[got.true_range_m[has_echo] > 6.1]).max() < math.radians(0.5)
+    assert np.abs(got.true_range_m - got.range_m)[has_echo].max() <= sonar.bin_size_m / 2 + 1e-4
+    assert got.true_range_m[has_echo].min() == pytest.approx(6.0, abs=0.01)
+
+
+def test_files_hold_the_labels(tmp_path):
+    made = ping([FLOOR, plate("box", 7.0, -HEIGHT_M, -1)], background=["floor"])
+    sg.save_npz(tmp_path / "a.npz", made)
+    read = sg.load_npz(tmp_path / "a.npz")
+    for name in ("incidence_rad", "true_range_m", "share", "shadow"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+
+
+@pytest.mark.parametrize("n_beams, n_bins", [(1, 1), (1, 65), (4, 64), (5, 63)])
+def test_few_beams_and_bins(n_beams, n_bins):
+    """Kernels take beams by fours and bins by sixty-fours, in two threads, one of which may have no work here."""
+    sonar = replace(SONAR, n_beams=n_beams, n_bins=n_bins)
+    found = ping([FLOOR, plate("wall", 9.0, -3.0, 3.0)], sonar)
+    assert found.intensity.any()
+    np.testing.assert_array_equal(found.body_id > 0, found.intensity > 0)
+    np.testing.assert_allclose(found.body_echo.sum(), found.intensity.sum(dtype=float), rtol=1e-5)
+    assert np.isfinite(found.true_range_m[found.body_id > 0]).all()

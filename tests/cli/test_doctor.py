@@ -1,0 +1,325 @@
+"""What `sonar-gl doctor` finds where all is well, and where something is missing."""
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import moderngl
+import pytest
+from click.testing import CliRunner
+
+import sonar_gl
+from sonar_gl.cli import doctor, system_checks, warm_up
+from sonar_gl.cli import main as cli
+from sonar_gl.cli.doctor import examine
+from sonar_gl.core.errors import Error
+from sonar_gl.core.extras import pip_install
+from sonar_gl.gl import context as gl
+from sonar_gl.simulator import Simulator
+
+pytestmark = pytest.mark.timeout(600)  # the first test of all may have to compile everything
+
+
+@pytest.fixture(scope="module")
+def well():
+    return {finding.what: finding for finding in examine()}
+
+
+def test_all_is_well_where_these_tests_run(well):
+    assert not [finding for finding in well.values() if finding.ok is False]
+    assert all(finding.detail for finding in well.values())
+
+
+def test_names_the_renderer_and_its_kind(well):
+    with gl.create_context() as context:
+        told = gl.describe(context)
+    detail = well["OpenGL"].detail
+    assert detail.startswith(told["renderer"]) and told["version"] in detail
+    assert ("(software)" in detail) == ("llvmpipe" in told["renderer"] or "softpipe" in told["renderer"])
+    assert str(told["max_texture_size"]) in detail
+
+
+def test_known_scene_tells_how_well(well):
+    assert well["known scene"].detail.startswith("wall at 5 m: 1.00")
+    assert "box to port at 7.91 m, +2.9 deg: found at 7.90 m, +" in well["known scene"].detail
+
+
+def test_known_scene_finds_a_wrong_drawing(monkeypatch):
+    ping = Simulator.ping
+
+    def mirrored(self, *args, **more):
+        out = ping(self, *args, **more)
+        return type(out)(out.intensity[::-1], out.azimuth_rad, out.range_m, pose=out.pose, meta=out.meta)
+
+    monkeypatch.setattr(Simulator, "ping", mirrored)
+    ok, detail, cure = system_checks.check_known_scene()
+    assert ok is False and ", -2." in detail and "driver draws wrongly" in cure
+
+
+def test_missing_package_has_its_cure(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    finding = doctor.check_package("trimesh", "trimesh")
+    assert finding.ok is False and finding.cure == pip_install("trimesh")
+    assert finding.detail.startswith("cannot be imported (")
+
+
+def test_process_without_a_package(tmp_path):
+    """The report is complete, though nothing of the simulator can be imported."""
+    (tmp_path / "trimesh.py").write_text("raise ImportError('no trimesh here')")
+    home = str(Path(sonar_gl.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-m", "sonar_gl", "doctor"],
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{home}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (1, "")
+    lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    at = lines.index("FAIL trimesh cannot be imported (no trimesh here)")
+    assert lines[at + 1] == pip_install("trimesh")
+    assert "FAIL OpenGL not tried (no trimesh here)" in lines
+    assert "FAIL known scene not tried without OpenGL" in lines
+    assert any(line.startswith("ok shaders ") for line in lines)
+    assert lines[-1] == "7 of 19 failed"
+
+
+def test_optional_packages_may_be_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    for what, check in (
+        ("reference_ping", doctor.check_embreex),
+        ("scenes of pyrender", system_checks.check_pyrender),
+    ):
+        ok, _, cure = check()
+        assert ok is None and cure.startswith(f"only {what} need")
+
+
+def test_no_opengl_is_told_with_its_cure_and_status_1(monkeypatch):
+    def none(*_args, **_more):
+        raise Exception("libEGL.so not loaded")
+
+    def no_library(name, *_args, **_more):
+        raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.setattr(moderngl, "create_context", none)
+    monkeypatch.setattr(ctypes, "CDLL", no_library)
+    monkeypatch.setattr(doctor, "PACKAGES", ())
+    result = CliRunner().invoke(cli.main, ["doctor"])
+    assert result.exit_code == 1
+    lines = [" ".join(line.split()) for line in result.output.splitlines()]
+    at = lines.index("FAIL EGL libEGL.so.1: cannot open shared object file")
+    assert lines[at + 1] == "on Debian or Ubuntu: apt-get install libegl1 libgl1"
+    assert lines[at + 2].startswith(
+        "FAIL OpenGL OpenGL must be reachable through EGL, without a display (got: "
+    )
+    assert lines[at + 3] == "FAIL compiled functions not tried without OpenGL"
+    assert lines[at + 4] == "FAIL known scene not tried without OpenGL"
+    assert lines[-1] == "4 of 10 failed"
+
+
+def test_command_is_quiet_about_cures_when_all_is_well(monkeypatch, well):
+    monkeypatch.setattr(doctor, "examine", lambda: list(well.values()))
+    result = CliRunner().invoke(cli.main, ["doctor"])
+    assert result.exit_code == 0
+    lines = result.output.splitlines()
+    assert lines[-1] == "all is well"
+    assert all(line.startswith(("ok ", "-  ")) for line in lines[:-1] if line[0] != " ")
+    assert "driver draws wrongly" not in result.output
+
+
+def test_missing_folder_is_told(monkeypatch):
+    def none(*_):
+        raise Error("the folder is nowhere")
+
+    monkeypatch.setattr(doctor, "data_folder", none)
+    monkeypatch.setattr(system_checks, "bundled_scenes", none)
+    findings = {finding.what: finding for finding in examine()}
+    for what in ("shaders", "scenes"):
+        assert findings[what] == (what, False, "the folder is nowhere", "install sonar_gl again")
+
+
+# --- compiled functions
+
+
+def test_compiled_functions_are_counted_with_the_time_and_the_folder(well):
+    detail = well["compiled functions"].detail
+    assert re.fullmatch(r"\d+; \d+ compiled now, \d+ s; kept in .+", detail)
+    assert detail.startswith(f"{len(warm_up.compiled_functions())}; ")
+
+
+def test_what_is_compiled_once_is_read_from_disk(well):
+    assert warm_up.compile_everything().n_compiled == 0
+
+
+def test_cache_that_cannot_be_kept_is_told(monkeypatch, well):
+    monkeypatch.setattr(system_checks.os, "access", lambda *_: False)
+    ok, detail, cure = system_checks.check_compiled_functions()
+    assert ok is None and "; cannot be kept in " in detail and "NUMBA_CACHE_DIR" in cure
+
+
+@pytest.mark.slow
+def test_every_compiled_function_is_compiled(tmp_path):
+    """In a process with an empty cache: functions that others call have no signatures where those come from disk."""
+    code = """
+from sonar_gl.cli import warm_up
+reports = []
+done = warm_up.compile_everything(reports.append, processes=1)
+functions = warm_up.compiled_functions()
+print(done.n_functions, done.n_compiled, len(reports) > 3, *(n for n, f in functions.items() if not f.signatures))
+"""
+    home = str(Path(sonar_gl.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": home, "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=590,
+    )
+    n_functions, n_compiled, has_reports, *left = done.stdout.split()
+    with gl.create_context() as context:
+        is_software = gl.is_software(gl.describe(context)["renderer"])
+    unused = r"raster\.cull\.draw_patches" if is_software else r"raster\.small_triangles\.\w+"
+    assert [name for name in left if not re.fullmatch(rf"sonar_gl\.{unused}", name)] == []
+    assert int(n_functions) == int(n_compiled) + len(left) == n_compiled_in_source() and has_reports == "True"
+
+
+def n_compiled_in_source() -> int:
+    """Return the number of functions that the sources of the package mark for compilation."""
+    home = Path(sonar_gl.__file__).parent
+    return sum(
+        len(re.findall(r"^@compiled(?:_generator)?$", path.read_text(encoding="utf-8"), re.MULTILINE))
+        for path in home.rglob("*.py")
+    )
+
+
+# --- devices
+
+
+@pytest.fixture
+def several(monkeypatch):
+    """A machine with three devices, of which the second alone draws; gives the indices that are tried."""
+    tried, real = [], gl.egl_context
+
+    def create(index):
+        tried.append(index)
+        if (index or 0) > 2:
+            raise Exception(f"requested device index {index}, but found 3 devices")
+        if index != 1:
+            raise Exception("eglInitialize failed (0x3001)")
+        return real(0)
+
+    monkeypatch.setattr(gl, "egl_devices", lambda: ["/dev/dri/card0", "", "/dev/dri/card1"])
+    monkeypatch.setattr(gl, "egl_context", create)
+    for variable in gl.DEVICE_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    return tried
+
+
+def renderer():
+    with gl.create_context() as context:
+        return gl.describe(context)["renderer"]
+
+
+def test_devices_are_those_that_egl_has():
+    found = gl.devices()
+    assert [one.index for one in found] == list(range(len(gl.egl_devices()))) != []
+    assert renderer() in [one.name for one in found if not one.trouble]
+
+
+def test_devices_that_draw_go_by_their_renderer_and_others_by_file_and_trouble(several):
+    trouble = "eglInitialize failed (0x3001)"
+    drawing = gl.devices()[1]
+    assert gl.devices() == [(0, "/dev/dri/card0", trouble), drawing, (2, "/dev/dri/card1", trouble)]
+    assert drawing.trouble == "" and drawing.name and not drawing.name.startswith("/dev")
+
+
+def test_argument_wins_over_variables_and_ours_over_glcontexts(several, monkeypatch):
+    gl.create_context(1).release()
+    monkeypatch.setenv("GLCONTEXT_DEVICE_INDEX", "1")
+    gl.create_context().release()
+    monkeypatch.setenv("GLCONTEXT_DEVICE_INDEX", "2")
+    monkeypatch.setenv("SONAR_GL_DEVICE", " 1 ")
+    gl.create_context().release()
+    monkeypatch.setenv("SONAR_GL_DEVICE", "0")
+    gl.create_context(1).release()
+    assert several == [1, 1, 1, 1]
+
+
+def test_an_index_that_is_given_is_not_glcontexts_to_change(monkeypatch):
+    monkeypatch.setenv("GLCONTEXT_DEVICE_INDEX", "99")  # heeded by glcontext above all arguments
+    gl.create_context(0).release()
+
+
+@pytest.mark.parametrize("index", [-1, 99, True, 1.0, "0"])
+def test_an_index_that_is_none_names_the_devices(index):
+    found = gl.devices()
+    there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}: 0 {found[0].name}"
+    with pytest.raises(gl.Error) as why:
+        gl.create_context(index)
+    message = f"the OpenGL device must be the index of an EGL device (got {index!r}; {there}"
+    assert str(why.value).startswith(message)
+
+
+@pytest.mark.parametrize("variable", gl.DEVICE_VARIABLES)
+@pytest.mark.parametrize("text", ["3", "-1", "one", "1.0", "²", "9" * 30])
+def test_a_variable_that_means_no_device_is_named(several, monkeypatch, variable, text):
+    monkeypatch.setenv(variable, text)
+    with pytest.raises(gl.Error) as why:
+        gl.create_context()
+    message = f"the OpenGL device must be the index of an EGL device (got {variable}={text}; there are 3: "
+    assert str(why.value).startswith(message + "0 /dev/dri/card0 (not to be used: eglInitialize failed")
+
+
+def test_a_device_that_does_not_work_names_those_that_do(several):
+    with pytest.raises(gl.Error) as why:
+        gl.create_context()
+    assert str(why.value) == (
+        "OpenGL device 0 must work (got: eglInitialize failed (0x3001)); "
+        f"set SONAR_GL_DEVICE to one that does: 1 {gl.devices()[1].name}"
+    )
+
+
+def test_doctor_lists_devices_and_which_is_used(several, monkeypatch):
+    monkeypatch.setenv("SONAR_GL_DEVICE", "1")
+    ok, detail, _ = system_checks.check_egl()
+    assert ok and detail == (
+        "3 devices: 0 /dev/dri/card0 (not to be used: eglInitialize failed (0x3001)); "
+        f"1 {renderer()}, used; 2 /dev/dri/card1 (not to be used: eglInitialize failed (0x3001))"
+    )
+    monkeypatch.setenv("SONAR_GL_DEVICE", "first")
+    findings = {finding.what: finding for finding in examine()}
+    assert findings["EGL"].ok and ", used" not in findings["EGL"].detail
+    assert findings["OpenGL"].ok is False and "got SONAR_GL_DEVICE=first" in findings["OpenGL"].detail
+
+
+@pytest.mark.parametrize(
+    "names, ok, told", [([], False, "0 devices"), (None, None, "cannot list its devices")]
+)
+def test_no_devices_and_an_egl_that_cannot_list_them(monkeypatch, names, ok, told):
+    monkeypatch.setattr(gl, "egl_devices", lambda: names)
+    found = system_checks.check_egl()
+    assert found[:2] == (ok, told) and found[2]
+    with pytest.raises(gl.Error, match=r"\(got 99; there are 0\)$"):
+        gl.create_context(99)
+
+
+def test_commands_take_a_device(several, monkeypatch, tmp_path):
+    monkeypatch.setenv("SONAR_GL_DEVICE", "2")
+    ping = ("pylon", "--range", "8", "--bins", "40", "--tolerance", "0.2")
+    for command in (
+        ("render", *ping, "--format", "npz", "--out", str(tmp_path)),
+        ("plan", *ping),
+        ("verify", *ping, "--out", str(tmp_path)),
+    ):
+        del several[:]
+        result = CliRunner().invoke(cli.main, [*command, "--device", "1"])
+        assert result.exit_code in (0, 1) and set(several) == {1}, (command, result.output)
+        assert os.environ["SONAR_GL_DEVICE"] == "2"  # as it was
+    result = CliRunner().invoke(cli.main, ["plan", *ping, "--device", "7"])
+    told = "error: the OpenGL device must be the index of an EGL device (got SONAR_GL_DEVICE=7; there are 3: "
+    assert result.exit_code == 2 and told in result.output

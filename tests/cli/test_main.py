@@ -1,0 +1,874 @@
+"""The command line: what each option does, and what each mistake is told."""
+
+import errno
+import json
+import os
+import pty
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import click
+import cv2
+import moderngl
+import numpy as np
+import pytest
+from PIL import Image
+
+import sonar_gl as sg
+from sonar_gl.acoustics import acoustics as settings
+from sonar_gl.analysis import terms
+from sonar_gl.cli import main as cli
+from sonar_gl.cli import plan
+from sonar_gl.core.poses import pose_numbers, read_poses
+from sonar_gl.gl import context as gl
+from sonar_gl.imaging import files as export
+from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
+
+SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
+POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n0.5,0.5,0,0,0,0,0\n1.0,1,0,0,0,0,0.1\n"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A folder with a small scene, a small sonar and three poses, which is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(SCENE.format(more=SENSOR))
+    Path("mute.sdf").write_text(SCENE.format(more=""))
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSES)
+    return tmp_path
+
+
+def render(
+    *arguments, scene="tank.sdf", quick=("--sonar", "small.toml", "--tolerance", 0.05, "--height", 60)
+):
+    """stdout of a render that must do without a word on stderr."""
+    status, out, err = run("render", scene, *quick, *arguments)
+    assert (status, err) == (0, "")
+    return out
+
+
+def refused(*arguments, scene="tank.sdf", sonar="small.toml"):
+    """The message of a render that must be refused."""
+    status, out, err = run("render", scene, "--sonar", sonar, *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("error: ") and err.endswith("\n")
+    return err[7:-1]
+
+
+def ping(name="tank.npz"):
+    return sg.load_npz(name)
+
+
+def process(*arguments, **environment):
+    """A real process; its surroundings are ours and `environment`."""
+    home = str(Path(sg.__file__).parent.parent)
+    return subprocess.run(
+        [sys.executable, "-m", "sonar_gl", *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": home, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+# --- what is written
+
+
+def test_render_writes_picture_ping_and_one_line():
+    out = render()
+    assert sorted(p.name for p in Path().iterdir() if p.suffix in (".png", ".npz")) == [
+        "tank.npz",
+        "tank.png",
+    ]
+    got = ping()
+    assert got.intensity.shape == (24, 80) and got.body_id is None and got.elevation_rad is None
+    np.testing.assert_array_equal(got.pose, np.eye(4))
+    assert got.meta["profile"] == "physical" and got.meta["seed"] == 0 and got.meta["scene"] == "tank"
+    assert got.meta["version"] == sg.__version__ and got.meta["sonar"]["name"] == "small"
+    renderer = re.escape(got.meta["gl_renderer"])
+    line = r"tank\.png, tank\.npz: 24 beams x 80 bins, strongest echo (-?\d+\.\d) dB at (\d+\.\d\d) m, "
+    line += rf"(\d+\.\d) deg to (port|starboard); \d+\.\d ms on {renderer}\n"
+    match = re.fullmatch(line, out)
+    beam, bin_ = np.unravel_index(got.intensity.argmax(), got.intensity.shape)
+    assert float(match[1]) == pytest.approx(10 * np.log10(got.intensity.max()), abs=0.051)
+    assert float(match[2]) == pytest.approx(got.range_m[bin_], abs=0.0051)
+    signed_deg = float(match[3]) * (1 if match[4] == "port" else -1)
+    assert signed_deg == pytest.approx(np.degrees(got.azimuth_rad[beam]), abs=0.051)
+    wanted = sg.colorize(sg.fan_image(got, 60))
+    np.testing.assert_array_equal(cv2.imread("tank.png")[..., ::-1], wanted)
+
+
+def test_same_seed_same_bytes_and_another_seed_other_bytes():
+    files = {}
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        render("--noise", "physical", "--seed", seed, "--out", name)
+        files[name] = [Path(name, f"tank.{f}").read_bytes() for f in ("png", "npz")]
+    assert files["a"] == files["b"]
+    assert all(one != other for one, other in zip(files["a"], files["c"], strict=True))
+    assert ping("c/tank.npz").meta["seed"] == 8
+
+
+def test_out_is_made_with_its_parents():
+    assert render("--out", "new/deep").startswith("new/deep/tank.png, new/deep/tank.npz: ")
+    assert Path("new/deep/tank.npz").is_file()
+
+
+def test_format_may_be_one():
+    render("--format", "npz", "--out", "one")
+    assert [p.name for p in Path("one").iterdir()] == ["tank.npz"]
+    render("--format", "png", "--out", "two")
+    assert [p.name for p in Path("two").iterdir()] == ["tank.png"]
+
+
+def test_range_keeps_the_bin_and_bins_sets_their_number():
+    render("--range", 4.5, "--format", "npz")
+    got = ping()
+    assert got.meta["sonar"]["range_max_m"] == 4.5 and got.intensity.shape == (24, 40)
+    assert got.bin_size_m == pytest.approx(0.1, abs=1e-12)
+    render("--range", 4.5, "--bins", 16, "--format", "npz")
+    got = ping()
+    assert got.intensity.shape == (24, 16) and got.bin_size_m == pytest.approx(0.25, abs=1e-12)
+
+
+def test_pose_takes_the_place_of_the_scenes():
+    render("--pose", "-1 0 0 0 0 0.1", "--format", "npz")
+    np.testing.assert_array_equal(ping().pose, sg.pose(x=-1, yaw=0.1))
+    render("--pose", "1,0,0,0,0,0", scene="mute.sdf")
+    np.testing.assert_array_equal(ping("mute.npz").pose, sg.pose(x=1))
+
+
+def test_profile_is_that_of_the_simulator():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    for name in settings.PROFILES:
+        render("--profile", name, "--format", "npz")
+        with sg.Simulator(scene, sonar, sg.Acoustics(name), tolerance=0.05) as simulator:
+            np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4)).intensity)
+        assert ping().meta["profile"] == name
+
+
+def test_range_law_is_that_of_the_paper_s_profile():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    for law in ("printed", "constant", "inverse"):
+        render("--profile", "demarco2015", "--range-law", law, "--format", "npz")
+        acoustics = sg.Acoustics.demarco2015(law)
+        with sg.Simulator(scene, sonar, acoustics, tolerance=0.05) as simulator:
+            np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4)).intensity)
+
+
+def test_choices_are_those_of_the_modules():
+    choices = {p.name: getattr(p.type, "choices", None) for p in cli.render.params}
+    assert list(choices["profile"]) == list(settings.PROFILES)
+    assert set(choices["formats"]) == {"png", "npz", "gif", "mp4"}
+
+
+def test_noise_in_words_and_amounts():
+    render("--noise", "gaussian=0.25,median=3", "--format", "npz")
+    assert ping().meta["noise"] == {**NO_NOISE, "gaussian": 0.25, "median": 3}
+    render("--noise", "demarco2015", "--format", "npz")
+    assert ping().meta["noise"]["salt_and_pepper"] == 0.005
+    render("--noise", "none", "--format", "npz")
+    assert "noise" not in ping().meta
+
+
+NO_NOISE = {f.name: f.default for f in fields(sg.Noise)}
+
+
+def test_salt_is_not_the_strongest_echo():
+    out = render("--noise", "salt_and_pepper=0.2", "--profile", "ideal", "--format", "npz")
+    assert (ping().intensity == 1.0).sum() > 100
+    assert " 0.0 dB" not in out
+
+
+def test_tolerance_chooses_the_samples():
+    rows = []
+    for tolerance in (0.05, 0.005):
+        render("--tolerance", tolerance, "--format", "npz", quick=("--sonar", "small.toml"))
+        rows.append(ping().meta["sampling"]["rows"])
+    assert rows[0] < rows[1]
+
+
+def test_labels_name_bodies():
+    out = render("--labels", "--profile", "ideal", "--format", "npz")
+    got = ping()
+    assert got.body_id.shape == got.elevation_rad.shape == (24, 80)
+    assert set(np.unique(got.body_id)) == {0, 1, 2}
+    box = np.argwhere(got.body_id == 2)
+    assert (got.azimuth_rad[box[:, 0]] > 0).all()  # the box is to port
+    assert re.search(r" deg to \w+, of '(wall|box)'; ", out)
+
+
+def test_fan_options_change_the_picture():
+    render("--format", "npz")
+    got = ping()
+    for options, wanted in (
+        (("--height", 90), sg.colorize(sg.fan_image(got, 90))),
+        (("--scale", "linear"), sg.colorize(sg.fan_image(got, 60, "linear"))),
+        (("--db-range", "-40 -10"), sg.colorize(sg.fan_image(got, 60, db_range=(-40, -10)))),
+        (("--colormap", "viridis"), sg.colorize(sg.fan_image(got, 60), "viridis")),
+        (("--axes",), sg.draw_axes(sg.colorize(sg.fan_image(got, 60)), got)),
+    ):
+        render(*options, "--format", "png")
+        np.testing.assert_array_equal(cv2.imread("tank.png")[..., ::-1], wanted, err_msg=str(options))
+
+
+def test_demarco_style_is_the_founding_papers_picture():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    with sg.Simulator(scene, sonar, sg.Acoustics.demarco2015(), tolerance=0.05) as simulator:
+        for options, settings in (
+            (("--seed", 3), {"seed": 3}),
+            (("--noise", "none", "--form", "printed"), {"noise": sg.Noise.none(), "form": "printed"}),
+            (("--noise", "none", "--join", "polygons"), {"noise": sg.Noise.none(), "join": "polygons"}),
+        ):
+            render("--style", "demarco2015", *options)
+            wanted = sg.demarco_image(simulator, np.eye(4), height=60, **settings)
+            np.testing.assert_array_equal(cv2.imread("tank.png")[..., ::-1], wanted, err_msg=str(options))
+            assert ping().meta["profile"] == "demarco2015"
+    assert "noise" not in ping().meta
+    render("--style", "demarco2015", "--profile", "ideal")
+    assert ping().meta["profile"] == "ideal" and ping().meta["noise"]["cloud_gaussian_m"] == 0.01
+
+
+def test_sequence_is_numbered_and_each_ping_is_that_of_its_pose():
+    out = render("--poses", "dive.csv", "--noise", "physical", "--seed", 5)
+    assert out.startswith("tank_0000..0002.png, tank_0000..0002.npz: 24 beams x 80 bins, strongest echo ")
+    assert re.search(r" in ping [012]; \d+\.\d ms a ping on ", out)
+    times_s, poses = read_poses("dive.csv")
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+        simulator.plan(poses)
+        for n in range(3):
+            got = ping(f"tank_{n:04d}.npz")
+            wanted = simulator.ping(poses[n], noise=sg.Noise.physical(), seed=5, ping_number=n)
+            np.testing.assert_array_equal(got.intensity, wanted.intensity)
+            np.testing.assert_array_equal(got.pose, poses[n])
+            assert got.meta["time_s"] == times_s[n] and got.meta["ping_number"] == n
+            picture = sg.colorize(sg.fan_image(wanted, 60))
+            np.testing.assert_array_equal(cv2.imread(f"tank_{n:04d}.png")[..., ::-1], picture)
+    assert not Path("tank.png").exists() and not Path("tank_0003.png").exists()
+
+
+def test_demarco_sequence_has_other_noise_in_each_frame():
+    Path("still.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
+    render("--poses", "still.csv", "--style", "demarco2015", "--format", "png")
+    assert Path("tank_0000.png").read_bytes() != Path("tank_0001.png").read_bytes()
+
+
+def test_films_have_every_frame_and_their_rate():
+    render("--poses", "dive.csv", "--format", "gif", "--format", "mp4", "--format", "npz", "--fps", 4)
+    with Image.open("tank.gif") as film:
+        assert film.n_frames == 3 and film.info["duration"] == 250
+        first = np.array(film.convert("RGB"))
+    np.testing.assert_array_equal(first, sg.colorize(sg.fan_image(ping("tank_0000.npz"), 60)))
+    film = cv2.VideoCapture("tank.mp4")
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 3 and film.get(cv2.CAP_PROP_FPS) == 4
+    assert len(list(Path().glob("*.npz"))) == 3 and not list(Path().glob("*.png"))
+
+
+def test_resource_path_and_skip_missing():
+    more = "<include><uri>model://rock</uri><pose>2 -0.5 0 0 0 0</pose></include>" + SENSOR
+    Path("reef.sdf").write_text(SCENE.format(more=more))
+    Path("shelf/rock").mkdir(parents=True)
+    rock = BODY.format("rock", "0 0 0", "0.2 0.2 0.2")
+    Path("shelf/rock/model.sdf").write_text(f'<sdf version="1.9">{rock}</sdf>')
+    render("--resource-path", "shelf", "--format", "npz", scene="reef.sdf")
+    assert ping("reef.npz").meta["bodies"] == ["wall", "box", "rock"]
+    quick = ("--sonar", "small.toml", "--tolerance", 0.05, "--format", "npz")
+    status, _, err = run("render", "reef.sdf", "--skip-missing", *quick)
+    here = Path().resolve()
+    assert (status, err) == (
+        0,
+        "warning: reef.sdf: models or files are missing: model://rock named by reef.sdf: world/"
+        f"include[model://rock] not at {here}/rock The scene is read without them.\n",
+    )
+    assert ping("reef.npz").meta["bodies"] == ["wall", "box"]
+    assert refused(scene="reef.sdf") == (
+        "reef.sdf: models or files are missing:\n  model://rock\n    named by reef.sdf: world/"
+        f"include[model://rock]\n    not at {here}/rock\nGive the folders that hold them (--resource-path, "
+        "resource_paths=), or carry on without them (--skip-missing, skip_missing=True)."
+    )
+
+
+def test_empty_ping_warns_on_one_line():
+    arguments = (
+        "--sonar",
+        "small.toml",
+        "--tolerance",
+        0.05,
+        "--height",
+        40,
+        "--pose",
+        "0 0 0 0 0 3.14159265",
+    )
+    status, out, err = run("render", "tank.sdf", *arguments)
+    assert status == 0 and "80 bins, no echo; " in out
+    assert re.fullmatch(
+        r"warning: no echo came back: no surface lies in the fan; the nearest is 'box', .*\n", err
+    )
+    assert not ping().intensity.any()
+    picture = cv2.imread("tank.png")
+    assert picture.shape[0] == 40
+
+
+def test_a_warning_is_told_once():
+    Path("still.csv").write_text("t,x,y,z,roll,pitch,yaw\n" + "0,0,0,0,0,0,3.14159265\n" * 3)
+    _, _, err = run("render", "tank.sdf", "--sonar", "small.toml", "--poses", "still.csv", "--format", "npz")
+    assert err.count("warning: ") == err.count("\n") == 1
+
+
+def test_speckle_and_the_founding_papers_picture():
+    arguments = ("--sonar", "small.toml", "--style", "demarco2015", "--noise", "physical", "--height", 40)
+    status, _, err = run("render", "tank.sdf", *arguments)
+    assert status == 0
+    first, second = err.splitlines()
+    assert first == "warning: pictures of style demarco2015 have no speckle and no gaussian noise"
+    assert second == "warning: pictures of style demarco2015 have no receiver noise and no interference"
+
+
+# --- the other commands
+
+
+def test_scenes_lists_every_bundled_scene_with_its_description():
+    status, out, _ = run("scenes")
+    assert status == 0
+    names = [line.split()[0] for line in out.splitlines() if line[0] != " "]
+    assert names == list(sg.bundled_scenes())
+    assert "Two bridge pylons, one round and one square" in " ".join(out.split())
+
+
+def test_sonars_lists_every_preset():
+    status, out, _ = run("sonars")
+    assert status == 0
+    lines = {line.split()[0]: " ".join(line.split()[1:]) for line in out.splitlines()[1:]}
+    assert list(lines) == list(sg.presets())
+    assert lines["p900-45"] == "256 45 x 20 900 0.5 to 29.99 25.4"
+    assert max(map(len, out.splitlines())) <= 80
+
+
+HEAVY = [
+    "numpy",
+    "scipy",
+    "numba",
+    "llvmlite",
+    "trimesh",
+    "cv2",
+    "moderngl",
+    "glcontext",
+    "PIL",
+    "pydantic",
+    "tqdm",
+]
+
+
+def examples():
+    """Every command line that a `--help` shows, but those of `batch`, which need a job."""
+    for name, command in cli.main.commands.items():
+        lines = re.findall(rf"sonar-gl ({name}\b.*)", command.epilog)
+        assert lines, name
+        if name != "batch":
+            yield from lines
+
+
+@pytest.mark.parametrize("line", [line for line in examples() if line != "doctor"])
+def test_examples_of_the_help_show_something(line, monkeypatch):
+    """Nearly empty pictures would warn."""
+    for module in (plan, terms):  # what `plan` says of times need not be exact
+        monkeypatch.setattr(module, "TURNS", 1)
+    x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
+    rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
+    Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
+    status, out, err = run(*shlex.split(line))
+    assert (status, err) == (0, "")
+    if line.startswith("verify"):
+        rays = re.search(r'"reference_rays": (\d+)|([\d.]+) million rays', out)
+        assert (float(rays[1]) if rays[1] else 1e6 * float(rays[2])) < 1e7  # some seconds
+    if line.startswith("render"):
+        assert [path for path in Path().rglob("*.[pg][ni][gf]") if path.stat().st_size > 5000]
+
+
+def test_version_and_help_with_an_example():
+    assert run("--version")[1] == f"sonar-gl, version {sg.__version__}\n"
+    assert run()[0] in (0, 2) and "render" in run("--help")[1]
+    for name, command in cli.main.commands.items():
+        status, out, _ = run(name, "--help")
+        assert status == 0 and f"sonar-gl {name}" in out and "Example" in out, name
+        assert not [p.name for p in command.params if isinstance(p, click.Option) and not p.help], name
+
+
+def test_help_of_every_command_loads_no_library_but_click():
+    code = f"""
+import sys
+from sonar_gl.cli.main import main
+for name in main.commands:
+    main([name, "--help"], standalone_mode=False)
+print("loaded", *(name for name in {HEAVY} if name in sys.modules))
+"""
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": home},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "loaded"
+
+
+def test_lists_are_quick_for_they_load_no_numba():
+    code = """
+import sys
+from sonar_gl.cli.main import main
+for name in ("scenes", "sonars"):
+    main([name], standalone_mode=False)
+print("loaded", *(name for name in ("numba", "moderngl", "cv2", "trimesh") if name in sys.modules))
+"""
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": home},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "loaded"
+
+
+def test_import_is_quick_for_it_loads_no_library():
+    code = f"import sys, sonar_gl; print(*[name for name in {[*HEAVY, 'click']} if name in sys.modules])"
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": home},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []
+
+
+def test_numba_is_loaded_without_scipy_which_is_there_all_the_same():
+    code = """
+import sys
+from sonar_gl.core.load_numba import load_numba
+load_numba()
+print("scipy.linalg" in sys.modules, "numba.np.arraymath" in sys.modules)
+import scipy.linalg.cython_blas
+from numba.np.linalg import ensure_blas
+ensure_blas()
+"""
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": home}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (0, "False True\n"), done.stderr
+
+
+# --- mistakes
+
+
+def test_unknown_scene_and_sonar_name_the_nearest():
+    endings = "a file must end in one of .sdf .world .glb .gltf .obj .stl .ply .dae"
+    assert refused(scene="pylom") == f"there is no bundled scene 'pylom' (did you mean 'pylon'?; {endings})"
+    known = ", ".join(sorted(sg.bundled_scenes()))
+    assert refused(scene="xxx") == f"there is no bundled scene 'xxx' (known are {known}; {endings})"
+    assert refused(sonar="p900-46") == (
+        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'p900-130'?)"
+    )
+
+
+def test_scene_files_that_cannot_be_read():
+    Path("broken.sdf").write_text("<sdf><world>\n<model></sdf>")
+    assert refused(scene="broken.sdf") == "broken.sdf: line 2, column 10: broken XML (mismatched tag)"
+    Path("folder.sdf").mkdir()
+    Path("folder").mkdir()
+    none = "there is no such file (bundled scenes are named without an ending)"
+    assert refused(scene="none.sdf") == f"none.sdf: {none}"
+    assert refused(scene="folder.sdf") == "folder.sdf: a scene must be a file, and this is a folder"
+    assert refused(scene="folder").startswith("folder: a scene file must end in one of .sdf .world ")
+    Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
+    message = refused(scene="latin.sdf")
+    assert message == "latin.sdf: line 1, column 26: broken XML (not well-formed (invalid token))"
+    Path("empty.stl").write_bytes(b"")
+    assert refused(scene="empty.stl").startswith("empty.stl: ")
+    Path("holds.sdf").write_text(
+        '<sdf><model name="m"><link name="l"><collision name="c"><geometry><mesh><uri>no.stl</uri></mesh>'
+        "</geometry></collision></link></model></sdf>"
+    )
+    assert refused(scene="holds.sdf").startswith("holds.sdf: models or files are missing:\n  no.stl\n")
+
+
+def test_resource_path_that_is_none():
+    assert refused("--resource-path", "nowhere") == (
+        "resource path 'nowhere' must be a folder (there is none of that name)"
+    )
+
+
+def test_poses_that_make_no_sense():
+    six = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
+    assert refused("--pose", "1 2 3") == f"{six} (got 3: '1 2 3')"
+    assert refused("--pose", "") == f"{six} (got 0: '')"
+    assert refused("--pose", "0 0 0 0 0 north") == f"{six} (got '0 0 0 0 0 north')"
+    assert refused("--pose", "0 0 0 0 0 nan") == (
+        "--pose '0 0 0 0 0 nan': pose x y z roll pitch yaw must be finite (got NaN or infinity "
+        "in 1 of 6 numbers)"
+    )
+    assert refused("--pose", "0 0 0 0 12 90") == (
+        "--pose '0 0 0 0 12 90': pose angles must be radians, within ±2π (got roll pitch yaw = 0 12 90; "
+        "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
+    )
+    assert refused(scene="mute.sdf") == (
+        "scene 'mute' has no sonar in it; give its place with --pose "
+        '"x y z roll pitch yaw", metres and radians'
+    )
+
+
+def test_sonar_files_that_make_no_sense():
+    for change, message in (
+        (
+            ("range_max_m = 8.5", "range_max_m = 0.2"),
+            "bad.toml [bad]: sonar 'bad': range_min_m must be less than range_max_m (got 0.5 and 0.2)",
+        ),
+        (
+            ("n_beams = 24", "n_beams = 0"),
+            "bad.toml [bad]: sonar 'bad': n_beams must be a whole number in 1..65536 (got 0)",
+        ),
+        (
+            ("n_beams", "n_beam"),
+            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins'?)",
+        ),
+    ):
+        Path("bad.toml").write_text(SONAR.replace(*change))
+        assert refused(sonar="bad.toml") == message
+    Path("bad.toml").write_bytes(b"name = '\xff'")
+    assert refused(sonar="bad.toml").startswith("bad.toml: the sonar's file must be TOML ('utf-8' codec ")
+    assert refused(sonar="none.toml") == (
+        f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
+    )
+    assert refused("--bins", 0) == "sonar 'small': n_bins must be a whole number in 1..65536 (got 0)"
+    for text, got in (("0.5", "0.5"), ("nan", "nan"), ("-3", "-3")):
+        assert refused("--range", text) == (
+            f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {got})"
+        )
+
+
+def test_output_folders_that_cannot_be():
+    assert (
+        refused("--out", "small.toml")
+        == "cannot write into the folder 'small.toml': 'small.toml' is not a folder"
+    )
+    assert refused("--out", "small.toml/deep") == (
+        "cannot write into the folder 'small.toml/deep': 'small.toml' is not a folder"
+    )
+    assert refused("--out", "/proc/deep") == (
+        "cannot write into the folder '/proc/deep': no such file or directory"
+    )
+
+
+def test_disk_full_and_permission_denied(monkeypatch):
+    for number, reason in ((errno.ENOSPC, "no space left on device"), (errno.EACCES, "permission denied")):
+
+        def full(path, data, number=number):
+            raise OSError(number, os.strerror(number), str(path))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(export.Path, "write_bytes", full)
+            assert refused("--out", "there") == f"cannot write into the folder 'there': {reason}"
+
+
+def test_unknown_names_of_options():
+    assert refused("--colormap", "jett") == "unknown colour map (got 'jett'; did you mean 'jet'?)"
+    assert refused("--noise", "phisical").startswith(
+        "noise 'phisical': unknown name (got 'phisical'; did you mean 'physical'"
+    )
+    assert refused("--noise", "gaussian=x") == ("noise 'gaussian=x': gaussian must be a number (got 'x')")
+    for option, value, known in (
+        ("style", "cubist", "'fan', 'demarco2015'"),
+        ("profile", "real", "'ideal', 'demarco2015', 'physical'"),
+        ("format", "bmp", "'png', 'npz', 'gif', 'mp4'"),
+    ):
+        status, out, err = run("render", "tank.sdf", f"--{option}", value)
+        assert (status, out) == (2, "")
+        assert f"Error: Invalid value for '--{option}': '{value}' is not one of {known}." in err
+
+
+def test_numbers_out_of_range():
+    for value, got in ((0, "0.0"), (0.9, "0.9"), ("nan", "nan"), (-1, "-1.0")):
+        assert refused("--tolerance", value) == (
+            f"tolerance must be a number in 0.001..0.5 (got {got}; 0.01 is one per cent)"
+        )
+    assert (
+        refused("--height", 0)
+        == "height of a fan image must be a whole number in 1..16000 (got 0; give pixels)"
+    )
+    assert refused("--seed", -1) == "seed must be a whole number, 0 or more (got -1)"
+    assert refused("--db-range", "-60") == "--db-range must be 2 numbers, 'darkest brightest' (got 1: '-60')"
+    assert refused("--db-range", "0 -60") == (
+        "db_range must rise from the darkest to the brightest dB (got 0 and -60)"
+    )
+    assert refused("--poses", "dive.csv", "--format", "gif", "--fps", 0) == (
+        "fps of an animation must lie in 0.01..120 (got 0)"
+    )
+
+
+def test_options_that_do_not_go_together():
+    paper = ("--style", "demarco2015")
+    for options, message in (
+        (
+            ("--range-law", "constant"),
+            "--range-law must stand with --profile demarco2015 (got --profile physical)",
+        ),
+        (("--form", "printed"), "--form must stand with --style demarco2015 (got --style fan)"),
+        (("--join", "circles"), "--join must stand with --style demarco2015 (got --style fan)"),
+        ((*paper, "--axes"), "--axes must stand with --style fan (got --style demarco2015)"),
+        ((*paper, "--scale", "db"), "--scale must stand with --style fan (got --style demarco2015)"),
+        ((*paper, "--db-range", "-9 0"), "--db-range must stand with --style fan (got --style demarco2015)"),
+        ((*paper, "--colormap", "hot"), "--colormap must stand with --style fan (got --style demarco2015)"),
+        (
+            ("--pose", "0 0 0 0 0 0", "--poses", "dive.csv"),
+            "--pose and --poses must not stand together (the file of --poses holds every pose)",
+        ),
+        (
+            ("--format", "mp4"),
+            "--format mp4 must stand with --poses (a film needs a sequence of poses)",
+        ),
+        (("--fps", "5"), "--fps must stand with --format gif or --format mp4 (nothing else has frames)"),
+    ):
+        assert refused(*options) == message
+
+
+HEADER = "t,x,y,z,roll,pitch,yaw"
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
+        (HEADER, f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
+        (
+            "t,x,y,z,roll,pitch\n0,0,0,0,0,0\n",
+            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER} "
+            "(got 't,x,y,z,roll,pitch')",
+        ),
+        (
+            "t,x,x,y,z,roll,pitch,yaw\n",
+            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER} "
+            "(got 't,x,x,y,z,roll,pitch,yaw')",
+        ),
+        (
+            "0,0,0,0,0,0,0\n",
+            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER} "
+            "(got '0,0,0,0,0,0,0')",
+        ),
+        (
+            f"{HEADER}\n0,0,0,0,0,0,0\n\n1,2,3\n",
+            "p.csv: line 4: must have 7 cells, as the header has (got 3)",
+        ),
+        (f"{HEADER}\n0,0,0,0,0,0,nan\n", "p.csv: line 2, column yaw: must be a finite number (got 'nan')"),
+        (f"{HEADER}\n0,0, deep,0,0,0,0\n", "p.csv: line 2, column y: must be a finite number (got 'deep')"),
+        (f"{HEADER}\n,0,0,0,0,0,0\n", "p.csv: line 2, column t: must be a finite number (got '')"),
+        (
+            f"{HEADER}\n0,0,0,0,0,0,90\n",
+            "p.csv: line 2: pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; "
+            "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)",
+        ),
+    ],
+)
+def test_tables_of_poses_that_make_no_sense(text, message):
+    Path("p.csv").write_text(text)
+    assert refused("--poses", "p.csv") == message
+
+
+def test_tables_of_poses_that_cannot_be_read():
+    assert refused("--poses", "none.csv") == (
+        "none.csv: the file of poses must be readable (no such file or directory)"
+    )
+    Path("folder").mkdir()
+    assert refused("--poses", "folder") == "folder: the file of poses must be readable (is a directory)"
+    Path("p.csv").write_bytes(b"t,x\xff\n")
+    assert refused("--poses", "p.csv") == "p.csv: the file of poses must be text in UTF-8"
+
+
+def test_tables_of_poses_go_by_the_names_of_their_columns():
+    Path("p.csv").write_bytes("\ufeffyaw, pitch,roll,z,y,x,note,t\r\n0.6,0.5,0.4,3,2,1,up,9\r\n\r\n".encode())
+    times_s, poses = read_poses("p.csv")
+    np.testing.assert_array_equal(times_s, [9.0])
+    np.testing.assert_array_equal(poses, [sg.pose(1, 2, 3, 0.4, 0.5, 0.6)])
+
+
+NO_EGL = (
+    "OpenGL must be reachable through EGL, without a display (got: {}); on Debian or Ubuntu install it with "
+    "'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
+)
+
+
+def test_no_egl_and_too_old_an_opengl(monkeypatch):
+    def failing(message):
+        def create(*_args, **_more):
+            raise Exception(message)
+
+        return create
+
+    monkeypatch.setattr(moderngl, "create_context", failing("libEGL.so not loaded"))
+    assert refused() == NO_EGL.format("libEGL.so not loaded")
+    told = "Requested OpenGL version 330, got version 310"
+    monkeypatch.setattr(moderngl, "create_context", failing(told))
+    assert re.fullmatch(
+        r"OpenGL must be 3\.3 or newer \(got 3\.[13]\); update the driver, or use Mesa's .*", refused()
+    )
+
+
+def test_interrupt_and_memory(monkeypatch):
+    def raising(what):
+        def ping(*_args, **_more):
+            raise what
+
+        return ping
+
+    monkeypatch.setattr(sg.Simulator, "ping", raising(KeyboardInterrupt()))
+    status, out, err = run("render", "tank.sdf", "--sonar", "small.toml")
+    assert (status, out, err) == (130, "", "error: interrupted; the files written so far are complete\n")
+    monkeypatch.setattr(sg.Simulator, "ping", raising(MemoryError("8 GiB")))
+    assert refused() == "memory ran out (8 GiB); ask for fewer beams, bins or pixels"
+
+
+def test_what_is_no_mistake_of_the_user_is_not_hidden(monkeypatch):
+    def broken(*_args, **_more):
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(sg.Simulator, "ping", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        run("render", "tank.sdf", "--sonar", "small.toml")
+
+
+# --- real processes
+
+
+def test_process_renders_and_says_nothing_on_stderr():
+    done = process("render", "tank.sdf", "--sonar", "small.toml", "--height", 60, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("tank.png, tank.npz: 24 beams x 80 bins, strongest echo ")
+    with np.load("tank.npz") as file:
+        assert json.loads(str(file["meta"]))["scene"] == "tank"
+
+
+def test_process_without_egl():
+    done = process(
+        "render", "tank.sdf", "--sonar", "small.toml", __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json"
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"error: {NO_EGL.format('requested device index 0, but found 0 devices')}\n"
+
+
+def test_process_with_too_old_an_opengl():
+    """Mesa can be told to be old; other drivers do not listen."""
+    with gl.create_context() as context:
+        if "Mesa" not in gl.describe(context)["version"]:
+            pytest.skip("needs Mesa")
+    done = process("render", "tank.sdf", "--sonar", "small.toml", MESA_GL_VERSION_OVERRIDE="3.1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: OpenGL must be ") and done.stderr.count("\n") == 1
+
+
+def test_progress_is_shown_on_a_terminal_alone():
+    ours, theirs = pty.openpty()
+    arguments = ("render", "tank.sdf", "--sonar", "small.toml", "--poses", "dive.csv", "--format", "npz")
+    home = str(Path(sg.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-m", "sonar_gl", *arguments],
+        env={**os.environ, "PYTHONPATH": home, "TERM": "xterm"},
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        timeout=60,
+    )
+    os.close(theirs)
+    assert done.returncode == 0 and done.stdout.startswith(b"tank_0000..0002.npz: ")
+    assert b"100%" in os.read(ours, 10000)  # elsewhere stderr stays empty, as every `render` above sees
+    os.close(ours)
+
+
+def test_process_without_a_package():
+    Path("numpy.py").write_text("raise ImportError('no numpy here')")
+    done = process(
+        "render", "tank.sdf", PYTHONPATH=f"{Path.cwd()}{os.pathsep}{Path(sg.__file__).parent.parent}"
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: no numpy here; 'sonar-gl doctor' says what is missing\n"
+
+
+def test_process_in_ascii_tells_mistakes():
+    done = process("render", "tank.sdf", "--pose", "0 0 0 0 0 90", PYTHONIOENCODING="ascii")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: --pose '0 0 0 0 0 90': pose angles must be radians, within ")
+
+
+# --- acoustics
+
+
+def test_acoustics_change_fields_of_a_profile():
+    render(
+        "--acoustics", "tvg_k=30,elevation_pattern=gaussian,specular=off,absorption_db_m=0.5,multipath=none"
+    )
+    made = ping().meta["acoustics"]
+    wanted = sg.Acoustics.physical(
+        tvg_k=30.0, elevation_pattern="gaussian", specular=False, absorption_db_m=0.5, multipath="none"
+    )
+    assert made == wanted.meta()
+    render("--profile", "ideal", "--acoustics", "bandwidth_hz=none,beam_pattern=line_array")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.ideal(), beam_pattern="line_array").meta()
+    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "ph=7.9")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), ph=7.9).meta()
+
+
+def test_acoustics_are_those_that_the_scene_needs():
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    render("--acoustics", "needed")
+    wanted = sg.needed_acoustics(scene, sonar, 0.05, sg.pose())
+    assert ping().meta["acoustics"] == wanted.meta() and wanted.beam_pattern == "line_array"
+    render("--acoustics", "needed", "--poses", "dive.csv", "--format", "npz")
+    wanted = sg.needed_acoustics(scene, sonar, 0.05, read_poses("dive.csv")[1])
+    assert [ping(f"tank_{n:04d}.npz").meta["acoustics"] for n in range(3)] == 3 * [wanted.meta()]
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        (
+            "multipth=none",
+            "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
+        ),
+        ("needed,ph=8", "acoustics 'needed,ph=8': needed must stand alone"),
+        ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
+        ("ph", "acoustics 'ph': ph must have a value, as in ph=... (got none)"),
+        ("ph=8,ph=8", "acoustics 'ph=8,ph=8': ph must be given once"),
+        ("ph=none", "acoustics 'ph=none': ph must be a number (got 'none')"),
+        ("specular=maybe", "acoustics 'specular=maybe': specular must be yes or no (got 'maybe')"),
+        ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
+        ("multipath=coherrent", "acoustics: unknown multipath (got 'coherrent'; did you mean 'coherent' or "),
+    ],
+)
+def test_mistakes_in_acoustics(text, message):
+    assert refused("--acoustics", text).startswith(f"--{message}")
+
+
+def test_what_a_scene_needs_is_of_the_profile_physical():
+    for options, profile in ((["--profile", "ideal"], "ideal"), (["--style", "demarco2015"], "demarco2015")):
+        message = f"--acoustics needed must stand with --profile physical (got --profile {profile})"
+        assert refused("--acoustics", "needed", *options) == message
+
+
+def test_verify_refuses_what_rays_know_nothing_of():
+    words = "verify", "tank.sdf", "--sonar", "small.toml", "--acoustics"
+    assert run(*words, "multipath=coherent") == (
+        2,
+        "",
+        "error: the reference does not model multipath (got multipath 'coherent'; give multipath=none)\n",
+    )
+    status, out, _ = run(*words, "bandwidth_hz=2000", "--tolerance", 0.2)
+    assert status == 0 and "tolerance of 20 % is kept" in out
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    with pytest.raises(sg.Error, match="does not model multipath"):
+        sg.reference_ping(scene, sonar, sg.pose(), sg.Acoustics.physical(multipath="incoherent"))

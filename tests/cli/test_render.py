@@ -1,0 +1,220 @@
+"""Pictures that show almost nothing; files of a sequence, complete though other threads write them."""
+
+import errno
+import os
+import re
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.cli import render as command
+from sonar_gl.cli.render import WRITERS, BackgroundCalls
+from sonar_gl.core import atomic_file
+from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
+
+FRAMES = 8
+POSES = "t,x,y,z,roll,pitch,yaw\n" + "".join(f"{n},{n / 10},0,0,0,0,0\n" for n in range(FRAMES))
+SEQUENCE = ("tank.sdf", "--sonar", "small.toml", "--poses", "dive.csv", "--tolerance", 0.05, "--height", 60)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A folder with a small scene, a small sonar and a sequence of poses, which is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{BOX}{SENSOR}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSES)
+    return tmp_path
+
+
+def complete_files() -> set[str]:
+    """Names of what was written, all of it readable; nothing else may lie beside it."""
+    names = {path.name for path in Path("out").iterdir()}
+    for name in names:
+        if name.endswith(".png"):
+            assert cv2.imread(f"out/{name}").shape[0] == 60
+        else:
+            assert sg.load_npz(f"out/{name}").intensity.shape == (24, 80)
+    return names
+
+
+def test_calls_do_not_wait_and_the_block_waits_for_all():
+    go, done = threading.Event(), []
+
+    def slow(number):
+        go.wait(10)
+        done.append(number)
+
+    with BackgroundCalls() as calls:
+        for number in range(WRITERS + 1):
+            calls.start(slow, number)
+        assert not done
+        go.set()
+    assert sorted(done) == list(range(WRITERS + 1))
+
+
+def test_no_more_wait_than_said():
+    lock, under_way, most = threading.Lock(), 0, 0
+
+    def slow():
+        nonlocal under_way
+        time.sleep(0.002)
+        with lock:
+            under_way -= 1
+
+    with BackgroundCalls() as calls:
+        for _ in range(20):
+            with lock:
+                under_way += 1
+                most = max(most, under_way)
+            calls.start(slow)
+    assert under_way == 0 and most <= WRITERS + 2  # that of the caller, and those that were handed over
+
+
+def test_an_error_comes_out_at_once_and_once():
+    begun = []
+
+    def broken(number):
+        begun.append(number)
+        raise sg.Error(f"number {number}")
+
+    with pytest.raises(sg.Error, match="number 0"), BackgroundCalls() as calls:
+        for number in range(100):
+            calls.start(broken, number)
+    assert len(begun) < 10  # those that were under way
+    with pytest.raises(sg.Error, match="number 7"), BackgroundCalls() as calls:
+        calls.start(broken, 7)  # told at the end
+
+
+def test_leaving_early_ends_what_has_begun_and_begins_no_more():
+    begun, ended, started = [], [], threading.Event()
+
+    def slow(number):
+        begun.append(number)
+        started.set()
+        time.sleep(0.05)
+        ended.append(number)
+
+    with pytest.raises(KeyboardInterrupt), BackgroundCalls() as calls:
+        for number in range(WRITERS + 1):
+            calls.start(slow, number)
+        started.wait(10)
+        raise KeyboardInterrupt
+    assert sorted(begun) == sorted(ended) and 1 <= len(ended) <= WRITERS + 1
+    assert not [t.name for t in threading.enumerate() if t.name.startswith("writer")]
+
+
+@pytest.mark.parametrize("slow_s", [0, 0.05])
+def test_disk_that_fills_in_a_sequence(monkeypatch, slow_s):
+    replace = os.replace
+
+    def fills(source, target):
+        time.sleep(slow_s)
+        if str(target).endswith("_0002.png"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(source, target)
+
+    monkeypatch.setattr(atomic_file.os, "replace", fills)
+    status, out, err = run("render", *SEQUENCE, "--out", "out")
+    assert (status, out) == (2, "")
+    assert err == "error: cannot write 'out/tank_0002.png': no space left on device\n"
+    names = complete_files()
+    assert {"tank_0000.png", "tank_0000.npz", "tank_0001.png", "tank_0001.npz"} <= names
+    assert "tank_0002.png" not in names and f"tank_{FRAMES - 1:04d}.npz" not in names
+
+
+def test_interrupt_of_a_sequence(monkeypatch):
+    ping, save = sg.Simulator.ping, command.save_png
+
+    def interrupted(self, *arguments, **more):
+        if arguments[4] == 5:
+            raise KeyboardInterrupt
+        return ping(self, *arguments, **more)
+
+    def slow(*arguments):
+        time.sleep(0.05)
+        save(*arguments)
+
+    monkeypatch.setattr(sg.Simulator, "ping", interrupted)
+    monkeypatch.setattr(command, "save_png", slow)
+    status, out, err = run("render", *SEQUENCE, "--out", "out")
+    assert (status, out, err) == (130, "", "error: interrupted; the files written so far are complete\n")
+    names = complete_files()
+    assert "tank_0000.png" in names and not [name for name in names if name >= "tank_0005"]
+
+
+def test_film_that_cannot_be_written_leaves_complete_stills(monkeypatch):
+    def broken(frames):
+        next(frames)
+        raise sg.Error("no film today")
+
+    monkeypatch.setattr(command, "save_animation", lambda _path, frames, _fps: broken(frames))
+    status, _, err = run("render", *SEQUENCE, "--out", "out", "--format", "gif", "--format", "png")
+    assert (status, err) == (2, "error: no film today\n")
+    assert complete_files() <= {"tank_0000.png", "tank_0001.png"}
+
+
+BOX_ONLY = f'<sdf version="1.9"><world name="any">{BOX}{SENSOR}</world></sdf>'
+QUICK = ("--sonar", "small.toml", "--tolerance", 0.05, "--height", 60)
+
+
+def test_a_picture_that_shows_almost_nothing_says_what_to_change():
+    Path("box.sdf").write_text(BOX_ONLY)
+    view = ("--profile", "ideal", "--pose", "-4 0 0 0 0 0")
+    status, out, err = run("render", "box.sdf", *QUICK, *view)
+    assert status == 0 and "strongest echo " in out
+    match = re.fullmatch(
+        r"warning: the picture is nearly empty: (0\.\d+) % of its cells are brighter than -60 dB; "
+        r"change --range \(0\.5 to 8\.5 m\) or the sonar's pose\n",
+        err,
+    )
+    percent = 100 * (sg.load_npz("box.npz").intensity > 1e-6).mean()
+    assert percent < 1 and float(match[1]) == pytest.approx(percent, rel=0.05)
+    for silent in (("--format", "npz"), ("--scale", "linear"), ("--style", "demarco2015")):
+        view = view[2:] if silent[0] == "--style" else view
+        assert run("render", "box.sdf", *QUICK, *view, *silent)[2] == ""
+
+
+def test_a_dark_picture_says_which_levels_to_show():
+    status, out, err = run("render", "tank.sdf", *QUICK, "--db-range", "20 40")
+    strongest_db = float(re.search(r"strongest echo (-?[\d.]+) dB", out)[1])
+    low, high = (
+        int(x) for x in re.search(r'; give --db-range "(-?\d+) (-?\d+)", or more gain', err).groups()
+    )
+    assert status == 0 and low <= strongest_db - 40 and strongest_db <= high < strongest_db + 10
+    assert err.startswith("warning: the picture is nearly empty: 0 % of its cells are brighter than 20 dB; ")
+    assert run("render", "tank.sdf", *QUICK, "--db-range", f"{low} {high}")[2] == ""
+
+
+def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
+    header = "t,x,y,z,roll,pitch,yaw\n"
+    sequence = "render", "tank.sdf", *QUICK, "--profile", "ideal", "--poses", "away.csv", "--format", "png"
+    Path("away.csv").write_text(header + "0,0,0,0,0,0,0\n1,-3.6,0,0,0,0,0\n")
+    assert run(*sequence)[2] == ""
+    Path("away.csv").write_text(header + "0,-3.7,0,0,0,0,0\n1,-3.6,0,0,0,0,0\n")  # the box alone is in range
+    err = run(*sequence)[2]
+    assert err.startswith("warning: all pictures are nearly empty: ") and err.count("\n") == 1
+
+
+def test_poses_that_follow_too_quickly(tmp_path):
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
+    with sg.Simulator(scene, sonar, sampling=sg.Sampling(0.5, 24)) as simulator:
+        assert sonar.max_ping_rate_hz(1500.0) == 50.0
+        least_s = 2 * 15.0 / simulator.acoustics.sound_speed()
+        out = command.FrameWriter(simulator, None, tmp_path, ("npz",), sg.Noise())
+        poses = np.stack([scene.sonar_pose] * 3)
+        with pytest.warns(UserWarning, match=r"must be 0\.02\d+ s apart or more") as told:
+            out.write(poses, np.array([0.0, least_s, 1.9 * least_s]))
+        assert len(told) == 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            out.write(poses, np.zeros(3))
+            out.write(poses, np.arange(3) * least_s)
+            out.write(poses[:1])
+        assert sg.load_npz(tmp_path / "tank_0002.npz").meta["time_s"] == 2 * least_s

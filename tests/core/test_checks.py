@@ -1,0 +1,82 @@
+"""Checks of arguments: accepted values, results and error messages."""
+
+from __future__ import annotations
+
+import doctest
+import math
+
+import numpy as np
+import pytest
+
+from sonar_gl.core import checks, errors
+from sonar_gl.core.checks import check_choice, check_number, check_whole_number
+from sonar_gl.core.errors import Error
+
+
+@pytest.mark.parametrize("module", [checks, errors], ids=["checks", "errors"])
+def test_examples_in_docstrings(module):
+    failed, tried = doctest.testmod(module)
+    assert not failed and tried
+
+
+@pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.5), np.int64(1), np.uint8(0), np.float16(0.25)])
+def test_numbers_within_bounds_become_floats(value):
+    out = check_number("x", value, 0, 1)
+    assert type(out) is float and out == value
+
+
+@pytest.mark.parametrize("value", [1, 1000, np.int8(5), np.uint64(7)])
+def test_whole_numbers_within_bounds_become_ints(value):
+    out = check_whole_number("n", value, 1, 1000)
+    assert type(out) is int and out == value
+
+
+@pytest.mark.parametrize("value", [True, np.True_, None, "1", 1j, np.complex64(1), [1.0], np.array([1.0])])
+def test_values_that_are_not_numbers(value):
+    with pytest.raises(Error) as why:
+        check_number("x", value, 0, 1)
+    assert str(why.value) == f"x must be a number (got {value!r})"
+
+
+@pytest.mark.parametrize(
+    "bounds, value, message",
+    [
+        ((0, 1, "give metres"), 2, "x must lie in 0..1 (got 2; give metres)"),
+        ((0, 1), math.nan, "x must lie in 0..1 (got nan)"),
+        ((0, 1e8), np.float32(-0.5), "x must lie in 0..1e+08 (got -0.5)"),
+        ((), math.inf, "x must be finite (got inf)"),
+        ((), math.nan, "x must be finite (got nan)"),
+        ((0,), -1, "x must be finite and 0 or more (got -1)"),
+        ((0,), math.inf, "x must be finite and 0 or more (got inf)"),
+        ((-math.inf, 0), 1, "x must be finite and 0 or less (got 1)"),
+    ],
+)
+def test_numbers_out_of_bounds(bounds, value, message):
+    with pytest.raises(Error) as why:
+        check_number("x", value, *bounds)
+    assert str(why.value) == message
+
+
+@pytest.mark.parametrize(
+    "bounds, value, message",
+    [
+        ((), -1, "n must be a whole number, 0 or more (got -1)"),
+        ((1,), 0, "n must be a whole number, 1 or more (got 0)"),
+        ((1, 9), 10, "n must be a whole number in 1..9 (got 10)"),
+        ((1, 9, "count from 1"), 0, "n must be a whole number in 1..9 (got 0; count from 1)"),
+        ((1, 9), 2.0, "n must be a whole number in 1..9 (got 2.0)"),
+        ((1, 9), True, "n must be a whole number in 1..9 (got True)"),
+        ((1, 9), "2", "n must be a whole number in 1..9 (got '2')"),
+    ],
+)
+def test_whole_numbers_out_of_bounds(bounds, value, message):
+    with pytest.raises(Error) as why:
+        check_whole_number("n", value, *bounds)
+    assert str(why.value) == message
+
+
+def test_choices():
+    assert check_choice("taper", "uniform", ("uniform", "hamming")) == "uniform"
+    for value in (None, 3, ["uniform"], "Uniform"):
+        with pytest.raises(Error, match=r"^unknown taper "):
+            check_choice("taper", value, {"uniform": 1, "hamming": 2})

@@ -1,0 +1,53 @@
+"""Messages about a missing optional extra."""
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import sonar_gl
+from sonar_gl.core import extras
+
+ROOT = Path(__file__).resolve().parents[2]
+PIP = f"{shlex.quote(sys.executable)} -m pip install"  # of this environment, not of the system
+METADATA = [
+    "numpy<3,>=1.26",
+    'rosbags>=0.11; extra == "ros"',
+    "sonar_gl[ros,reference]; extra == 'batch'",
+    "zarr>=3.1; extra == 'batch'",
+    'embreex>=4.4; python_version > "3" and extra == "reference"',
+]
+
+
+def test_a_checkout_is_installed_in_place():
+    assert extras.install_command("batch") == f"cd {ROOT} && {PIP} -e '.[batch]'"
+    error = extras.missing_extra("batch", "a store needs zarr (got no module zarr)")
+    assert type(error) is sonar_gl.Error
+    assert str(error) == (
+        f"a store needs zarr (got no module zarr); to add it: cd {ROOT} && {PIP} -e '.[batch]'"
+    )
+
+
+def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, tmp_path):
+    monkeypatch.setattr(extras, "__file__", str(tmp_path / "sonar_gl" / "core" / "extras.py"))
+    monkeypatch.setattr(extras, "requires", lambda name: METADATA)
+    assert extras.install_command("batch") == f"{PIP} 'rosbags>=0.11' 'embreex>=4.4' 'zarr>=3.1'"
+    assert extras.install_command("unknown") == "install what its extra 'unknown' requires"
+
+    def missing(name):
+        raise extras.PackageNotFoundError(name)
+
+    monkeypatch.setattr(extras, "requires", missing)
+    assert extras.install_command("batch") == "install what its extra 'batch' requires"
+
+
+def test_every_extra_has_requirements_in_the_metadata():
+    for extra in ("reference", "teos10", "cluster", "ros", "batch"):
+        found = extras.requirements(extra)
+        assert found and not [name for name in found if name.startswith("sonar")]
+    assert set(extras.requirements("ros")) < set(extras.requirements("batch"))
+
+
+def test_no_message_has_pip_look_for_the_package_on_an_index():
+    for path in (ROOT / "sonar_gl").rglob("*.py"):
+        assert not re.search(r"pip install\W+sonar[-_.]gl", path.read_text()), path

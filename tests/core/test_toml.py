@@ -1,0 +1,29 @@
+"""Reading TOML files."""
+
+import pytest
+
+from sonar_gl.core.errors import Error
+from sonar_gl.core.toml import read_toml
+
+
+def test_contents_are_returned_as_a_dict(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[water]\nname = "Öresund"\nph = 8\n', encoding="utf-8")
+    assert read_toml(path, "the file") == {"water": {"name": "Öresund", "ph": 8}}
+
+
+def test_messages_name_the_file_and_what_it_is(tmp_path):
+    path = tmp_path / "a.toml"
+    with pytest.raises(Error) as caught:
+        read_toml(path, "the sonar's file")
+    assert str(caught.value) == f"{path}: the sonar's file must be readable (no such file or directory)"
+    path.write_text("ph = 8 8\n")
+    with pytest.raises(Error) as caught:
+        read_toml(path, "the job file")
+    assert str(caught.value) == (
+        f"{path}: the job file must be TOML "
+        "(Expected newline or end of document after a statement (at line 1, column 8))"
+    )
+    path.write_bytes(b"name = '\xff'")
+    with pytest.raises(Error, match=r"the job file must be TOML \('utf-8' codec can't decode"):
+        read_toml(path, "the job file")

@@ -1,0 +1,733 @@
+"""Pings of depth images against closed forms and against pings of a Simulator of the same scene."""
+
+import gc
+import math
+import os
+import signal
+import threading
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl import embed
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.embed import camera_rig
+from sonar_gl.embed.resample import UNSEEN, PixelPlanes
+from sonar_gl.engine.motion import shown_in_motion
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.samples import SectorSamples
+from tests.support import soak
+from tests.support.casting import Cast, box, cylinder, plane, sphere
+from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo
+
+IDEAL = sg.Acoustics.ideal()
+AHEAD = sg.Camera.of_fov(2, 2, fov_x_rad=1.0).rotation
+
+
+def sonar_of(fov_deg=40.0, n_beams=80, elevation_deg=16.0, range_m=20.0, n_bins=400, **more):
+    width = fov_deg / n_beams
+    return sg.Sonar("test", 900e3, n_beams, n_bins, fov_deg, elevation_deg, width, 0.0, range_m, **more)
+
+
+def camera_of(sonar, columns=480, rotation=None):
+    """Return a camera that looks ahead and sees a little more than the fan."""
+    fov = math.radians(sonar.azimuth_fov_deg) * 1.05
+    top = math.tan(math.radians(sonar.elevation_fov_deg) / 2) / math.cos(fov / 2) * 1.05
+    rows = math.ceil(columns * top / math.tan(fov / 2))
+    return sg.Camera.of_fov(columns, rows, fov_x_rad=fov, rotation=rotation)
+
+
+def wrong(ping, truth):
+    """Return the share of the echo that lies in wrong bins."""
+    e, t = (np.asarray(getattr(p, "intensity", p), np.float64) for p in (ping, truth))
+    return np.abs(e - t).sum() / t.sum()
+
+
+def images(cast, cameras):
+    """Return lists of slant ranges, planar depths, normals and bodies, one entry per camera."""
+    return [list(some) for some in zip(*(cast.images(camera) for camera in cameras), strict=True)]
+
+
+def block(low, high):
+    mesh = trimesh.creation.box(np.subtract(high, low))
+    mesh.apply_translation(np.add(low, high) / 2)
+    return mesh
+
+
+# A room with flat faces, for the Simulator and for ray casting; the sonar is at the origin.
+ROOM = {
+    "floor": ([-90, -90, -4], [90, 90, -2.5]),
+    "box": ([9, 1, -2.5], [11, 3, 0.6]),
+    "slab": ([6, -4, -1.5], [6.5, -2, 0.4]),
+    "far wall": ([16, -90, -2.5], [17, 90, 5]),
+}
+ROOM_CAST = Cast(*(box(low, high) for low, high in ROOM.values()))
+
+
+def room(reflectivity=0.5):
+    return sg.Scene([sg.Body(name, block(*ends), reflectivity=reflectivity) for name, ends in ROOM.items()])
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Return a fine ping of the room, with labels."""
+    with sg.Simulator(room(), sonar_of(), IDEAL, tolerance=0.002) as simulator:
+        return simulator.ping(np.eye(4), labels=True)
+
+
+def test_a_wall_as_planar_depth_and_as_range():
+    sonar = sonar_of(100.0, 100, 4.0)
+    camera = camera_of(sonar, 1000)
+    range_m, depth, normals, _ = Cast(plane([1, 0, 0], 8)).images(camera)
+    top = math.radians(2.0)
+    exact = 0.5 * box_beams(
+        sonar, lambda psi: plane_echo((1, 0, 0), 8.0, psi, (-top, top), sonar.bin_edges_m)
+    )
+    assert np.allclose(depth, 8.0)
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        for face_normals in (normals, None):
+            planar = sensor.ping_from_depth(depth, camera, normals=face_normals)
+            radial = sensor.ping_from_depth(range_m, camera, normals=face_normals, holds="range")
+            for ping in (planar, radial):
+                # a sample covers a tenth of a degree, a bin at 12 m and 49 degrees a fifth of a degree
+                assert wrong(ping, exact) < 0.004
+                shown = (ping.intensity @ ping.range_m) / ping.intensity.sum(1)
+                # a bin, and a beam's width
+                assert np.abs(shown - 8 / np.cos(ping.azimuth_rad)).max() < 0.05 + 0.01
+        short = sensor.ping_from_depth(depth, camera, holds="range")
+        long = sensor.ping_from_depth(range_m, camera)
+    # a wrong kind of depth changes all beams except those near the boresight
+    assert wrong(short, exact) > 1.5 and wrong(long, exact) > 1.5
+    aside = np.abs(np.degrees(sonar.azimuth_rad)) > 30
+    peaks = short.range_m[short.intensity.argmax(1)], long.range_m[long.intensity.argmax(1)]
+    assert (8 / np.cos(sonar.azimuth_rad) - peaks[0])[aside].min() > 1.1
+    assert (peaks[1] - 8 / np.cos(sonar.azimuth_rad))[aside].min() > 1.1
+
+
+def sector_camera(sector):
+    """Return the camera whose pixels are the samples of a sector, with its shear; the top row is the last one."""
+    last = sector.rows - 1
+    step = np.array([[sector.u[1], -sector.u[2]], [-sector.v[1], sector.v[2]]])
+    start = np.array([sector.u[0] + sector.u[2] * last, -(sector.v[0] + sector.v[2] * last)])
+    K = np.eye(3)
+    K[:2, :2] = np.linalg.inv(step)
+    K[:2, 2] = -K[:2, :2] @ start
+    return sg.Camera(sector.columns, sector.rows, K, sector.rotation().T @ AHEAD)
+
+
+@pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical(bandwidth_hz=30e3)])
+def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics):
+    sonar, sampling, pose = sonar_of(), sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
+    scene = room()
+    mus = {n: 0.2 * n for n in range(1, 5)}
+    scene = sg.Scene([sg.Body(b.name, b.mesh, reflectivity=mus[n]) for n, b in enumerate(scene.bodies, 1)])
+    with sg.Simulator(scene, sonar, acoustics, sampling) as simulator:
+        expected, (buffer,) = simulator.ping(pose, labels=True), simulator.gbuffers(pose)
+        camera = sector_camera(simulator.fan.sectors[0])
+    images = {
+        "normals": buffer.normal[::-1] @ camera.rotation,
+        "body_id": buffer.body_id[::-1],
+        "holds": "range",
+    }
+    with embed.Sensor(sonar, acoustics, sampling) as sensor:
+        ping = sensor.ping_from_depth(
+            buffer.range_m[::-1], camera, pose, reflectivity=mus, labels=True, bodies=list(ROOM), **images
+        )
+    # float32 rounds ranges and normals: an error of 1e-5 of a bin at most, where planes are steep
+    assert wrong(ping, expected) < 1e-5
+    assert np.abs(ping.intensity - expected.intensity).max() < 1e-4 * expected.intensity.max()
+    assert (ping.body_id == expected.body_id).all()
+    assert np.allclose(ping.elevation_rad, expected.elevation_rad, atol=1e-4, equal_nan=True)
+    assert np.allclose(ping.body_echo, expected.body_echo, rtol=1e-5)
+    same = set(expected.meta) - {"gl_renderer", "scene"}
+    assert {key: ping.meta[key] for key in same} == {key: expected.meta[key] for key in same}
+    assert ping.meta["gl_renderer"] == "none: depth image"
+    assert (ping.pose == pose).all()
+
+
+@pytest.mark.parametrize("with_normals", [True, False])
+def test_the_error_falls_with_the_resolution(truth, with_normals):
+    sonar, errors = sonar_of(), []
+    for columns in (120, 240, 480, 960):
+        camera = camera_of(sonar, columns)
+        _, depth, normals, _ = ROOM_CAST.images(camera)
+        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=normals if with_normals else None)
+        errors.append(wrong(ping, truth))
+    # silhouettes fall on whole pixels, so the error falls with their width, from a third of a degree on
+    assert errors[0] > errors[1] > errors[2] > errors[3]
+    assert errors[0] < 0.02 and errors[3] < 0.003
+
+
+@pytest.mark.parametrize("height", [0.5, 2.0])
+def test_a_floor_at_grazing_incidence_has_no_rings(height):
+    sonar = sonar_of(range_m=30.0, n_bins=1200)
+    camera = camera_of(sonar, 320)
+    _, depth, normals, _ = Cast(plane([0, 0, -1], height)).images(camera)
+    top = math.radians(8.0)
+    exact = 0.5 * box_beams(
+        sonar, lambda psi: plane_echo((0, 0, -1), height, psi, (-top, top), sonar.bin_edges_m), 20
+    )
+    inside = slice(*np.searchsorted(sonar.bin_edges_m, [height / math.sin(top) + 0.1, 29.9]))
+    pings = [sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=n) for n in (normals, None)]
+    for ping in pings:
+        # at 30 m and one degree of depression a row of pixels covers 3 m, 120 bins, without gaps
+        assert np.abs(ping.intensity[:, inside] / exact[:, inside] - 1).max() < 0.01
+    dropped = sg.Sampling(4, 150, "point")
+    rings = sg.ping_from_depth(depth, sonar, camera, IDEAL, sampling=dropped, normals=normals)
+    assert (rings.intensity[:, inside] == 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("turn", ["roll 90", "aside 20", "down 5, roll -30"])
+def test_a_rotated_camera_gives_the_same_ping(truth, turn):
+    sonar = sonar_of()
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    if turn == "roll 90":
+        like = camera_of(sonar, 640)
+        K = [[like.intrinsics[0, 0], 0, (like.height - 1) / 2], [0, like.intrinsics[0, 0], 319.5], [0, 0, 1]]
+        camera = sg.Camera(like.height, 640, K, AHEAD @ quarter)
+    elif turn == "aside 20":
+        camera = sg.Camera.of_fov(
+            1100, 320, math.radians(88), rotation=sg.pose(yaw=math.radians(20))[:3, :3] @ AHEAD
+        )
+    else:
+        rotation = sg.pose(roll=math.radians(-30), pitch=math.radians(5))[:3, :3] @ AHEAD
+        camera = sg.Camera.of_fov(700, 700, math.radians(48), rotation=rotation)
+    _, depth, normals, body = ROOM_CAST.images(camera)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no warning: the cameras cover the fan
+        for face_normals in (normals, None):
+            ping = sg.ping_from_depth(
+                depth, sonar, camera, IDEAL, normals=face_normals, body_id=body, labels=True
+            )
+            assert wrong(ping, truth) < 0.02  # the error of an upright camera with such pixels
+            # the strongest body differs only in bins that two bodies share
+            assert (ping.body_id != truth.body_id).mean() < 0.01
+
+
+@pytest.mark.parametrize(("fov_deg", "n_cameras"), [(130.0, 2), (130.0, 3), (360.0, 4), (360.0, 3)])
+def test_several_cameras_see_a_wide_fan_without_seams(fov_deg, n_cameras):
+    n_beams = int(fov_deg)
+    sonar = sonar_of(fov_deg, n_beams, 10.0)
+    if (fov_deg, n_cameras) in ((130.0, 2), (360.0, 4)):
+        cameras = sg.Camera.covering(sonar, IDEAL, pixel_deg=0.2)
+    else:  # images that meet without overlap
+        share = math.radians(fov_deg) / n_cameras
+        yaws = [share * (k - (n_cameras - 1) / 2) for k in range(n_cameras)]
+        cameras = [
+            sg.Camera.of_fov(
+                int(share / math.radians(0.2)), 140, share, rotation=sg.pose(yaw=yaw)[:3, :3] @ AHEAD
+            )
+            for yaw in yaws
+        ]
+    assert len(cameras) == n_cameras
+    # an upright pipe around the sonar, seen from inside
+    depth = [8.01 / np.hypot(*np.moveaxis(rays_of(camera), -1, 0)[:2]) for camera in cameras]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pings = [
+            sg.ping_from_depth(depth, sonar, cameras, IDEAL, holds="range", normals=normals)
+            for normals in ([inward(camera) for camera in cameras], None)
+        ]
+    top = math.radians(5.0)
+    exact = 0.5 * plane_echo((1, 0, 0), 8.01, np.zeros((1, 1)), (-top, top), sonar.bin_edges_m)[0]
+    exact /= 2 * math.sin(top)
+    for ping in pings:
+        # all beams are equal, also at the seams, apart from the wall's curvature within a pixel
+        assert np.abs(ping.intensity - exact).sum(1).max() / exact.sum() < 2e-3
+
+
+def rays_of(camera):
+    """Return unit rays, (H, W, 3), sonar frame."""
+    j, i = np.mgrid[0 : camera.height, 0 : camera.width]
+    rays = np.stack([i, j, np.ones_like(i)], -1) @ np.linalg.inv(camera.intrinsics).T @ camera.rotation.T
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def inward(camera):
+    """Return the normals of an upright pipe around the sonar, (H, W, 3), camera axes."""
+    return (rays_of(camera) * [1, 1, 0]) @ camera.rotation
+
+
+def test_body_numbers_of_pixels_become_labels(truth):
+    sonar = sonar_of()
+    camera = camera_of(sonar, 960)
+    _, depth, normals, body = ROOM_CAST.images(camera)
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        ping = sensor.ping_from_depth(
+            depth, camera, normals=normals, body_id=body.astype(np.int32), bodies=tuple(ROOM), labels=True
+        )
+        unknown = np.where(body == 2, 0, body)
+        partly = sensor.ping_from_depth(depth, camera, normals=normals, body_id=unknown, labels=True)
+        bare = sensor.ping_from_depth(depth, camera, normals=normals, labels=True)
+        unlabelled = sensor.ping_from_depth(depth, camera, normals=normals)
+    assert ping.meta["bodies"] == list(ROOM)
+    assert (ping.body_id != truth.body_id).mean() < 0.005
+    assert np.allclose(ping.body_echo, truth.body_echo, rtol=0.01)
+    both = (ping.body_id == truth.body_id) & (truth.intensity > 1e-3)
+    assert np.median(np.abs(ping.elevation_rad - truth.elevation_rad)[both]) < math.radians(0.05)
+    # pixels with number 0 still echo, and stay distinct from the numbered bodies
+    assert (partly.intensity == ping.intensity).all()
+    assert (partly.body_id == np.where(ping.body_id == 2, 0, ping.body_id)).all()
+    assert np.array_equal(partly.elevation_rad, ping.elevation_rad, equal_nan=True)
+    assert partly.body_echo[0] == ping.body_echo[2] and partly.body_echo[2] == 0
+    assert (partly.body_echo[[1, 3, 4]] == ping.body_echo[[1, 3, 4]]).all()
+    assert not bare.body_id.any() and len(bare.body_echo) == 1
+    assert bare.body_echo[0] == pytest.approx(ping.body_echo.sum(), rel=1e-6)
+    assert unlabelled.body_id is None and (unlabelled.intensity == ping.intensity).all()
+
+
+def test_reflectivity_by_pixel_and_by_body():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    _, depth, normals, body = ROOM_CAST.images(camera)
+    mus = np.array([0.5, 0.1, 0.9, 0.5, 0.5])
+    with embed.Sensor(sonar, IDEAL) as sensor:
+
+        def ping(mu, **more):
+            return sensor.ping_from_depth(depth, camera, normals=normals, reflectivity=mu, **more)
+
+        by_pixel = ping(mus[body], body_id=body)
+        by_body = ping({1: 0.1, 2: 0.9, 77: 1.0}, body_id=body, labels=True)
+        labelled = ping(0.5, body_id=body, labels=True)
+        assert (by_pixel.intensity == by_body.intensity).all()
+        assert np.allclose(by_body.body_echo[1:5], labelled.body_echo[1:5] * mus[1:] / 0.5, rtol=1e-5)
+        assert np.allclose(ping(1).intensity, 2 * labelled.intensity, rtol=1e-6)
+
+
+@pytest.mark.parametrize("missing", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e9])
+def test_pixels_without_depth_are_empty(missing):
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    shapes = box([9, 1, -2], [11, 3, 1]), sphere([12, -3, 0], 1.0), plane([0, 0, -1], 0.6)
+    _, depth, normals, _ = Cast(*shapes).images(camera)
+    holes = ~np.isfinite(depth) | (depth > 160)
+    assert 0.3 < holes.mean() < 0.7
+    pings = []
+    for face_normals in (normals, None):
+        with embed.Sensor(sonar, IDEAL) as sensor:
+            with_inf = sensor.ping_from_depth(np.where(holes, np.inf, depth), camera, normals=face_normals)
+            pings.append(
+                sensor.ping_from_depth(np.where(holes, missing, depth), camera, normals=face_normals)
+            )
+        # Pixels of a far plane are empty, too, and do not bend the estimated planes of pixels before it.
+        assert (pings[-1].intensity == with_inf.intensity).all()
+    assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("columns", [400, 800, 1600])
+def test_a_thin_rod_has_the_echo_of_its_closed_form(columns):
+    """The rod is 3 cm thick at 8 m, 0.21 degrees: two, four and eight pixels wide."""
+    sonar = sonar_of(n_beams=20)
+    camera = camera_of(sonar, columns)
+    shapes = cylinder(8.0, 0.37, 0.015, -5, 5), plane([1, 0, 0], 15)
+    _, depth, normals, _ = Cast(*shapes).images(camera)
+    top, distance, azimuth = math.radians(8.0), math.hypot(8, 0.37), math.atan2(0.37, 8)
+
+    def rod(psi):
+        return cylinder_echo(0.015, distance, psi - azimuth, -5, 5, top, sonar.bin_edges_m)
+
+    exact = 0.5 * box_beams(sonar, rod, 2000).sum()
+    near = sonar.range_m < 10
+    for face_normals in (normals, None):
+        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=face_normals)
+        got = ping.intensity[:, near].sum()
+        # each pixel shows either the rod or the wall
+        assert got == pytest.approx(exact, rel=0.7 * 400 / columns / 2)
+        # the rod echoes at its own range only, with no spurious surface between it and the wall
+        lit = sonar.range_m[near & (ping.intensity.max(0) > 1e-2 * ping.intensity[:, near].max())]
+        assert lit.min() > 7.9 and lit.max() < 8.2
+        between = (sonar.range_m > 8.5) & (sonar.range_m < 14.9)
+        assert ping.intensity[:, between].sum() < 1e-3 * got
+
+
+def test_surfaces_one_pixel_wide_are_taken_to_face_the_camera():
+    sonar = sonar_of()
+    camera = camera_of(sonar, 200)
+    depth = np.full((camera.height, 200), 15.0)
+    depth[:, 60] = depth[20, 120:160] = 8.0
+    facing = np.broadcast_to([0, 0, 1.0], (*depth.shape, 3))
+    known, found = (sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=n) for n in (facing, None))
+    near = sonar.range_m < 14
+    assert known.intensity[:, near].sum() > 0
+    # the vertical and the horizontal line agree, except at their ends
+    assert wrong(found.intensity[:, near], known.intensity[:, near]) < 1e-3
+
+
+def test_a_sphere_and_its_limb():
+    sonar = sonar_of()
+    camera = camera_of(sonar, 960)
+    _, depth, normals, _ = Cast(sphere([8, 0.5, 0.0], 1.0)).images(camera)
+    body = sg.Body("ball", trimesh.creation.icosphere(6, 1.0), sg.pose(8, 0.5, 0))
+    with sg.Simulator(sg.Scene([body]), sonar, IDEAL, tolerance=0.002) as simulator:
+        exact = simulator.ping(np.eye(4))
+    for face_normals in (normals, None):
+        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=face_normals)
+        assert wrong(ping, exact) < 0.005
+
+
+def test_edge_on_faces_and_invalid_normals_stay_finite():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    _, depth, normals, _ = ROOM_CAST.images(camera)
+    found = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+    for none in (0.0, np.nan, np.inf):
+        assert (
+            sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=0 * normals + none).intensity
+            == found.intensity
+        ).all()
+    other = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=-3.0 * normals)
+    assert np.allclose(
+        other.intensity,
+        sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=normals).intensity,
+        rtol=1e-4,
+        atol=1e-7,
+    )
+    rays = rays_of(camera) @ camera.rotation
+    across = np.cross(rays, [0.0, 1.0, 0.0])
+    for tilt in (0.0, 1e-9, 1e-4):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=across + tilt * rays)
+        assert np.isfinite(ping.intensity).all() and (ping.intensity >= 0).all()
+        assert ping.intensity.sum() < 1e-3 * found.intensity.sum()
+    rng = np.random.default_rng(1)  # random depths, which form no surface
+    noise = np.exp(rng.normal(1, 3, depth.shape))
+    assert np.isfinite(sg.ping_from_depth(noise, sonar, camera, IDEAL).intensity).all()
+
+
+def test_samples_are_finite_and_empty_ones_are_zero():
+    """Samples of planes through the sonar, and of rays past a floor's horizon, are finite."""
+    sonar = sonar_of()
+    (sector,) = make_fan(sonar, sg.Sampling(4, 200), 0.004).sectors
+    camera, thread = camera_of(sonar, 64), SecondThread()
+    planes, none = PixelPlanes(camera, thread), np.empty((0, 0), np.uint16)
+    shape = sector.rows, sector.columns
+    _, depth, normals, _ = Cast(plane([0, 0, -1], 0.1)).images(camera)
+    across = np.cross(rays_of(camera) @ camera.rotation, [0.0, 1.0, 0.0])  # edge-on within rounding
+    depth_up = np.full(depth.shape, 5.0)
+    for image, face_normals in ((depth, normals), (depth_up, across)):
+        plane_echo = np.zeros((*shape, 4), np.float32)
+        samples = SectorSamples(sector, plane_echo, np.zeros(shape, np.uint16))
+        planes.find(image.astype(np.float32), True, face_normals.astype(np.float32), 0.5)
+        planes.sample(samples, none, True, True)
+        assert np.isfinite(plane_echo).all()
+        unseen, met = plane_echo[..., 0] == UNSEEN, plane_echo[..., 0] > 0
+        assert met.any() and not plane_echo[~met & ~unseen].any()
+    thread.close()
+    # its first pixel looks straight ahead; the plane passes through the camera
+    middle = sg.Camera(3, 3, np.diag([1.0, 1, 1]))
+    planes = PixelPlanes(middle, SecondThread())
+    planes.find(np.ones((3, 3), np.float32), True, np.full((3, 3, 3), [1, 0, 0], np.float32), 0.5)
+    assert np.isfinite(planes.planes).all() and planes.planes[0, 0, 3] == 0
+
+
+def test_memory_layout_and_type_of_images_do_not_matter():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    _, depth, normals, body = ROOM_CAST.images(camera)
+    kwargs = {"normals": normals, "body_id": body, "labels": True}
+    one = sg.ping_from_depth(depth, sonar, camera, IDEAL, **kwargs)
+    turned = {
+        "normals": normals.astype("f4")[:, ::-1][:, ::-1],
+        "body_id": np.asfortranarray(body, np.uint16),
+    }
+    other = sg.ping_from_depth(
+        np.asfortranarray(depth, np.float32), sonar, camera, IDEAL, labels=True, **turned
+    )
+    assert (one.intensity == other.intensity).all() and (one.body_id == other.body_id).all()
+    listed = sg.ping_from_depth(
+        [depth], sonar, [camera], IDEAL, normals=[normals], body_id=[body], labels=True
+    )
+    assert (one.intensity == listed.intensity).all()
+    before = one.intensity.copy()
+    sg.ping_from_depth(depth / 2, sonar, camera, IDEAL)
+    assert (one.intensity == before).all() and not one.intensity.flags.writeable
+
+
+def test_noise_velocity_and_pose_act_as_in_other_pings():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    _, depth, _, _ = ROOM_CAST.images(camera)
+    noise, pose, velocity = sg.Noise.physical(), sg.pose(1, 2, 3), [1.0, 0, 0, 0, 0, 0.3]
+    with embed.Sensor(sonar) as sensor:
+
+        def ping(**more):
+            return sensor.ping_from_depth(depth, camera, pose, **more)
+
+        quiet = ping(seed=7)
+        noisy = ping(noise=noise, seed=7, ping_number=3)
+        assert (noisy.intensity == ping(noise=noise, seed=7, ping_number=3).intensity).all()
+        assert (noisy.intensity == add_noise(quiet, noise, 7, 3).intensity).all()
+        assert (noisy.intensity != ping(noise=noise, seed=8, ping_number=3).intensity).any()
+        assert (noisy.intensity != ping(noise=noise, seed=7, ping_number=4).intensity).any()
+        assert noisy.meta["ping_number"] == 3 and (noisy.pose == pose).all()
+        moving = ping(velocity=velocity)
+        assert (moving.intensity == shown_in_motion(quiet, velocity).intensity).all()
+        assert (moving.intensity != quiet.intensity).any() and moving.meta["velocity"] == velocity
+        # place-locked speckle depends on the pose
+        locked = sg.Noise(speckle=True, follow_motion=True)
+        there = sensor.ping_from_depth(depth, camera, sg.pose(2, 2, 3), noise=locked, seed=7)
+        assert (ping(noise=locked, seed=7).intensity != there.intensity).any()
+        assert (sensor.ping_from_depth(depth, camera).pose == np.eye(4)).all()
+
+
+def test_a_warning_names_what_the_cameras_do_not_see_once():
+    sonar = sonar_of()
+    narrow = sg.Camera.of_fov(300, 300, math.radians(20))
+    depth = np.full((300, 300), 5.0)
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        with pytest.warns(
+            UserWarning, match=r"see (49|50)\.\d % of the sonar's fan.*±20° and elevations within ±8°"
+        ) as caught:
+            sensor.ping_from_depth(depth, narrow)
+        assert len(caught) == 1 and caught[0].filename == __file__
+        again = sg.Camera(300, 300, narrow.intrinsics)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            ping = sensor.ping_from_depth(depth, again)
+            assert (ping.intensity[:18] == 0).all() and (ping.intensity[22:58].sum(1) > 0).all()
+            cameras = sg.Camera.covering(sonar, IDEAL)
+            sensor.ping_from_depth([np.full((c.height, c.width), 5.0) for c in cameras], cameras)
+        backwards = sg.Camera(300, 300, narrow.intrinsics, np.diag([-1.0, -1, 1]) @ AHEAD)
+        with pytest.raises(sg.Error, match="must look into the sonar's fan"):
+            sensor.ping_from_depth(depth, backwards)
+    with pytest.warns(UserWarning, match="% of the sonar's fan") as caught:
+        sg.ping_from_depth(depth, sonar, narrow, IDEAL, sampling=sg.Sampling(1, 20))
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("distance", "more", "why"),
+    [
+        (30.0, {}, "lies at 30.0. m, beyond range_max_m = 20"),
+        (0.5, {}, "lies at 0.50 m, nearer than range_min_m = 1"),
+        (5.0, {"reflectivity": 0}, "lies at 5.00 m, of reflectivity 0"),
+        (np.inf, {}, "what was drawn shows no surface in the fan"),
+    ],
+)
+def test_a_warning_says_why_a_ping_has_no_echo(distance, more, why):
+    sonar = replace(sonar_of(), range_min_m=1.0)
+    camera = camera_of(sonar, 400)
+    with pytest.warns(UserWarning, match=f"^no echo came back: .*{why}") as caught:
+        ping = sg.ping_from_depth(np.full((camera.height, 400), distance), sonar, camera, IDEAL, **more)
+    assert len(caught) == 1 and caught[0].filename == __file__
+    assert not ping.intensity.any() and not ping.meta["has_echo"]
+
+
+def test_later_pings_reuse_the_beamformer_of_the_first(monkeypatch):
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth = np.full((camera.height, camera.width), 5.0)
+    first = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+
+    def forbidden(*_):
+        raise AssertionError("made again")
+
+    monkeypatch.setattr("sonar_gl.embed.sensor.make_beamformer", forbidden)
+    equal = replace(sonar), sg.Camera(camera.width, camera.height, camera.intrinsics), sg.Acoustics.ideal()
+    assert (sg.ping_from_depth(depth, *equal).intensity == first.intensity).all()
+    with pytest.raises(AssertionError, match="made again"):
+        sg.ping_from_depth(depth, replace(sonar, n_beams=81), camera, IDEAL)
+
+
+def test_samples_are_as_fine_as_pixels():
+    sonar = sonar_of(90.0, 64, 20.0)
+    for pixel_deg in (0.1, 0.3):
+        cameras = sg.Camera.covering(sonar, IDEAL, pixel_deg)
+        sampling = camera_rig.finest_sampling(sonar, cameras)
+        assert sampling.columns_per_beam * 64 == pytest.approx(90 / pixel_deg, rel=1e-3)
+        assert sampling.rows == pytest.approx(2 * math.tan(math.radians(10)) / math.radians(pixel_deg), abs=1)
+    large = camera_rig.finest_sampling(sonar, [sg.Camera.of_fov(8000, 8000, fov_x_rad=math.pi / 2)])
+    assert large.columns_per_beam * 64 * large.rows == pytest.approx(camera_rig.MAX_SAMPLES, rel=1e-3)
+
+
+GOOD = np.full((30, 40), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            {"depth": np.zeros(3)},
+            r"depth must have the shape of the camera's image, \(30, 40\) \(got \(3,\)\)",
+        ),
+        ({"depth": GOOD.T}, r"depth must have the shape .* \(got \(40, 30\)\)"),
+        ({"depth": GOOD[..., None]}, r"depth must have the shape"),
+        ({"depth": (1000 * GOOD).astype(np.uint16)}, "depth must be metres in floating point .*uint16"),
+        ({"depth": GOOD.astype(complex)}, "depth must be an array of numbers"),
+        ({"depth": [[1.0], [1.0, 2.0]]}, "depth must have the shape"),
+        ({"normals": GOOD}, r"normals must have the shape of the camera's image, \(30, 40, 3\)"),
+        ({"body_id": GOOD}, "body_id must hold whole numbers"),
+        ({"body_id": np.full((30, 40), -1)}, "body_id must lie in 0..65534.*got -1"),
+        ({"body_id": np.full((30, 40), 65535)}, "body_id must lie in 0..65534.*65535"),
+        ({"reflectivity": 1.5}, "reflectivity must lie in 0..1"),
+        ({"reflectivity": "high"}, "reflectivity must be a number"),
+        ({"reflectivity": np.full((30, 40), np.nan)}, "reflectivity must lie in 0..1"),
+        ({"reflectivity": np.zeros((3, 4))}, "reflectivity must have the shape"),
+        ({"reflectivity": {1: 0.2}}, "reflectivity by numbers of bodies needs body_id"),
+        ({"reflectivity": {"rock": 0.2}, "body_id": np.ones((30, 40), int)}, "must name numbers of bodies"),
+        ({"reflectivity": {1: 2.0}, "body_id": np.ones((30, 40), int)}, "reflectivity must lie in 0..1"),
+        ({"camera": "wide"}, "camera must be a Camera"),
+        ({"camera": []}, "list of at least one"),
+        ({"camera": [None]}, "camera must be a Camera"),
+        (
+            {"several": 2, "depth": GOOD},
+            "depth must be a list of .* cameras, 2 .got ndarray",
+        ),
+        ({"several": 2, "depth": [GOOD]}, "depth must be a list .*cameras, 2 .got 1 of them"),
+        ({"several": 1, "depth": [GOOD], "normals": np.zeros((30, 40, 3))}, "normals must be a list"),
+        ({"bodies": "rock"}, "bodies must be a list of names, that of number 1 first .got str"),
+        ({"bodies": None}, "bodies must be a list of names, that of number 1 first .got NoneType"),
+        ({"bodies": [3]}, "each of bodies must be a str .got int"),
+        ({"holds": "z-buffer"}, "holds must be 'planar', .* .got 'z-buffer'; embed.metres_ahead undoes"),
+        ({"holds": True}, "holds must be 'planar', .* .got True"),
+        ({"depth": "near.png"}, "depth must be an array of numbers .got str"),
+        ({"depth": None}, "depth must be an array of numbers .got NoneType"),
+        ({"normals": np.full((30, 40, 3), 128, np.uint8)}, "normals must be in floating point .got uint8"),
+        ({"pose": np.eye(3)}, "pose must have shape"),
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"noise": "physical"}, "noise must be a Noise"),
+        ({"velocity": [1.0]}, "velocity"),
+        ({"sonar": "p900-45"}, "sonar must be a Sonar"),
+        ({"sonar": {}}, "sonar must be a Sonar"),
+        ({"acoustics": "ideal"}, "acoustics must be an Acoustics"),
+        ({"sampling": 3}, "sampling must be a Sampling"),
+        ({"acoustics": sg.Acoustics(multipath="coherent")}, 'must have multipath "none".*use a Simulator'),
+    ],
+)
+def test_invalid_arguments_raise_errors(more, message):
+    camera = sg.Camera.of_fov(40, 30, math.radians(50))
+    kwargs = {"depth": GOOD, "sonar": sonar_of(), "camera": camera, "acoustics": IDEAL} | more
+    if several := kwargs.pop("several", 0):
+        kwargs["camera"] = [camera] * several
+    with pytest.raises(sg.Error, match=message) as caught:
+        sg.ping_from_depth(**kwargs)
+    assert "\n" not in str(caught.value)
+
+
+def test_masked_pixels_are_empty():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth, mask = np.full((camera.height, camera.width), 5.0), np.zeros((camera.height, camera.width), bool)
+    mask[:, camera.width // 2 :] = True  # the starboard half
+    masked = sg.ping_from_depth(np.ma.array(depth, mask=mask), sonar, camera, IDEAL)
+    holes = sg.ping_from_depth(np.where(mask, np.nan, depth), sonar, camera, IDEAL)
+    assert np.array_equal(masked.intensity, holes.intensity) and masked.intensity.any()
+    assert masked.intensity[: sonar.n_beams // 4].sum() == 0
+
+
+def test_a_z_buffer_in_place_of_depth_warns_once():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    projection, metres = camera.projection(0.1, 50.0), np.full((camera.height, camera.width), 6.0)
+    metres[: camera.height // 4] = 50.0
+    ndc = (-projection[2, 2] * metres + projection[2, 3]) / metres
+    z_buffer = (ndc + 1) / 2
+    z_buffer[: camera.height // 4] = 1.0
+    with (
+        embed.Sensor(sonar, IDEAL) as sensor,
+        pytest.warns(UserWarning, match="as a z-buffer does") as caught,
+    ):
+        for _ in range(2):
+            sensor.ping_from_depth(z_buffer, camera)
+    assert len([one for one in caught if "z-buffer" in str(one.message)]) == 1
+    undone = embed.metres_ahead(z_buffer, projection)
+    assert (undone[: camera.height // 4] == 0).all()
+    np.testing.assert_allclose(undone[camera.height // 4 :], 6.0, rtol=1e-4)  # float32 near 1
+    for wrong, message in (
+        ((np.zeros(3), projection), "z_buffer must have shape"),
+        ((z_buffer, projection.T), "projection must be an OpenGL perspective"),
+    ):
+        with pytest.raises(sg.Error, match=message):
+            embed.metres_ahead(*wrong)
+
+
+def test_every_body_number_of_the_labels_has_a_name():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth = np.full((camera.height, camera.width), 5.0)
+    kwargs = {"body_id": np.full(depth.shape, 3), "labels": True}
+    ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, bodies=["wall"], **kwargs)
+    assert ping.meta["bodies"] == ["wall", "body 2", "body 3"]
+    assert len(ping.body_echo) == 4 and ping.body_echo[3] > 0
+
+
+def test_a_forked_process_may_ping():
+    """Workers that load data are often forked: cached sensors have threads that the fork lacks."""
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth = np.full((camera.height, camera.width), 5.0)
+    parent_intensity = sg.ping_from_depth(depth, sonar, camera, IDEAL).intensity
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        reply = ping_in_fork(parent_intensity, depth, camera, sensor)
+    assert reply == "same, a Sensor must be used in the process that made it; make one in each process"
+
+
+def ping_in_fork(parent_intensity, depth, camera, sensor):
+    """Return what a forked process reports of a ping of its own, and of one by a sensor that it inherited."""
+    sensor.ping_from_depth(depth, camera)
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        # since Python 3.12 a fork of a process with threads warns
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        reply = "same, "
+        try:
+            ping = sg.ping_from_depth(depth, sensor.sonar, camera, IDEAL)
+            reply = reply if np.array_equal(ping.intensity, parent_intensity) else "other, "
+            sensor.ping_from_depth(depth, camera)
+        except sg.Error as why:
+            reply += str(why)
+        os.write(writing, reply.encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        reply = pipe.read()
+    os.waitpid(child, 0)
+    return reply
+
+
+def test_many_camera_rigs_do_not_leak_threads():
+    """A sensor caches the last few rigs: their number bounds the threads, and closing ends all threads."""
+    sonar = sonar_of()
+    gc.collect()  # threads of earlier tests may end meanwhile; none starts
+    before = threading.active_count()
+    with embed.Sensor(sonar, IDEAL) as sensor:
+        for k in range(12):
+            camera = sg.Camera.of_fov(60 + 2 * k, 40, fov_x_rad=1.6, fov_y_rad=0.9)
+            sensor.ping_from_depth(np.full((40, 60 + 2 * k), 5.0), camera)
+            if k == 3:
+                most = threading.active_count()
+        ended_by = time.monotonic() + 10  # threads end with a delay
+        while threading.active_count() > most and time.monotonic() < ended_by:
+            time.sleep(0.01)
+        assert threading.active_count() <= most
+    while threading.active_count() > before and time.monotonic() < ended_by:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
+
+
+@pytest.mark.slow
+def test_many_depth_images_do_not_leak_memory():
+    sonar = sonar_of(45.0, 64, 20.0)
+    camera = sg.Camera.of_fov(160, 80, fov_x_rad=1.0)
+    depth = np.full((80, 160), 5.0, np.float32)
+    numbers = np.ones((80, 160), int)
+    with embed.Sensor(sonar, IDEAL) as sensor:
+
+        def run(n):
+            for k in range(n):
+                sensor.ping_from_depth(depth, camera, body_id=numbers, labels=k % 50 == 0)
+
+        run(200)
+        resident, used = soak.resident_bytes(), soak.allocated()
+        run(800)
+        soak.check_growth(used, resident, 800)

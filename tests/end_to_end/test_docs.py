@@ -1,0 +1,287 @@
+"""The documentation: its examples run, its commands and options exist, its links lead somewhere."""
+
+import dataclasses
+import importlib.util
+import os
+import pkgutil
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import sonar_gl as sg
+from sonar_gl.analysis import terms
+from sonar_gl.batch.job import Job, read_job
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.batch.trajectories import KINDS
+from sonar_gl.cli import main as cli
+from sonar_gl.cli import plan as costs
+from sonar_gl.imaging.files import NPZ_FIELDS
+from tools.bench import __main__ as bench
+from tools.bench import embed
+from tools.chart import scenes
+from tools.docs import ablation, gallery
+
+ROOT = Path(__file__).resolve().parents[2]
+FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES = [*FRONT, *sorted((ROOT / "docs").glob("*.md"))]
+MAX_PICTURE_BYTES = 120_000
+BATCHES = ROOT / "docs" / "batch.md"  # whose blocks build on one another
+POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
+
+
+def text_of(page):
+    return page.read_text(encoding="utf-8")
+
+
+def anchors_of(page):
+    """Anchors of a page's headings, as GitHub forms them."""
+    headings = re.findall(r"^#+ (.+)$", text_of(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def blocks(language, pages=None):
+    """Every fenced block of a language, with its page and line; not of the page of batches, unless named."""
+    for page in pages or [page for page in PAGES if page != BATCHES]:
+        for match in re.finditer(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE):
+            line = text_of(page)[: match.start()].count("\n") + 1
+            yield pytest.param(match[1], id=f"{page.name}:{line}")
+
+
+def shell_lines():
+    """Every line of the pages' shell blocks, without its comment."""
+    for block in [*blocks("sh"), *blocks("sh", [BATCHES])]:
+        for line in block.values[0].splitlines():
+            if words := shlex.split(line, comments=True):
+                yield pytest.param(words, id=" ".join(words))
+
+
+def commands():
+    """Commands of the pages; those that price all terms, or draw the largest scenes, are slow."""
+    found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
+    slow = {"plan", "needed", "ocean_floor", "diver_vertical"}
+    return [
+        pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if slow & set(p.values[0]) else ())
+        for p in found
+    ]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """An empty working directory, but for the poses that README shows."""
+    monkeypatch.chdir(tmp_path)
+    for block in blocks("csv"):
+        Path(POSES_FILE).write_text(block.values[0])
+    return tmp_path
+
+
+def run(*words):
+    return CliRunner().invoke(cli.main, list(words))
+
+
+def test_there_is_something_to_check():
+    assert all(page.is_file() for page in PAGES)
+    assert {page.name for page in PAGES} >= {"README.md", "gallery.md", "method.md", "conventions.md"}
+    assert all(len(list(blocks(language))) > 0 for language in ("python", "sh", "xml", "toml", "csv"))
+    assert len(commands()) > 5
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize("code", list(blocks("python")))
+def test_python_examples_run(code):
+    exec(compile(code, "example", "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize("words", commands())
+def test_commands_run(words, folder, monkeypatch):
+    for module in (costs, terms):  # what `plan` tells of times need not be exact
+        monkeypatch.setattr(module, "TURNS", 1)
+    before = set(folder.rglob("*"))
+    result = run(*words[1:])
+    assert result.exit_code == 0, result.output
+    assert "warning" not in result.output
+    if words[1] == "render":
+        assert {path for path in folder.rglob("*") if path.is_file()} - before
+
+
+def test_the_python_example_and_the_command_of_the_first_screen_make_the_same_picture(folder):
+    command = next(p.values[0] for p in commands())
+    assert run(*command[1:], "--out", "command").exit_code == 0
+    exec(next(blocks("python")).values[0], {})
+    assert Path("pylon.png").read_bytes() == Path("command", "pylon.png").read_bytes()
+
+
+def options_of(words):
+    """Options of the tool that `python -m MODULE [NAME]` runs, as its source has them."""
+    module = words[words.index("-m") + 1]
+    specs = [importlib.util.find_spec(module)]
+    if specs[0].submodule_search_locations:
+        specs = [importlib.util.find_spec(f"{module}.__main__")]
+    if module == "tools.bench":
+        named = next((word for word in words if word in bench.NAMES), "ping")
+        specs.append(importlib.util.find_spec(f"{module}.{named}"))
+    sources = "".join(Path(spec.origin).read_text(encoding="utf-8") for spec in specs)
+    return set(re.findall(r'add_argument\(\s*"(--[a-z-]+)"', sources))
+
+
+@pytest.mark.parametrize("words", [p for p in shell_lines() if p.values[0][0] != "sonar-gl"])
+def test_other_commands_name_files_and_options_that_exist(words):
+    paths = [w for w in words[1:] if w.startswith(("tools/", "examples/"))]
+    assert all((ROOT / path).is_file() for path in paths)
+    if "-m" in words:
+        assert {w for w in words if w.startswith("--")} <= options_of(words)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)]+)\)", text_of(page)):
+        if not target.startswith("https://"):
+            path, _, anchor = target.partition("#")
+            linked = page.parent / path if path else page
+            assert linked.exists(), target
+            assert not anchor or anchor in anchors_of(linked), target
+
+
+def test_pictures_are_shown_small_and_made_by_the_tools():
+    shown = {
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text_of(page))
+    }
+    kept = set((ROOT / "docs" / "pictures").iterdir())
+    assert shown == kept
+    assert max(path.stat().st_size for path in kept) <= MAX_PICTURE_BYTES
+    assert {path.stem for path in kept} == {
+        *(f"{name}_{style}" for name, one in gallery.COMPARISONS.items() for style in one.styles),
+        *(f"chart_{name}" for name in (*scenes.SCENES, "shimmer", "embedding")),
+        *(f"embedding_{name}" for name in embed.SHOWN),
+        *(f"ablation_{name}" for name in ablation.SCENES),
+        "scaling",
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_options_exist(page):
+    known = {"--help", "--version"}
+    for command in cli.main.commands.values():
+        known |= {option for parameter in command.params for option in parameter.opts}
+    outside_blocks = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", outside_blocks)) <= known
+
+
+def test_every_command_is_told_in_the_readme():
+    told = set(re.findall(r"^\| `sonar-gl (\w+)", text_of(ROOT / "README.md"), re.MULTILINE))
+    assert told == set(cli.main.commands)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_the_package_exist(page):
+    for name in re.findall(r"`(sonar_gl\.[\w.]+)", text_of(page)):
+        pkgutil.resolve_name(name.rstrip("."))
+    for name in re.findall(r"\bsg\.([A-Za-z]\w*)", text_of(page)):
+        assert name in sg.__all__
+    for path in re.findall(r"`((?:sonar_gl|shaders|tests|tools|docs|scenes)/[\w./]*)`", text_of(page)):
+        assert (ROOT / path).exists(), path
+
+
+def test_constants_of_the_method_exist():
+    modules = [
+        importlib.import_module(module.name)
+        for module in pkgutil.walk_packages(sg.__path__, "sonar_gl.")
+        if not module.name.endswith("__main__")
+    ]
+    named = set(re.findall(r"`([A-Z][A-Z_]{2,})`", text_of(ROOT / "docs" / "method.md")))
+    assert len(named) > 5
+    assert {name for name in named if not any(hasattr(module, name) for module in modules)} == set()
+
+
+@pytest.mark.parametrize("text", list(blocks("xml")))
+def test_scenes_load_and_echo(text):
+    Path("tank.sdf").write_text(text)
+    scene = sg.load_scene("tank.sdf")
+    assert scene.sonar_pose is not None
+    with sg.Simulator(scene, sg.load_sonar("p900-45"), tolerance=0.05) as simulator:
+        assert simulator.ping(scene.sonar_pose).intensity.any()
+
+
+@pytest.mark.parametrize("text", list(blocks("toml")))
+def test_sonars_load(text):
+    Path("mine.toml").write_text(text)
+    assert sg.load_sonar("mine.toml").name == "mine"
+
+
+@pytest.mark.slow
+def test_the_page_of_batches_runs(folder):
+    job, rig = (block.values[0] for block in blocks("toml", [BATCHES]))
+    Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
+    told = [p.values[0] for p in shell_lines() if p.values[0][:2] == ["sonar-gl", "batch"]]
+    told = list(dict.fromkeys(map(tuple, told)))  # README has some of them, too
+    assert [words[-1] for words in told] == ["--dry-run", "pylons", "--resume", "pylons"]
+    for words in told:
+        result = run(*words[1:])
+        assert result.exit_code == 0, result.output
+        assert "warning" not in result.output
+        if words[-1] == "--dry-run":
+            assert re.search(r"^9 pings in 1 parts of \d+$", result.stdout, re.M)
+            assert re.search(
+                r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ x \d+ samples", result.stdout, re.M
+            )
+            size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
+            assert re.search(r"^time: .* ms a ping, on .*\), .* at best in \d+", result.stdout, re.M)
+            assert set(os.listdir()) == {"pylons.toml", POSES_FILE}
+    found = sum(path.stat().st_size for path in Path("pylons").rglob("*") if path.is_file())
+    assert 0.8 < found / 9e3 / size_kb < 1.3  # the rest is what a whole batch has once
+    assert result.stdout == "pylons: all files are as they were written\n"
+    for block in blocks("python", [BATCHES]):
+        exec(compile(block.values[0], "example", "exec"), {"__name__": "__main__"})
+    assert Path("ping.png").stat().st_size > 10_000
+    shown = Path("rig.toml")
+    shown.write_text(job[: job.index("[[sonars]]")] + rig + job[job.index("[[poses]]") :])
+    requests = BatchRequests(read_job(shown))
+    assert np.allclose(requests.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
+    # the page's tables know every key, and no other
+    page = text_of(BATCHES)
+    keys = {
+        key
+        for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+        for key in re.findall(r"`\[*(\w+)", row)
+    }
+    assert set(Job.model_fields) - {"where", "folder", "vary"} <= keys
+    for kind, settings in re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE):
+        if kind in KINDS:
+            told = set(re.findall(r"`(\w+)`", settings))
+            assert told == {field.name for field in dataclasses.fields(KINDS[kind])} - {"seed"}, kind
+
+
+@pytest.mark.parametrize(
+    "message", re.findall(r"^\| `([^`]+)` \|", text_of(ROOT / "README.md"), re.MULTILINE)
+)
+def test_messages_of_the_readme_are_said(message):
+    if message.startswith("sonar-gl"):
+        return
+    said = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "sonar_gl").rglob("*.py"))
+    assert message in said
+
+
+def test_names_and_shapes_of_an_npz_are_those_of_the_page():
+    page = text_of(ROOT / "docs" / "conventions.md")
+    told = dict(re.findall(r"^\| `(\w+)` \| (\([^)]*\) \w+|JSON text)", page, re.MULTILINE))
+    scene, sonar = sg.load_scene("diver"), sg.load_sonar("demarco-2015")
+    with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+        ping = simulator.ping(scene.sonar_pose, sg.Noise.physical(), labels=True, background=["floor"])
+    sg.save_npz("diver.npz", ping)
+    letters = {sonar.n_beams: "B", sonar.n_bins: "K", len(scene.bodies) + 1: "M"}
+
+    def shape(array):
+        inner = ", ".join(str(letters.get(n, n)) for n in array.shape)
+        return f"({inner}{',' if array.ndim == 1 else ''}) {array.dtype}"
+
+    with np.load("diver.npz") as file:
+        fields = {name: shape(file[name]) for name in file.files if name != "meta"}
+    assert told == {**fields, "meta": "JSON text"}
+    assert set(told) == set(NPZ_FIELDS)
+    sentence = page[page.index("`meta` has") : page.index("in a sequence, `time_s`")]
+    assert set(re.findall(r"`(\w+)`", sentence)) - {"meta"} == set(ping.meta)

@@ -1,0 +1,202 @@
+"""Random input gives either one clear `sonar_gl.Error` or a finite image."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sonar_gl as sg
+from sonar_gl.cli.main import main
+
+pytestmark = pytest.mark.filterwarnings("ignore:sonar 'fuzz'")  # warnings that its angles look like radians
+
+# Examples are the same in each run, so that a failure comes from the code. Making a Simulator takes some 50 ms.
+FUZZ = settings(
+    max_examples=150, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+)
+LIGHT = settings(FUZZ, max_examples=30)
+
+ODD = [0.0, -0.0, 1e-30, 1e-9, 1e-3, 1.0, -1.0, 20.0, 1e4, 5e5, 1e9, 1e30, 1e300, np.inf, -np.inf, np.nan]
+odd_numbers = st.one_of(st.sampled_from(ODD), st.floats(-30, 30), st.floats(width=32))
+tame_numbers = st.one_of(st.floats(-30, 30), st.sampled_from([0.0, 1e-9, 1e-3, 5e5, 1e7]))
+
+
+@st.composite
+def sonars(draw):
+    """Draw valid and extreme sonars."""
+    n_beams = draw(st.sampled_from([1, 2, 3, 7, 64, 255]))
+    start = draw(st.sampled_from([0.0, 0.5, 3.0]))
+    fov = draw(st.one_of(st.sampled_from([0.01, 1.0, 60.0, 120.0, 179.9, 180.0, 360.0]), st.floats(1, 360)))
+    width = draw(st.sampled_from([0.001, 0.1, 1.0, 20.0, 180.0]))
+    return sg.Sonar(
+        "fuzz",
+        900e3,
+        n_beams,
+        draw(st.sampled_from([1, 2, 3, 100, 511])),
+        fov,
+        draw(st.sampled_from([0.01, 1.0, 20.0, 90.0, 170.0])),
+        width,
+        start,
+        start + draw(st.sampled_from([0.001, 1.0, 30.0, 1000.0])),
+    )
+
+
+@st.composite
+def meshes(draw):
+    """Draw modified shapes, and triangles of random numbers."""
+    kind = draw(st.sampled_from(["box", "ball", "sheet", "soup"]))
+    if kind == "soup":
+        n = draw(st.integers(1, 12))
+        numbers = odd_numbers if draw(st.booleans()) else tame_numbers
+        vertices = np.array(draw(st.lists(numbers, min_size=3 * n, max_size=3 * n))).reshape(n, 3)
+        faces = np.array(draw(st.lists(st.integers(0, n - 1), min_size=0, max_size=30))).astype(int)
+        return trimesh.Trimesh(vertices, faces[: len(faces) // 3 * 3].reshape(-1, 3), process=False)
+    mesh = {
+        "box": lambda: trimesh.creation.box((1, 2, 3)),
+        "ball": lambda: trimesh.creation.icosphere(1, 1.0),
+        "sheet": lambda: trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]], process=False),
+    }[kind]()
+    scale = draw(st.sampled_from([1.0, 1e-12, 1e-4, 100.0, 1e5, 1e12, 1e38]))
+    faces = np.asarray(mesh.faces)
+    change = draw(st.sampled_from(["none", "inside out", "twice", "open", "points"]))
+    faces = {
+        "none": faces,
+        "inside out": faces[:, ::-1],
+        "twice": np.vstack([faces, faces]),
+        "open": faces[: max(1, len(faces) // 2)],
+        "points": faces[:, [0, 0, 0]],
+    }[change]
+    return trimesh.Trimesh(mesh.vertices * scale, faces, process=False)
+
+
+angles = st.one_of(st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.pi, -np.pi, 1e-9]), st.floats(-6.28, 6.28))
+poses = st.tuples(tame_numbers, tame_numbers, tame_numbers, angles, angles, angles)
+
+
+@st.composite
+def bodies(draw):
+    """Draw functions from a name to a Body with a random mesh, pose, reflectivity and normals or none."""
+    mesh = draw(meshes())
+    normals = None
+    if draw(st.booleans()):
+        rows = len(mesh.vertices)
+        normals = np.resize(draw(st.lists(odd_numbers, min_size=3, max_size=9)), (rows, 3))
+    mu = draw(st.sampled_from([0.0, 1e-30, 0.5, 1.0, 1.5, np.nan]))
+    if draw(st.booleans()) and len(mesh.faces):
+        mu = np.linspace(0, min(mu, 1.0), len(mesh.faces))
+    pose = draw(poses)
+    return lambda name: sg.Body(name, mesh, sg.pose(*pose), mu, normals)
+
+
+def outcome(work):
+    """Return the result of `work`, or None if it raised an `Error` with a message of one line."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # warnings of empty pings and overflow
+        try:
+            return work()
+        except sg.Error as why:
+            assert "\n" not in str(why) and 20 < len(str(why)) < 400
+            return None
+
+
+def check(ping, n_bodies):
+    """Check that a ping is finite and its labels are consistent."""
+    shape = (len(ping.azimuth_rad), len(ping.range_m))
+    assert ping.intensity.shape == shape
+    assert np.isfinite(ping.intensity).all()
+    assert (ping.intensity >= 0).all()
+    if ping.body_id is None:
+        return
+    assert ping.body_id.max() <= n_bodies
+    # an echo too weak for float32 after the gain may still have its label
+    assert ((ping.intensity == 0) | (ping.body_id > 0)).all()
+    assert (np.isnan(ping.elevation_rad) == (ping.body_id == 0)).all()
+    assert (np.abs(ping.elevation_rad[ping.body_id > 0]) <= np.pi / 2).all()
+    assert np.isfinite(ping.body_echo).all()
+    assert ping.body_echo.sum() == pytest.approx(ping.intensity.sum(dtype=np.float64), rel=1e-3, abs=1e-30)
+
+
+@pytest.mark.slow
+@FUZZ
+@given(
+    sonar=sonars(),
+    things=st.lists(bodies(), max_size=3),
+    pose=poses,
+    columns=st.sampled_from([0.1, 1.0, 2.5]),
+    rows=st.sampled_from([1, 2, 17, 40]),
+    reducer=st.sampled_from(["footprint", "footprint", "point"]),
+    profile=st.sampled_from(["ideal", "physical", "demarco2015"]),
+    labels=st.booleans(),
+)
+def test_any_scene_sonar_and_pose(sonar, things, pose, columns, rows, reducer, profile, labels):
+    def work():
+        scene = sg.Scene([make(f"body {k}") for k, make in enumerate(things)])
+        sampling = sg.Sampling(columns, rows, reducer)
+        with sg.Simulator(scene, sonar, sg.Acoustics(profile), sampling) as simulator:
+            return simulator.ping(sg.pose(*pose), labels=labels)
+
+    ping = outcome(work)
+    if ping is not None:
+        check(ping, len(things))
+
+
+@LIGHT
+@given(
+    sonar=sonars(),
+    thing=bodies(),
+    pose=poses,
+    tolerance=st.one_of(st.sampled_from([0.1, 0.5]), odd_numbers),
+)
+def test_any_tolerance(sonar, thing, pose, tolerance):
+    def work():
+        with sg.Simulator(sg.Scene([thing("body")]), sonar, tolerance=tolerance) as simulator:
+            return simulator.ping(sg.pose(*pose), labels=True)
+
+    if not 0.05 <= tolerance < 0.5:  # finer ones take too long
+        tolerance = -abs(tolerance)
+    ping = outcome(work)
+    assert (ping is None) or (0.05 <= tolerance <= 0.5)
+    if ping is not None:
+        check(ping, 1)
+
+
+any_value = st.one_of(odd_numbers, st.integers(-5, 10**6), st.text(max_size=5), st.none(), st.booleans())
+
+
+@settings(FUZZ, max_examples=200)
+@given(
+    columns=any_value, rows=any_value, reducer=st.one_of(st.sampled_from(["point", "footprint"]), any_value)
+)
+def test_any_sampling(columns, rows, reducer):
+    sampling = outcome(lambda: sg.Sampling(columns, rows, reducer))
+    assert sampling is None or (0 < sampling.columns_per_beam <= 1024 and 1 <= sampling.rows <= 16_000)
+
+
+@settings(FUZZ, max_examples=200)
+@given(numbers=st.lists(any_value, min_size=8, max_size=8))
+def test_any_sonar(numbers):
+    frequency, beams, bins, *others = numbers
+    sonar = outcome(lambda: sg.Sonar("fuzz", frequency, beams, bins, *others))
+    if sonar is not None:
+        assert (np.diff(sonar.bin_edges_m) > 0).all()
+        assert np.isfinite(sonar.azimuth_rad).all()
+
+
+@LIGHT
+@given(
+    option=st.sampled_from(
+        ["--range", "--bins", "--tolerance", "--height", "--seed", "--pose", "--db-range"]
+    ),
+    value=st.one_of(odd_numbers.map(repr), st.text("0123456789.-+e x", max_size=8)),
+)
+def test_any_number_on_the_command_line(option, value):
+    """Invalid numbers end with exit status 2 and a message, without a traceback, before any drawing."""
+    # the scene does not exist, which ends the runs with valid numbers
+    run = CliRunner().invoke(main, ["render", "no such scene", f"{option}={value}"])
+    assert run.exit_code == 2
+    assert "Traceback" not in run.output
+    assert isinstance(run.exception, SystemExit)

@@ -1,0 +1,440 @@
+"""The Simulator from scene to ping: results, warnings of empty pings, and errors."""
+
+import gc
+import math
+import os
+import threading
+import time
+import warnings
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+
+BOX = sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2, 0), 0.8)
+SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
+SAMPLING = sg.Sampling(2, 40)
+
+
+def simulator(bodies=(BOX,), sonar=SONAR, acoustics=None, sampling=SAMPLING, **kw):
+    return sg.Simulator(
+        sg.Scene(bodies, name="things"), sonar, acoustics or sg.Acoustics.ideal(), sampling, **kw
+    )
+
+
+def test_a_target_to_port_is_at_positive_azimuth_and_left_in_the_picture():
+    with simulator() as it:
+        ping = it.ping(np.eye(4))
+    beam, _ = np.unravel_index(ping.intensity.argmax(), ping.intensity.shape)
+    assert ping.azimuth_rad[beam] == pytest.approx(math.atan2(2, 6), abs=0.15)
+    assert (np.diff(ping.azimuth_rad) > 0).all()
+    image = sg.fan_image(ping, height=200)
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    assert column < image.shape[1] / 2 - 10
+    assert row < image.shape[0] * 0.75
+
+
+def test_the_fields_of_a_ping():
+    with simulator(acoustics=sg.Acoustics.physical()) as it:
+        ping = it.ping(sg.pose(0.5, 0, 0), labels=True, seed=3)
+    assert ping.intensity.dtype == np.float32
+    assert ping.intensity.shape == ping.body_id.shape == ping.elevation_rad.shape == (64, 200)
+    assert ping.body_id.dtype == np.uint16
+    assert ping.elevation_rad.dtype == np.float32
+    np.testing.assert_allclose(ping.range_m, np.linspace(0.5, 20, 201)[:-1] + 19.5 / 400)
+    np.testing.assert_array_equal(ping.pose, sg.pose(0.5, 0, 0))
+    assert ping.meta["sonar"]["n_beams"] == 64
+    assert ping.meta["profile"] == "physical"
+    assert ping.meta["bodies"] == ["box"]
+    assert ping.meta["seed"] == 3
+    assert ping.meta["gl_renderer"]
+    assert np.isfinite(ping.intensity).all()
+    assert (ping.intensity >= 0).all()
+
+
+def test_the_same_input_gives_the_same_bytes():
+    """Results repeat in the same simulator after other pings, and in another simulator."""
+    noise = sg.Noise.physical()
+    with simulator() as first, simulator(sonar=replace(SONAR, n_bins=50)) as other:
+        a = first.ping(np.eye(4), noise, seed=7)
+        other.ping(sg.pose(1, 0, 0))
+        first.ping(sg.pose(0, 1, 0))
+        b = first.ping(np.eye(4), noise, seed=7)
+    with simulator() as again:
+        c = again.ping(np.eye(4), noise, seed=7)
+        d = again.ping(np.eye(4), noise, seed=8)
+    np.testing.assert_array_equal(a.intensity, b.intensity)
+    np.testing.assert_array_equal(a.intensity, c.intensity)
+    assert (a.intensity != d.intensity).any()
+
+
+def test_a_ping_does_not_overwrite_an_earlier_one():
+    with simulator() as it:
+        first = it.ping(np.eye(4), labels=True)
+        copies = first.intensity.copy(), first.body_id.copy()
+        it.ping(sg.pose(2, 0, 0), labels=True)
+    np.testing.assert_array_equal(first.intensity, copies[0])
+    np.testing.assert_array_equal(first.body_id, copies[1])
+
+
+def test_simulators_are_independent():
+    """Simulators made and closed in any order do not affect the open ones."""
+    simulators = [simulator() for _ in range(3)]
+    expected = simulators[0].ping(np.eye(4)).intensity
+    for _ in range(12):
+        simulators.pop(0).close()
+        simulators.append(simulator())
+        for it in simulators:
+            np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
+    for it in simulators:
+        it.close()
+        it.close()
+
+
+def test_a_ping_in_another_thread():
+    with simulator() as it:
+        here, there = it.ping(np.eye(4)).intensity, []
+        thread = threading.Thread(target=lambda: there.append(it.ping(np.eye(4)).intensity))
+        thread.start()
+        thread.join()
+    np.testing.assert_array_equal(here, there[0])
+
+
+def test_pings_in_two_threads_at_once():
+    poses = [sg.pose(0, y, 0) for y in (-1, 0, 1, 2)]
+    with simulator() as it:
+        alone = [it.ping(pose).intensity for pose in poses]
+        with ThreadPoolExecutor(4) as pool:
+            together = [ping.intensity for ping in pool.map(it.ping, poses * 5)]
+    for k, intensity in enumerate(together):
+        np.testing.assert_array_equal(intensity, alone[k % 4])
+
+
+def test_collecting_a_simulator_during_a_ping_of_another(monkeypatch):
+    """The finalizer of a simulator in a reference cycle runs while another simulator draws."""
+    with simulator() as it:
+        expected = it.ping(sg.pose(1, 0, 0)).intensity
+        it.ping(np.eye(4))
+        gc.disable()
+        cycle = [simulator()]
+        cycle.append(cycle)
+        del cycle
+        renderer = it.run.sampler.resolution.stage.renderer
+        render = renderer.render
+
+        def collecting(*args, **settings):
+            gc.collect()
+            return render(*args, **settings)
+
+        monkeypatch.setattr(renderer, "render", collecting)
+        got = it.ping(sg.pose(1, 0, 0)).intensity
+        gc.enable()
+    np.testing.assert_array_equal(got, expected)
+
+
+def test_bins_sum_and_do_not_average():
+    """The echo of two plates in one bin is the sum of their echoes."""
+    plate = trimesh.creation.box((0.01, 1, 0.2))
+    up, down = (sg.Body(name, plate, sg.pose(8, 0, z)) for name, z in (("up", 0.5), ("down", -0.5)))
+    sums = []
+    for bodies in ((up,), (down,), (up, down)):
+        with simulator(bodies) as it:
+            sums.append(it.ping(np.eye(4)).intensity)
+    np.testing.assert_allclose(sums[2], sums[0] + sums[1], rtol=1e-4, atol=1e-9)
+
+
+def test_gain_is_applied_per_bin():
+    acoustics = sg.Acoustics.physical(tvg_k=40.0, beam_pattern="box")
+    with simulator() as it:
+        ideal = it.ping(np.eye(4))
+    with simulator(acoustics=acoustics) as it:
+        physical = it.ping(np.eye(4))
+    gain = acoustics.range_gain(ideal.range_m, SONAR)
+    np.testing.assert_allclose(physical.intensity, ideal.intensity * gain, rtol=1e-5)
+    assert gain[-1] / gain[0] > 100
+
+
+def test_one_beam_one_bin_and_many():
+    for sonar in (
+        replace(SONAR, n_beams=1, n_bins=1, beam_width_deg=60.0),
+        replace(SONAR, n_beams=1, n_bins=8192),
+        replace(SONAR, n_beams=1001, n_bins=7, beam_width_deg=0.06),
+    ):
+        with simulator(sonar=sonar, sampling=None, tolerance=0.05) as it:
+            ping = it.ping(sg.pose(0, 2, 0))
+        assert ping.intensity.shape == (sonar.n_beams, sonar.n_bins)
+        assert ping.intensity.any()
+
+
+def test_point_cloud_lies_on_the_bodies():
+    with simulator() as it:
+        points, echo = it.point_cloud(sg.pose(0, 0, 0.1, 0, 0, 0.2), columns=120, rows=40)
+    assert points.shape == (*echo.shape, 3)
+    hit = np.isfinite(points[..., 0])
+    assert (hit == (echo > 0)).all()
+    world = points[hit].astype(float) @ sg.pose(0, 0, 0, 0, 0, 0.2)[:3, :3].T + [0, 0, 0.1]
+    outside = np.abs(world - [6, 2, 0]).max(axis=1) - 0.5
+    np.testing.assert_allclose(outside, 0, atol=1e-4)
+    azimuth = np.arctan2(points[..., 1], points[..., 0])[hit]
+    assert np.abs(azimuth).max() <= math.radians(30) + 1e-6
+
+
+def test_demarco_image_has_forward_up_and_port_left():
+    with simulator(sonar=replace(SONAR, range_max_m=10.0)) as it:
+        picture = sg.demarco_image(it, np.eye(4), seed=1, noise=sg.Noise(cloud_gaussian_m=0.01, median=0))
+        same = sg.demarco_image(it, np.eye(4), seed=1, noise=sg.Noise(cloud_gaussian_m=0.01, median=0))
+    np.testing.assert_array_equal(picture, same)
+    assert picture.dtype == np.uint8
+    assert picture.shape == (600, 600, 3)
+    # zero is a blue of 128 in the colour map jet; the echo is brighter
+    echo = np.argwhere((picture[..., 2] > 150) | (picture[..., 1] > 0))
+    assert (echo[:, 1] < 300).all()
+    # the near face of the box is 5.5 m ahead of the sonar at the bottom, at 60 pixels per metre
+    assert abs(echo[:, 0].max() - (600 - 5.5 * 60)) < 4
+
+
+def test_a_table_of_beams():
+    table = (-25.0, -3.0, 0.0, 17.0, 18.0, 19.0, 28.0)
+    sonar = replace(SONAR, n_beams=7, beam_azimuths_deg=table)
+    with simulator(sonar=sonar, sampling=sg.Sampling(40, 200)) as it:
+        ping = it.ping(np.eye(4))
+    np.testing.assert_allclose(np.degrees(ping.azimuth_rad), table)
+    # the box spans azimuths 13 to 25 degrees
+    assert (ping.intensity.sum(axis=1) > 0).tolist() == [False, False, False, True, True, True, False]
+    even = replace(SONAR, n_beams=1, azimuth_fov_deg=36.0)  # one beam, 1.5 degrees wide, at 0
+    turned = sg.pose(0, 0, 0, 0, 0, math.radians(18.0))
+    with simulator(sonar=even, sampling=sg.Sampling(60, 200)) as it:
+        alone = it.ping(turned).intensity[0]
+    np.testing.assert_allclose(ping.intensity[4].sum(), alone.sum(), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    "bodies, pose, message",
+    [
+        ((), np.eye(4), "no echo came back: the scene has no bodies"),
+        (
+            (BOX,),
+            sg.pose(-30, 2, 0),
+            "no echo came back: the nearest surface in the fan lies at 35.50 m, beyond range_max_m = 20",
+        ),
+        (
+            (BOX,),
+            sg.pose(5.3, 2, 0),
+            "no echo came back: the nearest surface in the fan lies at 0.20 m, nearer than range_min_m = 0.5",
+        ),
+        (
+            (replace(BOX, reflectivity=0.0),),
+            sg.pose(0, 2, 0),
+            "no echo came back: the nearest surface in the fan lies at 5.50 m, of reflectivity 0 or seen "
+            "edge-on",
+        ),
+        (
+            (BOX,),
+            sg.pose(0, 2, 5),
+            "no echo came back: no surface lies in the fan; the nearest is 'box', 7.11 m away at "
+            "azimuth 0.0° and elevation -39.3° of the sonar, which sees ±30° and ±10°; turn or move the "
+            "sonar",
+        ),
+    ],
+)
+def test_a_ping_without_an_echo_says_why(bodies, pose, message):
+    with simulator(bodies) as it, pytest.warns(UserWarning) as caught:
+        ping = it.ping(pose)
+    assert [str(w.message) for w in caught] == [message]
+    assert not ping.intensity.any()
+
+
+def test_a_ping_with_an_echo_does_not_warn():
+    with simulator() as it, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert it.ping(np.eye(4)).intensity.any()
+
+
+NAN_MESH = trimesh.Trimesh([[0, 0, np.nan], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+NAN = np.eye(4)
+NAN[0, 3] = np.nan
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (
+            lambda: sg.Simulator("pylon", SONAR),
+            "scene must be a Scene (got str; sonar_gl.load_scene makes one from a name or a file)",
+        ),
+        (
+            lambda: sg.Simulator(sg.Scene([BOX]), "p900-45"),
+            "sonar must be a Sonar (got str; sonar_gl.load_sonar makes one from a name or a file)",
+        ),
+        (
+            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, "physical"),
+            "acoustics must be an Acoustics (got str; such as sonar_gl.Acoustics.physical())",
+        ),
+        (
+            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, sampling=3),
+            "sampling must be a Sampling (got int; such as sonar_gl.Sampling(2, 100))",
+        ),
+        (
+            lambda: simulator().ping(np.eye(4), noise="physical"),
+            "noise must be a Noise (got str; such as sonar_gl.Noise.physical())",
+        ),
+        (
+            lambda: simulator().ping(np.eye(4), seed=1.5),
+            "seed must be a whole number, 0 or more (got 1.5)",
+        ),
+        (
+            lambda: simulator(sampling=None, tolerance=2.0),
+            "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
+        ),
+        (lambda: simulator().ping(NAN), "pose must be finite (got NaN or infinity in 1 of 16 numbers)"),
+        (lambda: simulator().ping(np.eye(3)), "pose must have shape (4, 4) (got (3, 3))"),
+        (
+            lambda: simulator().ping(np.diag([2.0, 2, 2, 1])),
+            "pose must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
+            "scale the mesh instead)",
+        ),
+        (
+            lambda: sg.pose(0, 0, 0, 0, 0, 90),
+            "pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; if these are degrees, "
+            "multiply by π/180; if they are unwrapped radians, wrap them)",
+        ),
+        (
+            lambda: sg.Body("b", trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [])),
+            "body 'b': mesh must have at least one face (got 3 vertices, 0 faces)",
+        ),
+        (
+            lambda: sg.Body("b", NAN_MESH),
+            "body 'b': mesh vertices must be finite (got NaN or infinity in 1 of 9 numbers)",
+        ),
+        (lambda: sg.Body("b", [1, 2]), "body 'b': mesh must be a trimesh.Trimesh (got list)"),
+        (
+            lambda: replace(BOX, reflectivity=255),
+            "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",
+        ),
+        (lambda: sg.Scene([BOX, BOX]), "names of bodies must be unique (got 'box' more than once)"),
+    ],
+)
+def test_invalid_arguments_raise_errors(make, message):
+    with pytest.raises(sg.Error) as caught:
+        make()
+    assert str(caught.value) == message
+
+
+def test_a_closed_simulator_raises_an_error():
+    it = simulator()
+    it.close()
+    with pytest.raises(sg.Error) as caught:
+        it.ping(np.eye(4))
+    assert str(caught.value) == "this Simulator is closed; make a new one"
+
+
+def test_reference_and_raster_agree_on_the_pylons():
+    """Ray casting by Embree and rasterization, which share no code, agree on a bundled scene with flat faces."""
+    scene = sg.load_scene("pylon")
+    flat = sg.Scene([replace(body, normals=None) for body in scene.bodies], scene.sonar_pose)
+    sonar = replace(SONAR, n_beams=64, azimuth_fov_deg=45.0, beam_width_deg=1.0, range_max_m=30.0)
+    truth = sg.reference_ping(flat, sonar, scene.sonar_pose, sg.Acoustics.ideal(), error=0.03).intensity
+    errors = []
+    for tolerance in (0.05, 0.01, 0.002):
+        with sg.Simulator(flat, sonar, sg.Acoustics.ideal(), tolerance=tolerance) as it:
+            errors.append(np.abs(it.ping(scene.sonar_pose).intensity - truth).sum() / truth.sum())
+    assert errors[1] < 0.01
+    assert errors[0] > 2 * errors[1]
+    assert errors[2] < errors[1]
+
+
+@pytest.mark.parametrize("fov", [100.0, 200.0, 360.0])
+def test_demarco_image_of_wide_fans(fov):
+    room = sg.Body("room", trimesh.creation.box((12, 10, 4)), reflectivity=1.0)
+    with simulator((room,), replace(SONAR, azimuth_fov_deg=fov, n_beams=8)) as it:
+        points, _ = it.point_cloud(np.eye(4), columns=1500, rows=5)
+        picture = sg.demarco_image(it, np.eye(4), range_law="constant")
+    azimuth = np.arctan2(points[2, :, 1], points[2, :, 0])
+    assert 1500 <= points.shape[1] < 1520
+    assert np.degrees(np.abs(azimuth)).max() == pytest.approx(fov / 2, abs=fov / 1000)
+    assert (np.diff(azimuth) > 0).all()
+    assert (picture[..., 0] > 0).any()
+
+
+def test_a_simulator_in_a_forked_process_raises_an_error():
+    """A forked process has no OpenGL context; it gets an error, does not hang, and leaves its parent's context."""
+    with simulator() as it:
+        expected = it.ping(np.eye(4)).intensity
+        read, write = os.pipe()
+        child = os.fork()
+        if child == 0:  # pragma: no cover
+            try:
+                it.ping(np.eye(4))
+            except sg.Error as why:
+                os.write(write, str(why).encode())
+            it.close()
+            os._exit(0)
+        os.close(write)
+        with os.fdopen(read) as pipe:
+            message = pipe.read()
+        os.waitpid(child, 0)
+        np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
+    assert message == "a Simulator must be used in the process that made it; make one in each process"
+
+
+def test_pings_do_not_share_mutable_state():
+    with simulator() as it:
+        first = it.ping(np.eye(4))
+        first.meta["sonar"]["n_beams"] = -1
+        second = it.ping(np.eye(4), sg.Noise(gaussian=1e-6), labels=True)
+    assert second.meta["sonar"]["n_beams"] == 64
+    for array in (first.intensity, second.intensity, second.body_id, second.elevation_rad):
+        assert not array.flags.writeable
+    assert not first.range_m.flags.writeable
+    assert not first.azimuth_rad.flags.writeable
+
+
+def test_a_deleted_simulator_is_freed():
+    it = simulator()
+    it.ping(np.eye(4))
+    beamformer = weakref.ref(it.run.sampler.resolution.stage.beamformer)
+    del it
+    for _ in range(50):  # the second thread drops its last work with a delay
+        gc.collect()
+        if beamformer() is None:
+            break
+        time.sleep(0.01)
+    assert beamformer() is None
+
+
+def test_point_clouds_do_not_leak_gl_objects():
+    """Each call deletes the objects that the last one released, so their number does not grow."""
+    with simulator() as it:
+        waiting = []
+        for _ in range(6):
+            it.point_cloud(np.eye(4), 40, 10)
+            with it.run.drawing() as context:
+                waiting.append(len(context.objects))
+        assert len(set(waiting[1:])) == 1
+
+
+def test_closing_in_another_thread_while_a_ping_waits():
+    it = simulator()
+    outcome = []
+
+    def wait():
+        try:
+            it.ping(np.eye(4))
+        except Exception as why:
+            outcome.append(why)
+
+    with it.run.drawing():
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+        time.sleep(0.1)
+        closing = threading.Thread(target=it.close)
+        closing.start()
+        time.sleep(0.1)
+    closing.join()
+    waiting.join()
+    assert [type(why) for why in outcome] == [sg.Error]

@@ -1,0 +1,218 @@
+"""Specular lobes: a sphere's target strength, agreement of four implementations, and raster against ray casting."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.acoustics.boundary import specular_lobe
+from sonar_gl.analysis import rays
+from sonar_gl.analysis.verify import ping_error
+from sonar_gl.engine.visibility import BodyExtents
+from sonar_gl.raster import buffers, small_triangles
+from sonar_gl.raster import level_of_detail as detail
+from sonar_gl.scene import primitives
+from sonar_gl.scene.materials import material
+from tests.support import glsl
+
+SONAR = sg.Sonar("test", 900e3, 64, 200, 32.0, 20.0, 0.5, 0.5, 12.0)  # box beams without overlap
+BEAM_SR = np.radians(0.5) * 2 * np.sin(np.radians(10))
+AHEAD = np.eye(4)
+
+
+IDEAL = replace(sg.Acoustics.ideal(), specular=True)
+
+
+def body(name, shape, pose, reflectivity=0.0, specular=0.8, roughness_rad=0.1):
+    return sg.Body(name, shape[0], pose, reflectivity, shape[1], specular, roughness_rad)
+
+
+def ping(bodies, acoustics=IDEAL, sampling=None, sonar=SONAR, pose=AHEAD):
+    with sg.Simulator(sg.Scene(bodies), sonar, acoustics, sampling) as simulator:
+        return simulator.ping(pose)
+
+
+def sphere_total(radius, distance, strength, slope):
+    """Return the echo of a sphere in steradians, summed over its near side."""
+    theta = np.linspace(0, np.pi / 2, 200_001)[:-1]
+    # a ray η off the axis makes θ with the normal where it meets the sphere: sin η = a/d sin θ
+    eta = np.arcsin(radius / distance * np.sin(theta))
+    return np.trapezoid(specular_lobe(np.cos(theta), strength, slope) * 2 * np.pi * np.sin(eta), eta)
+
+
+@pytest.mark.parametrize("slope", [0.02, 0.05, 0.1, 0.2, 0.4])
+def test_the_formula_gives_the_target_strength_of_a_sphere(slope):
+    """σ = |R|² a² / 4 for every roughness, to second order."""
+    total = sphere_total(0.1, 10.0, 0.8, slope)
+    # ∫ t √(1 + t²) exp(−t² / 2s²) dt / s² = 1 + s² − s⁴ + ..; at a finite distance a/d is off by its square
+    assert total / (np.pi * 0.1**2 / 4 * 0.8 / 10.0**2) == pytest.approx(1 + slope**2, abs=slope**4 + 2e-4)
+
+
+@pytest.mark.parametrize("slope", [0.02, 0.05, 0.1, 0.4])
+@pytest.mark.parametrize("how", ["raster", "rays"])
+def test_a_sphere_has_its_target_strength(slope, how):
+    ball = body("ball", primitives.sphere(0.5), sg.pose(5.0), roughness_rad=slope)
+    rays = how == "rays"
+    found = sg.reference_ping(sg.Scene([ball]), SONAR, AHEAD, IDEAL) if rays else ping([ball])
+    total = float(found.intensity.sum(dtype=np.float64)) * BEAM_SR
+    # the mesh is within 5e-4 of the radius, and interpolated normals err slightly; the tolerance allows the rest
+    assert total == pytest.approx(sphere_total(0.5, 5.0, 0.8, slope), rel=6e-3)
+
+
+def test_all_implementations_of_the_lobe_agree():
+    cosine = np.concatenate([[0.0, 1e-4, 1.0], np.random.default_rng(0).uniform(0.2, 1, 4093)])
+    strength, slope = np.float32(0.7), np.random.default_rng(1).uniform(0.02, 0.5, 4096)
+    want = specular_lobe(cosine.astype(np.float32), 0.7, slope.astype(np.float32))
+    assert np.isfinite(want).all() and (want >= 0).all()
+    inputs = {"cosine": cosine, "slope": slope}
+    got = glsl.call("echo.glsl", inputs, "specular_lobe(cosine, 0.7, slope)")[:, 0]
+    # tan² in float32 errs by 2e-7, divided by 2 s² of 1e-3; in the tail the exponent of -88 errs by 1e-5 of itself
+    np.testing.assert_allclose(got, want, rtol=2e-3, atol=1e-9)
+
+    places, values = np.zeros((4096, 2), np.int32), np.zeros((4096, 4), np.float32)
+    for k in range(0, 4096, 97):  # 1/x is 1/4 in the middle: range 4
+        values[k] = 0.25, 0, 0, 4 * cosine[k]
+        small_triangles.add_lobe(
+            k, k + 1, places, values, 0.3, strength, np.float32(slope[k]), np.zeros(3), np.zeros(3)
+        )
+        assert values[k, 3] == pytest.approx(4 * (0.3 * cosine[k] + want[k]), rel=1e-3, abs=1e-9)
+        assert rays.backscatter(cosine[k], 0.3, 0.7, slope[k]) == pytest.approx(
+            0.3 * cosine[k] + want[k], rel=1e-3, abs=1e-9
+        )
+
+
+def shiny_world(slope=0.1):
+    """Return a floor of sand; a sphere, a horizontal cylinder and a plate of smooth steel; a box with a μ per face."""
+    steel = material("steel")
+    smooth_steel = {"reflectivity": steel.reflectivity, "specular": steel.specular, "roughness_rad": slope}
+    box, plate = trimesh.creation.box((0.6, 0.6, 0.6)), (trimesh.creation.box((0.02, 1.0, 1.0)), None)
+    across = sg.pose(7, -0.7, -1.2, roll=np.pi / 2, yaw=0.15)
+    return [
+        sg.Body("floor", primitives.plane(size=(40, 40))[0], sg.pose(z=-1.5), "sand"),
+        body("sphere", primitives.sphere(0.4), sg.pose(5, 0.8, -1.0), **smooth_steel),
+        body("cylinder", primitives.cylinder(0.2, 1.5), across, **smooth_steel),
+        body("plate", plate, sg.pose(8.5, 1.0, -0.9, yaw=0.1), **smooth_steel),
+        sg.Body("box", box, sg.pose(6, -1.3, -1.2), np.linspace(0.1, 0.9, 12), None, 0.05, 0.3),
+    ]
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.1])
+@pytest.mark.parametrize("profile", ["ideal", "physical"])
+def test_raster_against_rays(profile, slope):
+    scene = sg.Scene(shiny_world(slope))
+    acoustics, pose = replace(getattr(sg.Acoustics, profile)(), specular=True), sg.pose(pitch=0.1)
+    truth = sg.reference_ping(scene, SONAR, pose, acoustics)
+    found = ping(scene.bodies, acoustics, pose=pose)
+    assert ping_error(found, truth) <= 0.01
+    dark = ping(scene.bodies, replace(acoustics, specular=False), pose=pose)
+    assert ping_error(dark, truth) > 0.1  # the lobes count
+
+
+def test_software_rasterization_agrees_with_the_driver(monkeypatch):
+    """Software rasterization of small triangles gives the driver's echo."""
+    both = []
+    bodies = shiny_world()
+    for software in (True, False):
+        monkeypatch.setattr(buffers, "is_software", lambda _, software=software: software)
+        both.append(ping(bodies, sampling=sg.Sampling(3, 200), pose=sg.pose(pitch=0.1)).intensity)
+    # except for samples on edges of triangles, which may fall to either side
+    assert np.abs(both[0] - both[1]).sum() < 2e-3 * both[0].sum()
+    monkeypatch.setattr(buffers, "MIN_INDIRECT_VERSION", 999)  # as with a driver without indirect draws
+    again = ping(bodies, sampling=sg.Sampling(3, 200), pose=sg.pose(pitch=0.1)).intensity
+    np.testing.assert_array_equal(again, both[1])
+
+
+def test_lobes_need_both_the_setting_and_a_specular_body():
+    bodies = shiny_world()
+    matt = [replace(one, specular=0.0) for one in bodies]
+    plain = sg.Acoustics.ideal()
+    some = sg.Sampling(2, 80)
+    want = ping(matt, plain, some).intensity.tobytes()
+    assert ping(bodies, plain, some).intensity.tobytes() == want
+    assert ping(matt, IDEAL, some).intensity.tobytes() == want
+    assert ping(bodies, IDEAL, some).intensity.tobytes() != want
+
+
+def test_simulators_of_one_world_have_separate_acoustics():
+    bodies, some = shiny_world(), sg.Sampling(2, 80)
+    want = [ping(bodies, acoustics, some).intensity.tobytes() for acoustics in (sg.Acoustics.ideal(), IDEAL)]
+    with (
+        sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), some) as one,
+        sg.Simulator(one, SONAR, IDEAL, some) as other,
+    ):
+        for _ in range(2):
+            assert [it.ping(AHEAD).intensity.tobytes() for it in (one, other)] == want
+
+
+def test_levels_of_detail_do_not_change_a_lobe(monkeypatch):
+    """Coarser levels of a mesh are not used for a body with a specular lobe."""
+    mesh = trimesh.creation.icosphere(7, 0.5)
+    assert len(mesh.faces) > detail.MIN_FACES_TO_SIMPLIFY
+    normals = np.asarray(mesh.vertices, np.float32) * 2
+    ball = sg.Body("ball", mesh, sg.pose(6), 0.0, normals, 0.8, 0.03)
+    some = sg.Sampling(8, 300)
+    fine = ping([ball], sampling=some)
+    monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 10**9)
+    np.testing.assert_allclose(fine.intensity, ping([replace(ball)], sampling=some).intensity, rtol=1e-4)
+    total = float(fine.intensity.sum(dtype=np.float64)) * BEAM_SR
+    assert total == pytest.approx(sphere_total(0.5, 6.0, 0.8, 0.03), rel=6e-3)
+
+
+def test_a_body_takes_its_values_from_a_material():
+    steel, one = material("steel"), sg.Body("one", trimesh.creation.box(), reflectivity="Steel")
+    assert (one.reflectivity, one.specular, one.roughness_rad) == (steel.reflectivity, steel.specular, 0.1)
+    assert one.material == "steel"
+    assert replace(one, pose=sg.pose(1)).material == "steel"
+    rusty = sg.Body("one", trimesh.creation.box(), reflectivity="steel", roughness_rad=0.3, specular=0.2)
+    assert (rusty.reflectivity, rusty.specular, rusty.roughness_rad) == (steel.reflectivity, 0.2, 0.3)
+    plain = sg.Body("one", trimesh.creation.box())
+    assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
+    sand = sg.Body("one", trimesh.creation.box(), reflectivity="sand")
+    assert (sand.specular, sand.roughness_rad, sand.material) == (0.0, 0.1, "medium_sand")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"reflectivity": "steal"}, "body 'one': unknown material (got 'steal'; did you mean 'steel'"),
+        ({"specular": 1.5}, "body 'one': specular must lie in 0..1 (got 1.5)"),
+        ({"specular": np.nan}, "body 'one': specular must lie in 0..1 (got nan)"),
+        ({"specular": "much"}, "body 'one': specular must be a number (got 'much')"),
+        ({"roughness_rad": 0.0}, "body 'one': roughness_rad must lie in 0.01..0.5 (got 0)"),
+        ({"roughness_rad": 5.0}, "body 'one': roughness_rad must lie in 0.01..0.5 (got 5)"),
+    ],
+)
+def test_invalid_materials_raise_errors(arguments, message):
+    with pytest.raises(sg.Error, match=re.escape(message)):
+        sg.Body("one", trimesh.creation.box(), **arguments)
+
+
+def test_the_greatest_echo_of_a_body_includes_its_lobe():
+    """A body with a specular lobe and μ = 0 is searched for where no sample hit it."""
+    wire = body("wire", primitives.cylinder(0.002, 1.0), sg.pose(8), 0.1, 0.8, 0.1)
+    assert BodyExtents([wire]).reflectivity.tolist() == [0.0, 0.1]
+    assert BodyExtents([wire], specular=True).reflectivity[1] == pytest.approx(
+        0.1 + specular_lobe(1, 0.8, 0.1)
+    )
+
+
+def test_a_replaced_body_takes_its_values_from_the_new_material():
+    steel = sg.Body("ball", trimesh.creation.icosphere(2), reflectivity="steel")
+    sand = replace(steel, reflectivity="medium sand")
+    fresh = sg.Body("ball", steel.mesh, reflectivity="medium_sand")
+    for name in ("reflectivity", "specular", "roughness_rad", "material"):
+        assert getattr(sand, name) == getattr(fresh, name), name
+
+
+def test_an_unknown_material_raises_an_error_with_the_body_s_name():
+    with pytest.raises(sg.Error, match=r"body 'ball': unknown material \(got 'stel'; did you mean 'steel'"):
+        sg.Body("ball", trimesh.creation.icosphere(2), material="stel")
+
+
+@pytest.mark.parametrize("bodies", ["pylon", [3], None, 7])
+def test_other_contents_of_a_scene_raise_errors(bodies):
+    with pytest.raises(sg.Error, match="a body of a scene must be a"):
+        sg.Scene(bodies)

@@ -1,0 +1,275 @@
+"""Every tool runs, and its figures agree with one another and with the pages of docs/."""
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sonar_gl.analysis.terms import TERMS
+from tools.bench import harness
+from tools.bench.harness import Aim, Contender
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(module, *words):
+    """Run a tool in a process of its own; return what it printed."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", module, *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def bench(*words):
+    """Run a bench; return its figures, and what it printed."""
+    printed = run("tools.bench", *words, "--json", "found.json")
+    return json.loads(Path("found.json").read_text()), printed
+
+
+def test_contenders_take_turns_and_slow_ones_skip_rounds():
+    calls = []
+
+    def noted(name):
+        return lambda number: calls.append((name, number))
+
+    contenders = {"a": noted("a"), "b": Contender(noted("b"), before=noted("before b"), every=2)}
+    times = harness.take_turns(contenders, rounds=2, warm_up=1)
+    assert calls == [
+        ("a", 0),
+        ("before b", 0),
+        ("b", 0),
+        ("a", 1),
+        ("a", 2),
+        ("before b", 2),
+        ("b", 2),
+    ]
+    assert (len(times["a"]), len(times["b"])) == (2, 1)
+    assert all((ms >= 0).all() for ms in times.values())
+
+
+def test_ratios_are_those_of_rounds():
+    assert harness.ratio([2.0, 30.0, 4.0], [1.0, 10.0, 4.0]) == 2.0
+
+
+def test_aims_are_bounds_from_either_side():
+    assert Aim("rate", 1.5, "times", 1.5, at_least=True).met
+    assert not Aim("rate", 1.4, "times", 1.5, at_least=True).met
+    assert Aim("time", 1.4, "ms", 1.5).met
+    assert not Aim("time", 1.6, "ms", 1.5).met
+
+
+def test_tables_are_aligned(capsys):
+    harness.print_table([{"name": "a", "ms": "1.50"}, {"name": "longer", "ms": "10.25"}])
+    assert capsys.readouterr().out.splitlines() == ["  name       ms", "  a        1.50", "  longer  10.25"]
+    assert harness.markdown([{"name": "a", "ms": 1}]) == "| name | ms |\n|---|---|\n| a | 1 |"
+
+
+def test_unknown_benches_are_refused():
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.bench", "speed"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("there is no bench 'speed' (known are ping, frame, ")
+
+
+@pytest.mark.slow
+def test_bench_ping():
+    found, printed = bench("--scene", "pylon", "--rounds", "2", "--rays", "1000000")
+    (scene,) = found["scenes"]
+    footprint, point = (scene["samplings"][name]["error"] for name in ("2 x 64", "2 x 64, point"))
+    # so few rays allow no stronger statement
+    assert 0 < footprint < point
+    assert f"{footprint:.2%}" in printed
+
+
+@pytest.mark.slow
+def test_bench_frame():
+    found, _ = bench("frame", "--quick")
+    assert len(found["frames"]) == 2  # sonars
+    for ms in found["frames"].values():
+        # medians of two rounds are means, so that the parts of a frame add up
+        added = ms["noise"] + ms["fan image"] + ms["Jet"] + ms["physical over ideal"]
+        assert ms["frame over bare ping"] == pytest.approx(added)
+        assert min(ms["ping, ideal"], ms["rays by packets"], ms["rays by embreex"]) > 0
+
+
+@pytest.mark.slow
+def test_bench_paper():
+    found, printed = bench("paper", "--quick", "--scene", "pylon")
+    assert all(mean > 0 for mean, _ in found["rates_hz"]["pylon"].values())
+    assert re.search(r"^  pylon +3\.1 ", printed, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_bench_start():
+    found, _ = bench("start", "--quick", "--only", "import sonar_gl")
+    assert found["processes"]["import sonar_gl"]["peak_mb"] > 5  # the interpreter alone takes more
+
+
+@pytest.mark.slow
+def test_bench_scaling():
+    found, printed = bench("scaling", "--quick", "--large", "--out", "scaled")
+    with open("scaled/scaling.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    axes = {row["axis"] for row in rows}
+    assert axes == {
+        "triangles",
+        "beams",
+        "bins",
+        "field of view, degrees",
+        "bodies",
+        "tolerance",
+        "one triangle",
+    }
+    assert all(float(row["ms_median"]) > 0 for row in rows)
+    same = {
+        row["at"]: row["samples"] for row in rows if row["line"] == "same samples" and "field" in row["axis"]
+    }
+    columns = {at: int(samples.split()[0]) for at, samples in same.items()}
+    # eight times the fan; the beam pattern beyond its ends counts more for the narrow one, and the floor ends
+    assert 6 < columns["360"] / columns["45"] < 8.5
+    assert Path("scaled/pictures/scaling.png").stat().st_size > 10_000
+    assert found["large"]["triangles"] >= 200_000
+    assert found["large"]["peak_mb"] > 100
+    check_aims(found["aims"], printed, 6)
+
+
+@pytest.mark.slow
+def test_bench_changes():
+    found, printed = bench("changes", "--quick")
+    check_aims(found["aims"], printed, 10)
+
+
+def check_aims(aims, printed, least):
+    """Every aim is printed, with the verdict that its figure calls for."""
+    assert len(aims) >= least
+    for aim in aims:
+        apart = (aim["measured"] - aim["limit"]) * (1 if aim["at_least"] else -1)
+        assert aim["met"] == (apart >= 0)
+        (line,) = (line for line in printed.splitlines() if line.startswith(f"  {aim['name']} "))
+        assert line.endswith("met" if aim["met"] else "missed")
+
+
+@pytest.mark.slow
+def test_bench_embed():
+    found, _ = bench("embed", "--only", "pylon", "--quick")
+    errors = {(row["mode"][0], row["samples"]): row["error"] for row in found["modes"]["pylon"]}
+    for samples in ("0.5 x 24", "1 x 48"):  # the modes in which a host draws as the simulator does
+        assert errors["s", samples] == errors["1", samples]
+        assert errors["s", samples] == pytest.approx(errors["2", samples], rel=1e-3)  # its own vertex shader
+    for mode in "34":  # finer images err less
+        assert 0 < errors[mode, "126 x 60"] < 0.7 * errors[mode, "66 x 32"]
+
+
+@pytest.mark.slow
+def test_bench_host():
+    found, _ = bench("host", "egl_host")
+    assert [row["mode"] for row in found["modes"]] == ["1", "2"]
+    assert all(row[name] > 0 for row in found["modes"] for name in ("ms", "standalone_ms", "ratio"))
+
+
+@pytest.mark.slow
+def test_bench_batch():
+    found, _ = bench("batch", "--quick", "rate", "writing", "plan", "long", "--pings", "12")
+    rate, writing, plan = found["rate"], found["writing"], found["plan"]
+    for pair in ("b / a", "c / a", "c / b"):  # of one round
+        assert rate[pair] == pytest.approx(rate[pair[0]] / rate[pair[-1]])
+    stages = [busy_s for stage, (_, busy_s) in writing.items() if stage != "all"]
+    assert len(stages) == 5
+    assert 0 < sum(stages) < writing["all"][1]
+    hours = {row["workers"]: row["hours"] for row in plan["workers"]}
+    assert hours[1] == pytest.approx(1e7 / (rate["c"] / 2) / 3600)
+    assert hours[1] == pytest.approx(10 * hours[10])
+    assert found["long"]["pings"] == 12
+    # a whole batch has some files once, and few pings to share them
+    assert found["long"]["mb"] * 1e3 / 12 == pytest.approx(rate["kB a ping"], rel=1.0)
+
+
+@pytest.mark.slow
+def test_promise():
+    printed = run("tools.promise", "--worlds", "1", "--first", "1001")
+    rows = re.findall(r"^([\d.]+) +1 +([01]) +([01]) +([01]) ", printed, re.MULTILINE)
+    assert [float(tolerance) for tolerance, *_ in rows] == [0.05, 0.02, 0.01]
+    # one world is no evidence for 95 of 100, but of this one the outcome is known
+    assert all(kept == met == "1" for _, kept, met, _ in rows)
+
+
+@pytest.mark.slow
+def test_failures():
+    printed = run("tools.docs.failures", "--soak", "50")
+    assert printed.startswith("50 pings, ")
+    before, after = re.findall(r"^GL objects (?:before|after) +(.+)$", printed, re.MULTILINE)
+    assert before == after
+
+
+@pytest.mark.slow
+def test_gallery():
+    run("tools.docs.gallery", "diver_vertical", "--out", "pictures")
+    published = (ROOT / "docs" / "pictures").glob("diver_vertical*")
+    assert {path.name for path in Path("pictures").iterdir()} == {path.name for path in published}
+
+
+@pytest.mark.slow
+def test_ablation():
+    """The table of the pylon is that of the page, but for times."""
+    Path("docs", "pictures").mkdir(parents=True)
+    Path("docs", "ablation.md").write_text("<!-- table pylon -->\nold\n<!-- end -->\n")
+    run("tools.docs.ablation", "pylon", "--docs", "docs")
+    (picture,) = Path("docs", "pictures").iterdir()
+    assert picture.name == "ablation_pylon.png"
+    made = Path("docs", "ablation.md").read_text()
+    assert "old" not in made
+    published = (ROOT / "docs" / "ablation.md").read_text(encoding="utf-8")
+    rows, page = (
+        re.findall(r"^\| ([\w ]+) \| ([\d.e-]+) % \|", text, re.MULTILINE) for text in (made, published)
+    )
+    assert [name for name, _ in rows] == [term.name for term in TERMS]
+    np.testing.assert_allclose(
+        [float(share) for _, share in rows],
+        [float(share) for _, share in page[: len(TERMS)]],
+        rtol=0.1,
+        atol=0.01,
+    )
+
+
+@pytest.mark.slow
+def test_cost_of_multipath():
+    printed = run("tools.docs.ablation", "tank", "--cost")
+    assert re.match(
+        r"tank +[1-9]\d* planar reflectors, [1-9] simulated; a ping +[\d.]+ ms, "
+        r"multipath +[\d.-]+ of it, [\d.-]+ per reflector",
+        printed,
+    )
+
+
+@pytest.mark.slow
+def test_generated_scenes_are_those_in_the_repository():
+    run("tools.docs.make_scenes", "--out", "scenes")
+    made = sorted(Path("scenes").iterdir())
+    assert [path.name for path in made if path.suffix == ".png"] == ["ocean_floor.png"]
+    assert len(made) == 5
+    for path in made:
+        published = ROOT / "scenes" / path.name
+        if path.suffix == ".png":  # OpenCV's versions pack alike pixels differently
+            here, there = (cv2.imread(str(one), cv2.IMREAD_UNCHANGED) for one in (path, published))
+            np.testing.assert_array_equal(here, there)
+        else:
+            assert path.read_text(encoding="utf-8") == published.read_text(encoding="utf-8")

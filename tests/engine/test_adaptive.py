@@ -1,0 +1,262 @@
+"""Samples for a tolerance: their choice by the view, its revision as the sonar moves, and its report."""
+
+import math
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.analysis.verify import ping_error
+from sonar_gl.engine import adaptive
+from sonar_gl.engine.adaptive import CHECK_EVERY
+from sonar_gl.engine.visibility import count_bodies
+from sonar_gl.sonar.sampling import sampling_at
+
+SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
+IDEAL = sg.Acoustics.ideal()
+
+
+def ball(x=8.0, radius=1.0, name="ball", **more):
+    return sg.Body(name, trimesh.creation.icosphere(4, radius), sg.pose(x), **more)
+
+
+def level(simulator):
+    return simulator.run.sampler.plan.level
+
+
+def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
+    scene = sg.Scene([ball()])
+    truth = sg.reference_ping(scene, SONAR, np.eye(4), IDEAL, error=0.02)
+    levels, errors = [], []
+    for tolerance in (0.1, 0.03, 0.01):
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=tolerance) as simulator:
+            ping = simulator.ping(np.eye(4))
+            levels.append(level(simulator))
+        errors.append(ping_error(ping, truth))
+        assert errors[-1] <= tolerance
+        assert 0 < ping.error_estimate <= tolerance
+        assert ping.meta["tolerance"] == tolerance
+    assert levels == sorted(set(levels)) and errors == sorted(errors, reverse=True)
+
+
+def test_the_level_depends_on_the_scene():
+    """A wall needs the coarsest level, a row of rods a fine one."""
+    wall = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8))])
+    rods = sg.Scene(
+        [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+    )
+    with sg.Simulator(wall, SONAR, IDEAL) as simulator:
+        simulator.ping(np.eye(4))
+        assert level(simulator) == 0
+    with sg.Simulator(rods, SONAR, IDEAL) as simulator:
+        simulator.ping(np.eye(4))
+        assert level(simulator) > 8
+
+
+def test_small_bodies_get_the_samples_that_their_echo_needs():
+    wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(19), reflectivity=0.05)
+    scene = sg.Scene([wall, ball(x=12, radius=0.07, reflectivity=1.0)])
+    truth = sg.reference_ping(scene, SONAR, np.eye(4), IDEAL, error=0.02)
+    assert 1e-3 < truth.body_echo[2] / truth.body_echo.sum() < 1e-2
+    with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+        ping = simulator.ping(np.eye(4), labels=True)
+        samples = count_samples(simulator)
+        assert abs(ping.body_echo[2] / truth.body_echo[2] - 1) < 5 * 0.02
+        # at the coarsest level, sufficient for the wall, fewer than twenty samples hit the ball
+        coarse = sampling_at(SONAR, 0)
+    with sg.Simulator(scene, SONAR, IDEAL, coarse) as simulator:
+        assert count_samples(simulator)[2] < 20 < samples[2]
+
+
+def count_samples(simulator):
+    run = simulator.run
+    stage, gain = run.sampler.resolution.stage, run.instrument.gain
+    with run.drawing():
+        (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
+        table = stage.beamformer.elevation_table
+        return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, table).samples
+
+
+@pytest.mark.parametrize("tolerance, radius", [(0.05, 0.008), (0.01, 0.02)])
+def test_a_body_missed_by_the_first_samples_is_found(tolerance, radius):
+    """The ball is too small for the coarse lattice, and the only source of echo."""
+    speck = sg.Scene([ball(x=18, radius=radius)])
+    with sg.Simulator(speck, SONAR, IDEAL, sampling_at(SONAR, 4)) as simulator, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert not simulator.ping(np.eye(4)).intensity.any()
+    with sg.Simulator(speck, SONAR, IDEAL, tolerance=tolerance) as simulator:
+        ping = simulator.ping(np.eye(4))
+        assert simulator.run.sampler.plan.met
+    truth = sg.reference_ping(
+        sg.Scene([ball(x=18, radius=radius)]),
+        replace(SONAR, n_beams=1, azimuth_fov_deg=1.0),
+        np.eye(4),
+        IDEAL,
+        0.1,
+    )
+    # the single beam receives all of the echo, as does every beam within half a degree
+    assert ping.intensity.max(axis=0).sum() == pytest.approx(truth.intensity.sum(), rel=0.1)
+
+
+class TestMoving:
+    def scene(self):
+        return sg.Scene([ball(), sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))])
+
+    def estimates(self, poses, monkeypatch, **settings):
+        """Return, for each pose, whether the error was estimated, and the number of rows."""
+        out = []
+        with sg.Simulator(self.scene(), SONAR, IDEAL, **settings) as simulator:
+            calls, count = [], adaptive.count_bodies
+            monkeypatch.setattr(adaptive, "count_bodies", lambda *a: calls.append(1) or count(*a))
+            for pose in poses:
+                before = len(calls)
+                ping = simulator.ping(pose)
+                out.append((len(calls) > before, ping.meta["sampling"]["rows"]))
+        return out
+
+    def test_a_still_sonar_is_estimated_once(self, monkeypatch):
+        estimates = self.estimates([np.eye(4)] * 40, monkeypatch)
+        assert [estimated for estimated, _ in estimates] == [True] + [False] * 39
+
+    def test_a_slow_sonar_is_estimated_every_few_pings(self, monkeypatch):
+        estimates = self.estimates([sg.pose(0.001 * k) for k in range(1 + 3 * CHECK_EVERY)], monkeypatch)
+        assert [k for k, (estimated, _) in enumerate(estimates) if estimated] == [
+            k * CHECK_EVERY for k in range(4)
+        ]
+
+    def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            expected = simulator.ping(np.eye(4)).intensity
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            count, calls = adaptive.count_bodies, []
+
+            def broken_off(*arguments):
+                calls.append(1)
+                if len(calls) == 3:
+                    raise KeyboardInterrupt
+                return count(*arguments)
+
+            monkeypatch.setattr(adaptive, "count_bodies", broken_off)
+            with pytest.raises(KeyboardInterrupt):
+                simulator.ping(np.eye(4))
+            monkeypatch.setattr(adaptive, "count_bodies", count)
+            ping = simulator.ping(np.eye(4))
+        assert ping.error_estimate <= 0.01
+        np.testing.assert_array_equal(ping.intensity, expected)
+
+    def test_a_large_step_or_turn_is_estimated_at_once(self, monkeypatch):
+        poses = [sg.pose(), sg.pose(), sg.pose(3), sg.pose(3), sg.pose(3, yaw=1.0), sg.pose(3, yaw=1.0)]
+        estimates = self.estimates(poses, monkeypatch)
+        assert [estimated for estimated, _ in estimates] == [True, False, True, False, True, False]
+
+    @pytest.mark.parametrize(
+        "first, second",
+        [
+            (sg.pose(x=-12.6), sg.pose(x=-11.8)),
+            (sg.pose(yaw=0.5), sg.pose(yaw=0.35)),
+        ],
+        ids=["ahead", "yaw"],
+    )
+    def test_a_body_that_comes_into_view_is_estimated_after_any_motion(self, first, second):
+        """The plan of the first ping, which sees nothing, is not used for the second."""
+        scene = sg.Scene([ball(x=8.0, radius=0.3)])
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+            with pytest.warns(UserWarning, match="no echo came back"):
+                simulator.ping(first)
+            ping = simulator.ping(second)
+        truth = sg.reference_ping(scene, SONAR, second, IDEAL, error=0.05)
+        assert truth.intensity.any()
+        assert ping.error_estimate > 0 and ping_error(ping, truth) < 0.02
+
+    def test_the_same_pings_give_the_same_bytes(self):
+        poses = [sg.pose(0.2 * k, yaw=0.05 * k) for k in range(20)]
+        runs = []
+        for _ in range(2):
+            with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+                runs.append([simulator.ping(pose).intensity.tobytes() for pose in poses])
+        assert runs[0] == runs[1]
+
+    def test_samples_get_finer_and_coarser_again(self):
+        """The sonar turns from a wall to a row of rods and back."""
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), *rods])
+        with sg.Simulator(scene, SONAR, IDEAL) as simulator:
+            levels = []
+            for yaw in (0, math.pi, 0):
+                simulator.ping(sg.pose(yaw=yaw))
+                levels.append(level(simulator))
+        assert levels[0] == levels[2] == 0 and levels[1] > 8
+
+
+class TestPlan:
+    def test_a_plan_fixes_the_samples(self):
+        scene = TestMoving().scene()
+        poses = [sg.pose(yaw=0.3 * k) for k in range(10)]
+        with sg.Simulator(scene, SONAR, IDEAL) as simulator:
+            plan = simulator.plan(poses)
+            forward = [simulator.ping(pose).intensity.tobytes() for pose in poses]
+            backward = [simulator.ping(pose).intensity.tobytes() for pose in poses[::-1]]
+            assert simulator.ping(poses[3]).error_estimate == plan.error_estimate
+            assert simulator.sampling == plan.sampling and plan.met
+            # at other poses the plan gives no error estimate
+            assert simulator.ping(sg.pose(x=-1)).error_estimate is None
+        assert forward == backward[::-1]
+        with sg.Simulator(scene, SONAR, IDEAL) as simulator:
+            alone = [simulator.plan([pose]).level for pose in poses]
+        assert plan.level == max(alone)
+
+    def test_fixed_samples_need_no_plan(self):
+        with sg.Simulator(TestMoving().scene(), SONAR, IDEAL, sg.Sampling(2, 32)) as simulator:
+            assert simulator.plan([np.eye(4)]) is None
+            ping = simulator.ping(np.eye(4))
+        assert ping.error_estimate is None and ping.meta["tolerance"] is None
+
+    def test_an_unreachable_tolerance_warns_and_uses_the_finest_level(self, monkeypatch):
+        monkeypatch.setattr("sonar_gl.engine.adaptive.FINEST_LEVEL", 6)
+        scene = sg.Scene([ball(x=10, radius=0.5)])
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.001) as simulator:
+            with pytest.warns(UserWarning, match="^tolerance 0.001 cannot be met here: ") as caught:
+                ping = simulator.ping(np.eye(4))
+            assert "worst body ('ball'); go nearer" in str(caught[0].message)
+            assert level(simulator) == 6 and ping.error_estimate > 0.001
+            assert not simulator.run.sampler.plan.met
+            with warnings.catch_warnings():  # the warning comes once
+                warnings.simplefilter("error")
+                simulator.ping(sg.pose(2.5))
+
+    @pytest.mark.parametrize(
+        "poses, message",
+        [
+            ([], "poses must hold at least one pose (got none)"),
+            (None, "poses must be several poses (got NoneType; make [pose] of one)"),
+            (np.eye(4), "poses must be several poses (got ndarray; make [pose] of one)"),
+        ],
+    )
+    def test_invalid_poses_raise_errors(self, poses, message):
+        with sg.Simulator(sg.Scene([]), SONAR) as simulator, pytest.raises(sg.Error) as caught:
+            simulator.plan(poses)
+        assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.9, float("nan"), "fine", None, True])
+def test_invalid_tolerances_raise_errors(tolerance):
+    with pytest.raises(sg.Error) as caught:
+        sg.Simulator(sg.Scene([]), SONAR, tolerance=tolerance)
+    assert str(caught.value) == (
+        f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)"
+    )
+
+
+def test_an_empty_scene_needs_no_samples():
+    with sg.Simulator(sg.Scene([]), SONAR) as simulator, pytest.warns(UserWarning, match="no bodies"):
+        ping = simulator.ping(np.eye(4))
+    assert ping.error_estimate == 0.0

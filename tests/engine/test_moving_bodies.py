@@ -1,0 +1,361 @@
+"""Bodies that move, appear and disappear: a ping is that of a scene built with the same bodies."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.engine import adaptive
+from sonar_gl.raster.buffers import GrowingBuffer
+
+SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
+SAMPLING = sg.Sampling(2, 40)
+BALL = trimesh.creation.icosphere(3, 0.5)
+BOX = trimesh.creation.box((0.6, 0.8, 1.0))
+POSE = sg.pose(0.1, 0.2, 0, 0.05, 0.1, -0.1)
+PATCHY = np.linspace(0.1, 1.0, 12)
+
+
+def plain(at=None):
+    return sg.Body("plain", BOX, sg.pose(6, 1.5) if at is None else at, 0.8)
+
+
+def smooth(at=None):
+    normals = np.asarray(BALL.vertices, np.float32) * 2
+    return sg.Body("smooth", BALL, sg.pose(8, -1, 0.3) if at is None else at, 0.6, normals)
+
+
+def patchy(at=None):
+    return sg.Body("patchy", BOX, sg.pose(5, -1.2, 0, 0.3, 0.2, 0.7) if at is None else at, PATCHY)
+
+
+def both(at=None):
+    corners = np.asarray(BOX.vertices, np.float32)
+    normals = corners / np.linalg.norm(corners, axis=1, keepdims=True)
+    return sg.Body("both", BOX, sg.pose(7, 0.3, -0.5, yaw=0.4) if at is None else at, PATCHY[::-1], normals)
+
+
+ALL = plain, smooth, patchy, both
+
+
+def simulator(bodies, sampling=SAMPLING, **kw):
+    return sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), sampling, **kw)
+
+
+def fresh(bodies, pose=POSE, **kw):
+    with simulator(bodies) as it:
+        return it.ping(pose, labels=True, **kw)
+
+
+def check_same(one, other, numbers=None):
+    """Check that pings are identical; `numbers` are the numbers in the first ping of the second's bodies."""
+    np.testing.assert_array_equal(one.intensity, other.intensity)
+    np.testing.assert_array_equal(one.elevation_rad, other.elevation_rad)
+    numbers = np.arange(len(other.body_echo)) if numbers is None else np.array([0, *numbers])
+    np.testing.assert_array_equal(one.body_id, numbers[other.body_id])
+    np.testing.assert_array_equal(one.body_echo[numbers[1:]], other.body_echo[1:])
+    assert one.intensity.any()
+
+
+THERE = {"plain": sg.pose(9, -2, 0.2, 0.3, 0.4, 2), "both": sg.pose(4, 0.5, 0.2, 1)}
+
+
+def test_a_ping_with_moved_bodies_is_that_of_such_a_scene():
+    """The change lasts for one ping."""
+    expected = fresh([make(THERE.get(make.__name__)) for make in ALL])
+    with simulator([make() for make in ALL]) as it:
+        before = it.ping(POSE, labels=True)
+        moved = it.ping(POSE, labels=True, bodies=THERE)
+        after = it.ping(POSE, labels=True)
+    check_same(moved, expected)
+    check_same(after, before)
+    assert (moved.intensity != before.intensity).any()
+
+
+def test_moving_sonar_and_bodies_together_changes_nothing():
+    """A rigid motion of sonar and bodies changes the rounding only."""
+    away = sg.pose(300, -200, 10, 0.5, -0.4, 2.5)
+    with simulator([plain(), smooth()]) as it:
+        here = it.ping(POSE).intensity
+        bodies = {body.name: away @ body.pose for body in it.scene.bodies}
+        there = it.ping(away @ POSE, bodies=bodies).intensity
+    # relative poses are computed in float64 and rounded to float32; samples on edges may change sides
+    assert np.abs(here - there).sum() < 1e-3 * here.sum()
+
+
+@pytest.mark.parametrize("gone", ["plain", "smooth", "both"])
+def test_a_ping_without_a_body_is_that_of_such_a_scene(gone):
+    rest = [make() for make in ALL if make.__name__ != gone]
+    numbers = [k for k, make in enumerate(ALL, 1) if make.__name__ != gone]
+    expected = fresh(rest)
+    with simulator([make() for make in ALL]) as it:
+        before = it.ping(POSE, labels=True)
+        without = it.ping(POSE, labels=True, bodies={gone: None})
+        after = it.ping(POSE, labels=True)
+    check_same(without, expected, numbers)
+    number = [make.__name__ for make in ALL].index(gone) + 1
+    assert before.body_echo[number] > 0
+    assert without.body_echo[number] == 0
+    check_same(after, before)
+
+
+def test_a_ping_without_all_bodies_is_empty():
+    with simulator([plain()]) as it:
+        with pytest.warns(UserWarning):
+            assert not it.ping(POSE, bodies={"plain": None}).intensity.any()
+        assert it.ping(POSE).intensity.any()
+
+
+def test_place_lasts_and_can_be_undone():
+    there = [make(THERE.get(make.__name__)) for make in ALL]
+    expected, shifted = fresh(there), sg.pose(7, 0, 0, yaw=1)
+    with simulator([make() for make in ALL]) as it:
+        before = it.ping(POSE, labels=True)
+        it.place(THERE)
+        check_same(it.ping(POSE, labels=True), expected)
+        check_same(it.ping(POSE, labels=True), expected)
+        # `bodies` of a ping override `place` for that ping
+        alone = it.ping(POSE, labels=True, bodies={"smooth": shifted})
+        check_same(alone, fresh([*there[:1], smooth(shifted), *there[2:]]))
+        check_same(it.ping(POSE, labels=True), expected)
+        it.place({"smooth": None})
+        check_same(it.ping(POSE, labels=True), fresh([there[0], *there[2:]]), [1, 3, 4])
+        check_same(it.ping(POSE, labels=True, bodies={"smooth": smooth().pose}), expected)
+        it.place({"smooth": smooth().pose})
+        check_same(it.ping(POSE, labels=True), expected)
+        it.place({body.name: body.pose for body in it.scene.bodies if body.name in THERE})
+        check_same(it.ping(POSE, labels=True), before)
+        it.place({})
+        check_same(it.ping(POSE, labels=True), before)
+
+
+@pytest.mark.parametrize("first", ALL)
+@pytest.mark.parametrize("second", ALL)
+def test_an_added_body_acts_like_one_of_the_scene(first, second):
+    if first is second:
+        bodies = [
+            first(),
+            sg.Body("again", first().mesh, sg.pose(9, 1), first().reflectivity, first().normals),
+        ]
+    else:
+        bodies = [first(), second()]
+    expected = fresh(bodies)
+    with simulator(bodies[:1]) as it:
+        alone = it.ping(POSE, labels=True)
+        it.add(bodies[1])
+        check_same(it.ping(POSE, labels=True), expected)
+        assert it.ping(POSE).meta["bodies"] == [body.name for body in bodies]
+        assert [body.name for body in it.scene.bodies] == [body.name for body in bodies]
+        hidden = it.ping(POSE, labels=True, bodies={bodies[1].name: None})
+    check_same(hidden, alone, [1])
+
+
+def test_several_bodies_are_added_to_an_empty_scene():
+    bodies = [make() for make in ALL]
+    with simulator([]) as it:
+        with pytest.warns(UserWarning):
+            it.ping(POSE)
+        it.add(*bodies)
+        check_same(it.ping(POSE, labels=True), fresh(bodies))
+
+
+def test_placed_bodies_stay_when_others_are_added():
+    with simulator([plain()]) as it:
+        it.place({"plain": THERE["plain"]})
+        it.add(patchy())
+        check_same(it.ping(POSE, labels=True), fresh([plain(THERE["plain"]), patchy()]))
+        it.place({"patchy": None})
+        it.add(smooth())
+        check_same(it.ping(POSE, labels=True), fresh([plain(THERE["plain"]), smooth()]), [1, 3])
+
+
+@pytest.fixture
+def one_body():
+    with simulator([plain(), smooth()]) as it:
+        yield it
+
+
+KNOWN = "bodies must be bodies of the scene (got 'diver'; there are: 'plain', 'smooth')"
+NO_DICT = 'bodies must be a dict (got list; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")'
+TURNED = (
+    "the pose of body 'plain' must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
+)
+TURNED += "scale the mesh instead)"
+
+
+def error_of(call):
+    with pytest.raises(sg.Error) as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("way", ["ping", "place", "pings"])
+def test_invalid_bodies_raise_errors(one_body, way):
+    def message_of(bodies):
+        if way == "ping":
+            return error_of(lambda: one_body.ping(POSE, bodies=bodies))
+        if way == "place":
+            return error_of(lambda: one_body.place(bodies))
+        return error_of(lambda: list(one_body.pings([POSE], bodies=[bodies])))
+
+    before = one_body.ping(POSE).intensity
+    assert message_of({"diver": sg.pose(5)}) == KNOWN
+    assert message_of({"plain": sg.pose(9), "diver": None}) == KNOWN
+    assert message_of({"plain": 2 * np.eye(4)}) == TURNED
+    assert message_of({"plain": [1, 2, 3]}) == "the pose of body 'plain' must have shape (4, 4) (got (3,))"
+    assert message_of([("plain", sg.pose(5))]) == NO_DICT
+    # the scene is unchanged
+    np.testing.assert_array_equal(one_body.ping(POSE).intensity, before)
+
+
+def test_invalid_added_bodies_raise_errors(one_body):
+    before = one_body.ping(POSE, labels=True)
+    assert (
+        error_of(lambda: one_body.add(plain()))
+        == "names of bodies must be unique (got 'plain' more than once)"
+    )
+    twice = error_of(lambda: one_body.add(both(), both()))
+    assert twice == "names of bodies must be unique (got 'both' more than once)"
+    no_body = "body must be a Body (got {}; such as sonar_gl.Body('box', mesh))"
+    assert error_of(lambda: one_body.add(BOX)) == no_body.format("Trimesh")
+    assert error_of(lambda: one_body.add(patchy(), None)) == no_body.format("NoneType")
+    assert [body.name for body in one_body.scene.bodies] == ["plain", "smooth"]
+    check_same(one_body.ping(POSE, labels=True), before)
+    one_body.add(patchy())
+    check_same(one_body.ping(POSE, labels=True), fresh([plain(), smooth(), patchy()]))
+
+
+def test_a_closed_simulator_raises_errors():
+    it = simulator([plain()])
+    it.close()
+    closed = "this Simulator is closed; make a new one"
+    assert error_of(lambda: it.place({"plain": None})) == closed
+    assert error_of(lambda: it.add(smooth())) == closed
+    assert error_of(lambda: it.ping(POSE, bodies={"plain": None})) == closed
+
+
+def test_meshes_are_uploaded_once(monkeypatch):
+    """Moving and hiding upload no vertices; adding uploads those of a new mesh only."""
+    sent, append = [], GrowingBuffer.append
+    monkeypatch.setattr(
+        GrowingBuffer, "append", lambda self, data: sent.append(data.nbytes) or append(self, data)
+    )
+    with simulator([plain(), smooth(), patchy()]) as it:
+        assert sum(sent) > 0
+        sent.clear()
+        it.ping(POSE)
+        it.ping(POSE, bodies={"plain": sg.pose(7), "smooth": None})
+        it.place({"plain": sg.pose(8)})
+        it.ping(POSE)
+        assert sent == []
+        box = plain()
+        it.add(*(sg.Body(f"more {k}", box.mesh, sg.pose(5, k), 0.1 * k) for k in range(3)))
+        it.ping(POSE)
+        assert sent == []
+        new = trimesh.creation.box((1, 1, 1))
+        it.add(sg.Body("new", new, sg.pose(7)))
+        it.ping(POSE)
+        # 8 corners with position, normal and reflectivity, and indices where the driver needs them
+        assert 8 * 28 <= sum(sent) <= 8 * 28 + 12 * 3 * 4
+
+
+def record_estimates(monkeypatch):
+    """Return a list that grows with each estimate of the error."""
+    estimates, count = [], adaptive.count_bodies
+    monkeypatch.setattr(adaptive, "count_bodies", lambda *args: estimates.append(1) or count(*args))
+    return estimates
+
+
+def test_the_error_is_estimated_again_when_bodies_change(monkeypatch):
+    floor = sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(z=-3), 0.3)
+    with simulator([floor, plain(), smooth()], None, tolerance=0.05) as it:
+        it.ping(POSE)
+        estimates = record_estimates(monkeypatch)
+
+        def is_estimated(**kw):
+            estimates.clear()
+            assert it.ping(POSE, **kw).error_estimate is not None
+            return bool(estimates)
+
+        assert not is_estimated()
+        assert not is_estimated(bodies={})
+        assert not is_estimated(bodies={"smooth": smooth().pose @ sg.pose(0.1)})  # of a range of 20 m
+        assert is_estimated(bodies={"smooth": smooth().pose @ sg.pose(1.5)})
+        assert is_estimated()  # and back
+        assert not is_estimated()
+        assert is_estimated(bodies={"smooth": smooth().pose @ sg.pose(yaw=1.0)})
+        assert is_estimated(bodies={"smooth": None})
+        assert not is_estimated(bodies={"smooth": None})
+        assert is_estimated()
+        it.place({"plain": None})
+        assert is_estimated()
+        assert not is_estimated()
+        it.add(both())
+        assert is_estimated()
+        assert not is_estimated()
+
+
+def test_samples_get_finer_when_a_small_body_appears():
+    wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
+    buoy = sg.Body("buoy", trimesh.creation.icosphere(3, 0.06), sg.pose(4, 0.3), 1.0)
+    with simulator([wall, buoy], None, tolerance=0.05) as it, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        it.ping(POSE, bodies={"buoy": None})
+        coarse = it.sampling.rows
+        it.ping(POSE)
+        fine = it.sampling.rows
+    assert fine > 1.5 * coarse
+
+
+OTHER = sg.Sonar("other", 450e3, 32, 100, 90.0, 15.0, 3.0, 0.5, 15.0)
+
+
+def pair(bodies):
+    first = simulator(bodies)
+    return first, sg.Simulator(first, OTHER, sg.Acoustics.ideal(), SAMPLING)
+
+
+def alone_of_other(bodies):
+    with sg.Simulator(sg.Scene(bodies), OTHER, sg.Acoustics.ideal(), SAMPLING) as it:
+        return it.ping(POSE, labels=True)
+
+
+@pytest.mark.parametrize("first_closed", [0, 1])
+def test_two_sonars_in_one_world(first_closed):
+    bodies = [plain(), smooth()]
+    two, expected = pair(bodies), [fresh(bodies), alone_of_other(bodies)]
+    assert two[0].scene is two[1].scene
+    for _ in range(2):
+        for it, ping in zip(two, expected, strict=True):
+            check_same(it.ping(POSE, labels=True), ping)
+    # changes through one simulator affect the other
+    two[0].add(patchy())
+    two[1].place({"plain": None})
+    left = [smooth(), patchy()]
+    check_same(two[0].ping(POSE, labels=True), fresh(left), [2, 3])
+    check_same(two[1].ping(POSE, labels=True), alone_of_other(left), [2, 3])
+    assert two[1].ping(POSE).meta["bodies"] == ["plain", "smooth", "patchy"]
+    two[first_closed].close()
+    two[first_closed].close()
+    assert error_of(lambda: two[first_closed].ping(POSE)) == "this Simulator is closed; make a new one"
+    assert error_of(lambda: two[first_closed].scene) == "this Simulator is closed; make a new one"
+    third = error_of(lambda: sg.Simulator(two[first_closed], OTHER))
+    assert third == "this Simulator is closed; make a new one"
+    rest = two[1 - first_closed]
+    again = (fresh, alone_of_other)[1 - first_closed](left)
+    check_same(rest.ping(POSE, labels=True), again, [2, 3])
+    with sg.Simulator(rest, OTHER, sg.Acoustics.ideal(), SAMPLING) as it:
+        check_same(it.ping(POSE, labels=True), alone_of_other(left), [2, 3])
+    check_same(rest.ping(POSE, labels=True), again, [2, 3])
+    rest.close()
+    assert error_of(lambda: rest.ping(POSE)) == "this Simulator is closed; make a new one"
+
+
+def test_deleting_one_sonar_does_not_affect_the_other():
+    first, second = pair([plain()])
+    expected = first.ping(POSE).intensity
+    del second
+    np.testing.assert_array_equal(first.ping(POSE).intensity, expected)
+    first.close()

@@ -1,0 +1,394 @@
+"""Multipath: closed forms, brute-force ray casting, and the choice of planar reflectors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.engine import multipath
+from sonar_gl.scene.reflectors import (
+    MIN_AREA_M2,
+    N_SINES,
+    find_planes,
+    planar_reflectors,
+    tabulate_reflection,
+)
+from tests.support.two_bounces import TwoBounces
+
+IDEAL = sg.Acoustics.ideal()
+MULTIPATH = replace(IDEAL, multipath="incoherent")
+SONAR = sg.Sonar("test", 900e3, 32, 200, 40.0, 40.0, 1.25, 0.5, 15.0)
+FINE = sg.Sampling(8, 300)
+
+
+def slab(name, pose, size=200.0, mu=0.5):
+    return sg.Body(name, trimesh.creation.box((size, size, 1)), pose, mu)
+
+
+def box(*pose):
+    return sg.Body("box", trimesh.creation.box((0.6, 0.8, 1.0)), sg.pose(*pose), 0.8)
+
+
+def ball(x, y, z, radius=0.5):
+    return sg.Body("ball", trimesh.creation.icosphere(4, radius), sg.pose(x, y, z), 1.0)
+
+
+@pytest.fixture
+def perfect(monkeypatch):
+    """Return a function that makes the named bodies and the water's surface the only reflectors, with |R|² = 1."""
+
+    def choose(*names):
+        def find(scene, wavenumber):
+            reflectors = planar_reflectors(scene, wavenumber)
+            named = [r for r in reflectors if r.body is None or scene.bodies[r.body].name in names]
+            return [replace(r, reflection_coefficient=np.ones(N_SINES)) for r in named]
+
+        monkeypatch.setattr(multipath, "planar_reflectors", find)
+
+    return choose
+
+
+def multipath_echo(scene, pose, acoustics=MULTIPATH, sonar=SONAR, sampling=FINE, **settings):
+    """Return the multipath part of a ping, (B, K)."""
+    out = []
+    for one in (acoustics, replace(acoustics, multipath="none")):
+        with sg.Simulator(scene, sonar, one, sampling) as simulator:
+            out.append(simulator.ping(pose, **settings).intensity.astype(np.float64))
+    return out[0] - out[1]
+
+
+# heights of sonar and target, distance; r_d, (r_d + r_b) / 2, r_b
+CASES = (
+    (2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078),
+    (2.0, 2.0, 10.0, 10.0000, 10.3852, 10.7703),
+    (5.0, 4.5, 8.0, 8.0156, 10.2177, 12.4197),
+)
+
+
+@pytest.mark.parametrize(("h_sonar", "h_target", "x", "direct", "single", "double"), CASES)
+def test_a_small_target_has_multipath_echoes_at_the_ranges_and_levels_of_its_image(
+    perfect, h_sonar, h_target, x, direct, single, double
+):
+    perfect("floor")
+    radius, sonar = 0.02, sg.Sonar("test", 900e3, 8, 1300, 4.0, 110.0, 0.5, 0.5, 13.5)
+    floor = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6)
+    scene = sg.Scene([floor, ball(x, 0, h_target, radius)])
+    pose, sampling = sg.pose(0, 0, h_sonar), sg.Sampling(40, 12000)
+    with sg.Simulator(scene, sonar, IDEAL, sampling) as simulator:
+        straight = simulator.ping(pose).intensity.sum(axis=0, dtype=np.float64)
+    profile = multipath_echo(scene, pose, sonar=sonar, sampling=sampling).sum(axis=0)
+
+    def around(values, range_m):
+        near = np.abs(sonar.range_m - range_m) < radius + 0.01
+        return values[near].sum(), (values * sonar.range_m)[near].sum() / values[near].sum()
+
+    level, range_m = around(straight, direct)
+    off = range_m - direct  # a sphere's echo comes from its near side
+    assert -radius < off < 0
+    once, range_once_m = around(profile, single)
+    twice, range_twice_m = around(profile, double)
+    # the part of the sphere that both paths see lies between their directions, by half the angle between them
+    assert range_once_m == pytest.approx(single + off, abs=radius / 2)
+    assert range_twice_m == pytest.approx(double + off, abs=0.003)
+    # with G = 1 the level of a point falls as r^-2 of the apparent range
+    between = np.arctan2(h_sonar + h_target, x) + np.arctan2(h_sonar - h_target, x)
+    lit = (np.sin(between) + (np.pi - between) * np.cos(between)) / np.pi  # bistatic echo of a Lambert sphere
+    assert once / level == pytest.approx(2 * lit * (single / double) ** 2, rel=0.03)
+    assert twice / level == pytest.approx((direct / double) ** 2, rel=0.03)
+    coherent = multipath_echo(scene, pose, replace(MULTIPATH, multipath="coherent"), sonar, sampling).sum(
+        axis=0
+    )
+    assert around(coherent, single)[0] == pytest.approx(2 * once, rel=1e-4)
+    assert around(coherent, double)[0] == pytest.approx(twice, rel=1e-4)
+
+
+SCENES = {
+    "floor, rolled and pitched": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), box(6, -1, 0.5, 0, 0, 0.4)]),
+        sg.pose(0, 0, 1.5, 0.2, 0.15, 0.1),
+        ("floor",),
+    ),
+    "wall beside": (
+        sg.Scene([slab("wall", sg.pose(0, 1.5, 0, np.pi / 2)), box(6, 0, 0, 0, 0, 0.5), ball(8, -2, 0.3)]),
+        sg.pose(),
+        ("wall",),
+    ),
+    "wall that ends": (
+        sg.Scene([slab("wall", sg.pose(0, 1.5, 0, np.pi / 2), 8.5), box(6, 0, 0, 0, 0, 0.5)]),
+        sg.pose(),
+        ("wall",),
+    ),
+    "water's surface": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -3.5)), box(6, 0, -1, 0, 0, 0.5)], surface_z_m=0.0),
+        sg.pose(0, 0, -1),
+        (),
+    ),
+    "one behind the other": (
+        sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), box(4, 0, 0, 0, 0, 0.4), ball(8, 0.3, 1.0)]),
+        sg.pose(0, 0, 2),
+        ("floor",),
+    ),
+    "tank": (
+        sg.Scene(
+            [
+                slab("floor", sg.pose(0, 0, -2.5)),
+                slab("wall", sg.pose(0, 2.5, 0, np.pi / 2)),
+                slab("end", sg.pose(9, 0, 0, 0, np.pi / 2)),
+                box(6, 0, -1, 0, 0, 0.5),
+            ],
+            surface_z_m=0.5,
+        ),
+        sg.pose(0, 0, -1, 0.0, 0.05, 0.2),
+        ("floor", "wall", "end"),
+    ),
+}
+
+
+SLOW_SCENES = "floor, rolled and pitched", "tank", "one behind the other"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in SLOW_SCENES else ()) for name in SCENES],
+)
+def test_multipath_agrees_with_ray_casting(perfect, name):
+    scene, pose, reflectors = SCENES[name]
+    perfect(*reflectors)
+    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02).intensity
+    truth = straight + sum(
+        TwoBounces(scene, SONAR, pose, reflectors).ping(1_000_000, seed) / 2 for seed in (1, 2)
+    )
+    with sg.Simulator(scene, SONAR, MULTIPATH, tolerance=0.01) as simulator:
+        found = simulator.ping(pose).intensity
+    # twice the tolerance, which is chosen for the direct echo: edges of reflectors and of shadows in them are
+    # resolved to half a sample; the worst case here is 1.6 times the tolerance
+    assert np.abs(found - truth).sum() < 0.02 * truth.sum()
+    # the direct echo alone errs many times as much
+    assert np.abs(straight - truth).sum() > 0.1 * truth.sum()
+
+
+def test_multipath_has_the_two_way_beam_pattern(perfect):
+    scene, pose, reflectors = SCENES["floor, rolled and pitched"]
+    perfect(*reflectors)
+    gaussian = replace(MULTIPATH, elevation_pattern="gaussian")
+    sonar = replace(SONAR, elevation_fov_deg=25.0)
+    true_range, pattern = gaussian.true_range_sonar(sonar), gaussian.two_way_elevation_pattern(sonar)
+    top = np.sin(np.radians(true_range.elevation_fov_deg) / 2)
+    sines, weights = np.polynomial.legendre.leggauss(64)
+    mean_pattern = top * (pattern(top * sines) @ weights) / (2 * top)  # over the sampled elevations
+    a, b = (
+        TwoBounces(scene, true_range, pose, reflectors, pattern=pattern).ping(1_000_000, seed)
+        for seed in (1, 2)
+    )
+    truth = (a + b) / 2 / mean_pattern
+    allowed = np.abs(a - b).sum() / (a + b).sum() + 0.03  # as for the ray casting above
+    assert np.abs(multipath_echo(scene, pose, gaussian, sonar) - truth).sum() / truth.sum() < allowed
+
+
+def test_bodies_above_the_water_do_not_echo(perfect):
+    perfect()
+    pile = sg.Body("pile", trimesh.creation.cylinder(0.3, 6.0), sg.pose(6, 0, 0), 0.8)
+    cut = sg.Body("pile", trimesh.creation.cylinder(0.3, 3.0), sg.pose(6, 0, -1.5), 0.8)
+    pose = sg.pose(0, 0, -1, 0, -0.1)
+    for make in (
+        lambda scene: sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02),
+        lambda scene: sg.Simulator(scene, SONAR, IDEAL, FINE).ping(pose),
+    ):
+        crossing = make(sg.Scene([pile], surface_z_m=0.0)).intensity
+        above = make(sg.Scene([pile])).intensity
+        below = make(sg.Scene([cut])).intensity
+        assert np.abs(crossing - below).sum() < 0.01 * below.sum()  # samples at the surface's edge
+        assert above.sum() > 1.2 * below.sum()
+
+
+def test_a_body_before_the_reflector_removes_its_multipath(perfect):
+    perfect("floor")
+    shield = sg.Body("shield", trimesh.creation.box((0.05, 4, 0.9)), sg.pose(5.0, 0, 0.45), 0.0)
+    bare = sg.Scene([slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), box(8, 0, 1.5)])
+    hidden = sg.Scene([*bare.bodies, shield])
+    pose = sg.pose(0, 0, 1.5)  # the shield hides the floor where it reflects the box, but not the box
+    assert multipath_echo(bare, pose).sum() > 0.01
+    # except half a sample at the shield's edges
+    assert multipath_echo(hidden, pose).sum() < 0.01 * multipath_echo(bare, pose).sum()
+
+
+def test_sequences_and_reruns_give_the_same_bytes(perfect):
+    perfect("floor", "wall", "end")
+    scene, pose, _ = SCENES["tank"]
+    poses = [pose @ sg.pose(0.05 * k, yaw=0.01 * k) for k in range(6)]
+    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(2, 80)) as simulator:
+        one_by_one = [simulator.ping(p, labels=True).intensity for p in poses]
+        for ping, single in zip(simulator.pings(poses, labels=True), one_by_one, strict=True):
+            np.testing.assert_array_equal(ping.intensity, single)
+
+
+def test_multipath_with_a_table_of_beams(perfect):
+    perfect("wall")
+    scene, pose, _ = SCENES["wall beside"]
+    # from 10 degrees to starboard to 20 to port, an asymmetric fan
+    table = tuple(np.arange(-9.375, 20.0, 1.25).tolist())
+    lopsided = replace(SONAR, n_beams=len(table), beam_azimuths_deg=table)
+    cut = multipath_echo(scene, pose, sonar=lopsided, sampling=sg.Sampling(11, 300))
+    whole = multipath_echo(scene, pose)[-len(table) :]
+    # the full fan also receives paths that insonify further to starboard
+    assert np.abs(cut - whole).sum() < 0.03 * whole.sum()
+
+
+def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):
+    scene, pose, _ = SCENES["floor, rolled and pitched"]
+    perfect("floor")
+    find = multipath.planar_reflectors
+    for loss, n_sources in ((1.0, 1), (1e-2, 1), (1e-4, 0)):
+        with sg.Simulator(scene, SONAR, MULTIPATH, tolerance=0.01) as simulator:
+            run, scene = simulator.run, simulator.scene
+            monkeypatch.setattr(
+                multipath,
+                "planar_reflectors",
+                lambda *of, loss=loss: [
+                    replace(one, reflection_coefficient=one.reflection_coefficient * loss)
+                    for one in find(*of)
+                ],
+            )
+            images = multipath.ImageSources(run.stages, run.world.thread, scene, 0.01)
+            stage, state = run.sampler.resolution.stage, run.world.state_of(None)
+            with run.drawing():
+                views = stage.draw([pose], [state])
+                (found,) = images.draw(stage, views, [pose], [state])
+            assert (0 if found is None else len(found.sources)) == n_sources, loss
+
+
+def test_a_tank_has_its_walls_as_planar_reflectors():
+    tank, _, _ = SCENES["tank"]
+    reflectors = planar_reflectors(tank, 3770.0)
+    assert reflectors[0].body is None
+    up, z = reflectors[0].in_world(np.array([body.pose for body in tank.bodies]))
+    assert up.tolist() == [0, 0, 1] and z == 0.5
+    # the broad faces of the slabs; the ends of the box, 0.48 m², are too small
+    sizes = [len(find_planes(body.surface)) for body in tank.bodies]
+    assert sizes == [2, 2, 2, 4]
+    normals = [normal @ [0, 0, 1] for normal, _ in find_planes(tank.bodies[0].surface)[:2]]
+    assert sorted(normals) == [-1, 1]
+
+
+def test_curved_bodies_and_terrain_are_not_reflectors():
+    assert find_planes(ball(0, 0, 0, 5.0).surface) == []
+    rough = trimesh.creation.box((10, 10, 1)).subdivide().subdivide().subdivide()
+    assert rough.area_faces.max() > MIN_AREA_M2
+    rough.vertices += 0.01 * np.random.default_rng(1).standard_normal(rough.vertices.shape)
+    assert find_planes(rough) == []
+
+
+def test_roughness_reduces_the_coherent_reflection():
+    k = 2 * np.pi * 900e3 / 1500
+    at_10_deg = lambda loss: np.interp(np.sin(np.radians(10)), np.linspace(0, 1, N_SINES), loss)  # noqa: E731
+    for height, db in ((1e-4, -0.07), (5e-4, -1.86), (1e-3, -7.44)):
+        assert 10 * np.log10(at_10_deg(tabulate_reflection(1.0, height, k))) == pytest.approx(db, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("surface_z_m", float("nan")), ("surface_z_m", "top"), ("surface_roughness_m", -1)]
+)
+def test_invalid_surfaces_raise_errors(field, value):
+    with pytest.raises(sg.Error, match=field):
+        sg.Scene([], **{field: value})
+
+
+def test_an_unknown_kind_of_multipath_raises_an_error():
+    with pytest.raises(sg.Error, match="multipath"):
+        sg.Acoustics.physical(multipath="strong")
+
+
+def test_the_meta_of_a_ping_has_its_multipath(perfect):
+    perfect("floor")
+    scene, pose, _ = SCENES["floor, rolled and pitched"]
+    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(1, 40)) as simulator:
+        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "incoherent"
+    with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(1, 40)) as simulator:
+        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "none"
+
+
+@pytest.mark.parametrize("depth_m", [2.0, 10.0, 40.0, 2000.0])
+def test_deep_water_does_not_hide_bodies(depth_m):
+    walls = [sg.Body("wall", trimesh.creation.box((0.2, 2, 2)), sg.pose(x, 0, -depth_m)) for x in (0.9, 3, 8)]
+    for wall in walls:
+        bare, below = sg.Scene([wall]), sg.Scene([wall], surface_z_m=0.0)
+        pings = []
+        for scene in (bare, below):
+            with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(2, 60)) as simulator:
+                pings.append(simulator.ping(sg.pose(0, 0, -depth_m)).intensity)
+        # the driver draws bodies that touch the surface's plane; others are partly rasterized in software
+        np.testing.assert_allclose(*pings, rtol=1e-4, atol=1e-6)
+        assert pings[0].any()
+
+
+def test_a_convex_body_does_not_reflect_itself(perfect):
+    perfect("box")
+    lone = sg.Body("box", trimesh.creation.box((2, 3, 4)), sg.pose(6, 0, 0, 0, 0, 0.7), 0.8)
+    scene = sg.Scene([lone])
+    with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
+        straight = simulator.ping(sg.pose()).intensity.sum()
+    # a sample's plane extends half a sample past an edge; an early version had 71 % of the echo here
+    assert multipath_echo(scene, sg.pose()).sum() < 0.01 * straight
+
+
+def test_a_body_in_a_pit_has_no_multipath_by_the_floor_around(perfect):
+    perfect("floor")
+    rings = [((-50, 4), (-50, 50)), ((6, 50), (-50, 50)), ((4, 6), (-50, -1)), ((4, 6), (1, 50))]
+    corners = [[(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)] for (x0, x1), (y0, y1) in rings]
+    faces = [(k, k + 1, k + 2) for k in range(0, 16, 4)] + [(k, k + 2, k + 3) for k in range(0, 16, 4)]
+    floor = sg.Body("floor", trimesh.Trimesh(np.concatenate(corners), faces, process=False), None, 0.3)
+    # the far wall of the pit, which the image source would see from below the floor
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 1.6, 0.5)), sg.pose(5.5, 0, -0.45), 1.0)
+    scene, pose = sg.Scene([floor, wall]), sg.pose(0, 0, 1.5, 0, 0.25)
+    assert TwoBounces(scene, SONAR, pose, ("floor",)).ping(200_000).sum() == 0
+    assert not multipath_echo(scene, pose).any()
+
+
+def test_multipath_has_no_specular_lobes(perfect):
+    perfect("floor")
+    shiny = replace(ball(7, 0, 1.0), reflectivity=0.2, specular=0.7)
+    out = []
+    for specular in (True, False):
+        scene = sg.Scene([slab("floor", sg.pose(0, 0, -0.5), mu=1e-3), shiny])
+        out.append(
+            multipath_echo(
+                scene, sg.pose(0, 0, 1.0), replace(MULTIPATH, specular=specular), sampling=sg.Sampling(4, 150)
+            )
+        )
+    np.testing.assert_allclose(*out, rtol=1e-5, atol=1e-7)
+    assert out[0].sum() > 0
+
+
+def test_with_fixed_samples_a_ping_does_not_depend_on_earlier_ones(perfect):
+    perfect("floor")
+    scene, strong, _ = SCENES["floor, rolled and pitched"]
+    weak = sg.pose(0, 0, 2.5, 0.2, 0.5, 0.1)
+    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(2, 80)) as simulator:
+        first, *_, again = (simulator.ping(pose).intensity for pose in (weak, strong, weak))
+        np.testing.assert_array_equal(first, again)
+        poses = [weak, strong, weak, strong, strong, weak]
+        one_by_one = [simulator.ping(pose).intensity for pose in poses]
+        for ping, alone in zip(simulator.pings(poses), one_by_one, strict=True):
+            np.testing.assert_array_equal(ping.intensity, alone)
+
+
+def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
+    slope = np.linspace(0.0, 1.0, N_SINES)  # the sine of the grazing angle itself
+    floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
+    scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)
+    out = []
+    for loss in (np.ones(N_SINES), slope):
+        monkeypatch.setattr(
+            multipath,
+            "planar_reflectors",
+            lambda s, k, loss=loss: [
+                replace(r, reflection_coefficient=loss) for r in planar_reflectors(s, k) if r.body == 0
+            ],
+        )
+        out.append(multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(8, 1500)).sum(axis=0))
+    sine = 4.0 / np.hypot(10.0, 4.0)
+    once, twice = (np.abs(sonar.range_m - r) < 0.15 for r in (10.385, 10.770))
+    assert out[1][once].sum() / out[0][once].sum() == pytest.approx(sine, rel=0.01)
+    assert out[1][twice].sum() / out[0][twice].sum() == pytest.approx(sine**2, rel=0.01)

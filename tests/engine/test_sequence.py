@@ -1,0 +1,391 @@
+"""Sequences of pings: identical to single pings, in order, without leaks."""
+
+import threading
+import tracemalloc
+import warnings
+from itertools import count, islice
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.engine import adaptive, sequence
+
+SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
+SAMPLING = sg.Sampling(2, 40)
+BALL = trimesh.creation.icosphere(3, 0.5)
+BODIES = (
+    sg.Body("wall", trimesh.creation.box((1, 40, 40)), sg.pose(14), 0.3),
+    sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2), 0.8),
+    sg.Body("ball", BALL, sg.pose(8, -1), 0.6, np.asarray(BALL.vertices, np.float32) * 2),
+)
+LABELS = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "body_echo", "shadow"
+POSES = [sg.pose(0.1 * k, 0.05 * k, 0, 0, 0.01 * k, 0.02 * k) for k in range(11)]
+MOVED = [
+    None if k % 3 == 0 else {"box": sg.pose(6, 2 - 0.3 * k), "ball": None if k % 2 else sg.pose(9, 0.1 * k)}
+    for k in range(11)
+]
+
+
+def simulator(sampling=SAMPLING, bodies=BODIES, **kw):
+    return sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), sampling, **kw)
+
+
+@pytest.fixture
+def it():
+    with simulator() as one:
+        yield one
+
+
+def check_same(one, other):
+    """Check that all arrays and the meta of two pings are identical."""
+    for name in ("intensity", "azimuth_rad", "range_m", "pose"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in LABELS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a, b)
+    assert one.meta == other.meta
+    assert one.error_estimate == other.error_estimate
+
+
+@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("n", [1, 3, 4, 5, 8, 11])
+def test_a_sequence_gives_the_pings_of_single_calls(it, n, labels):
+    """The numbers of pings are less than a batch, whole batches, and in between."""
+    together = list(it.pings(POSES[:n], labels=labels))
+    assert len(together) == n
+    for pose, ping in zip(POSES, together, strict=False):
+        check_same(ping, it.ping(pose, labels=labels))
+    assert len({ping.intensity.tobytes() for ping in together}) == n
+
+
+def test_noise_depends_on_the_ping_number(it):
+    noise = sg.Noise.physical()
+    together = list(it.pings(POSES[:6], noise, seed=5))
+    for number, ping in enumerate(together):
+        check_same(ping, it.ping(POSES[number], noise, seed=5, ping_number=number))
+    wrong = it.ping(POSES[5], noise, seed=5, ping_number=4).intensity
+    assert np.abs(wrong - together[5].intensity).max() > 0.01 * wrong.max()
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_bodies_of_each_pose(it, labels):
+    together = list(it.pings(POSES, labels=labels, bodies=MOVED))
+    for pose, moved, ping in zip(POSES, MOVED, together, strict=True):
+        check_same(ping, it.ping(pose, labels=labels, bodies=moved))
+    before = it.ping(POSES[1]).intensity
+    assert (before != together[1].intensity).any()
+
+
+def test_shadows_of_the_bodies_of_each_pose(it):
+    """The background of each pose is drawn without the moving bodies."""
+    together = list(it.pings(POSES, labels=True, bodies=MOVED, background=["wall"]))
+    for pose, moved, ping in zip(POSES, MOVED, together, strict=True):
+        check_same(ping, it.ping(pose, labels=True, bodies=moved, background=["wall"]))
+    assert len({ping.shadow.tobytes() for ping in together}) == len(POSES)
+
+
+def test_pings_from_one_pose_with_bodies_that_move(it):
+    """With endless poses, the bodies' poses set the number of pings."""
+    endless = (POSES[0] for _ in count())
+    together = list(it.pings(endless, bodies=iter(MOVED)))
+    assert len(together) == len(MOVED)
+    for moved, ping in zip(MOVED, together, strict=True):
+        check_same(ping, it.ping(POSES[0], bodies=moved))
+
+
+def test_several_sectors_and_a_larger_image_later():
+    """A batch needs a larger image than the one before."""
+    wide = sg.Sonar("wide", 900e3, 128, 200, 250.0, 20.0, 2.0, 0.5, 20.0)
+    poses = [sg.pose(x, yaw=0.3) for x in (-80, -80, -80, -80, 5, 5.2, 5.4, 5.6, -40, 5)]
+    with (
+        sg.Simulator(sg.Scene(BODIES), wide, sg.Acoustics.ideal(), SAMPLING) as it,
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")  # far away there is no echo
+        together = list(it.pings(poses, labels=True))
+        for pose, ping in zip(poses, together, strict=True):
+            check_same(ping, it.ping(pose, labels=True))
+    assert together[0].intensity.sum() == 0
+    assert together[4].intensity.sum() > 0
+
+
+def test_later_pings_do_not_overwrite_earlier_ones(it):
+    copies = []
+    for ping in it.pings(POSES, labels=True):
+        copies.append((ping, ping.intensity.copy(), ping.body_id.copy(), ping.meta.copy()))
+    for ping, intensity, body_id, meta in copies:
+        np.testing.assert_array_equal(ping.intensity, intensity)
+        np.testing.assert_array_equal(ping.body_id, body_id)
+        assert ping.meta == meta
+
+
+@pytest.mark.parametrize("nothing", [[], iter([]), np.empty((0, 4, 4))])
+def test_no_poses_give_no_pings(it, nothing):
+    assert list(it.pings(nothing)) == []
+    assert it.ping(POSES[0]).intensity.any()
+
+
+def test_poses_as_one_array(it):
+    together = list(it.pings(np.stack(POSES[:3])))
+    for pose, ping in zip(POSES, together, strict=False):
+        check_same(ping, it.ping(pose))
+    assert len(together) == 3
+
+
+@pytest.mark.parametrize("stop", [1, 2, 4, 5, 9])
+def test_an_endless_sequence_may_be_stopped(it, stop):
+    """A caller may stop after any ping; the simulator goes on."""
+    requested = []
+
+    def poses():
+        for k in count():
+            requested.append(k)
+            yield POSES[k % 11]
+
+    expected = [it.ping(pose).intensity for pose in POSES]
+    threads = threading.active_count()
+    pings = it.pings(poses())
+    for number, ping in enumerate(islice(pings, stop)):
+        np.testing.assert_array_equal(ping.intensity, expected[number % 11])
+    assert len(requested) <= stop + 2 * sequence.BATCH
+    if stop % 2:
+        pings.close()
+    else:
+        del pings
+    np.testing.assert_array_equal(it.ping(POSES[3]).intensity, expected[3])
+    for number, ping in enumerate(it.pings(POSES[:5])):
+        np.testing.assert_array_equal(ping.intensity, expected[number])
+    assert threading.active_count() <= threads
+
+
+def test_each_ping_without_an_echo_warns(it):
+    away = sg.pose(yaw=3.0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pings = list(it.pings([POSES[0], away, POSES[1], away, away, POSES[2]]))
+    assert [ping.meta["has_echo"] for ping in pings] == [True, False, True, False, False, True]
+    assert len(caught) == 3
+
+
+def test_invalid_poses_raise_errors():
+    with simulator() as it:
+        for poses in (np.eye(4), 3, None):
+            with pytest.raises(sg.Error) as caught:
+                list(it.pings(poses))
+            name = type(poses).__name__
+            assert str(caught.value) == f"poses must be several poses (got {name}; make [pose] of one)"
+        it.close()
+        with pytest.raises(sg.Error) as caught:
+            list(it.pings(POSES))
+        assert str(caught.value) == "this Simulator is closed; make a new one"
+
+
+def record_estimates(monkeypatch):
+    """Return a list that grows by two with each estimate of the error."""
+    estimates, count = [], adaptive.count_bodies
+    monkeypatch.setattr(adaptive, "count_bodies", lambda *args: estimates.append(1) or count(*args))
+    return estimates
+
+
+def test_a_body_that_appears_later_gets_finer_samples():
+    """With a tolerance the samples are those of single pings, from the first ping with the body on."""
+    wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
+    buoy = sg.Body("buoy", trimesh.creation.icosphere(3, 0.06), sg.pose(4, 0.3), 1.0)
+    bodies = [{"buoy": None} if k < 6 else None for k in range(11)]
+    with simulator(None, [wall, buoy], tolerance=0.05) as it:
+        alone = [it.ping(POSES[0], bodies=moved).meta["sampling"]["rows"] for moved in bodies]
+    with simulator(None, [wall, buoy], tolerance=0.05) as it:
+        together = [ping.meta["sampling"]["rows"] for ping in it.pings([POSES[0]] * 11, bodies=bodies)]
+    assert together == alone
+    assert together[6] > together[5]
+
+
+def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
+    """The sonar turns slowly until a near body comes into view: the error is estimated at once."""
+    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
+    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
+    poses = [sg.pose(yaw=0.04 * k) for k in range(14)]
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        alone = [it.ping(pose) for pose in poses]
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        estimates = record_estimates(monkeypatch)
+        together = list(it.pings(poses))
+    assert len(estimates) >= 2
+    assert [p.pose.tobytes() for p in together] == [p.pose.tobytes() for p in alone]
+    # both keep the tolerance; their samples may differ, their images by no more than both errors
+    for one, other in zip(together, alone, strict=True):
+        apart = np.abs(one.intensity - other.intensity).sum() / other.intensity.sum()
+        assert apart < 0.1
+
+
+@pytest.mark.parametrize("good", [0, 1, 3, 4, 6, 8, 9])
+@pytest.mark.parametrize("way", ["pose", "raise", "bodies"])
+def test_an_error_in_the_poses_is_raised_in_order(good, way):
+    """The pings before the error come first, then the error itself; the simulator goes on."""
+
+    def poses():
+        yield from POSES[:good]
+        if way == "raise":
+            raise KeyError("no more poses")
+        yield 2 * np.eye(4) if way == "pose" else POSES[0]
+
+    bodies = [None] * good + [{"diver": None}] if way == "bodies" else None
+    with simulator() as it:
+        expected, got = [it.ping(pose).intensity for pose in POSES], []
+        with pytest.raises(KeyError if way == "raise" else sg.Error):
+            for ping in it.pings(poses(), bodies=bodies):
+                got.append(ping.intensity)
+        assert len(got) == good
+        for one, other in zip(got, expected, strict=False):
+            np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(it.ping(POSES[2]).intensity, expected[2])
+
+
+@pytest.mark.timeout(15)
+def test_the_simulator_is_not_locked_between_pings_of_a_sequence():
+    """A single ping between those of a sequence does not block; a lock held over a yield would."""
+    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
+    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        for _ in it.pings([sg.pose(yaw=0.04 * k) for k in range(14)]):
+            it.ping(POSES[0])
+
+
+def test_other_pings_between_those_of_a_sequence(it):
+    """The simulator can make other pings while a sequence waits."""
+    expected = [it.ping(pose).intensity for pose in POSES]
+    there = it.ping(POSES[7], bodies={"box": None}).intensity
+    for number, ping in enumerate(it.pings(POSES)):
+        np.testing.assert_array_equal(ping.intensity, expected[number])
+        np.testing.assert_array_equal(it.ping(POSES[7], bodies={"box": None}).intensity, there)
+
+
+def test_two_interleaved_sequences(it):
+    expected = [it.ping(pose).intensity for pose in POSES]
+    for number, (one, other) in enumerate(zip(it.pings(POSES), it.pings(POSES[::-1]), strict=True)):
+        np.testing.assert_array_equal(one.intensity, expected[number])
+        np.testing.assert_array_equal(other.intensity, expected[10 - number])
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_a_single_ping_after_each_of_a_sequence(it, labels):
+    """Single pings do not overwrite the images of a sequence in progress."""
+    for number, ping in enumerate(it.pings(POSES, labels=labels)):
+        check_same(ping, it.ping(POSES[number], labels=labels))
+
+
+def test_pings_from_another_thread_during_a_sequence(it):
+    expected = [it.ping(pose, labels=True) for pose in POSES]
+    stop, found = threading.Event(), []
+
+    def others():
+        while not stop.is_set():
+            found.append(it.ping(POSES[4], labels=True))
+
+    thread = threading.Thread(target=others)
+    thread.start()
+    try:
+        for _ in range(3):
+            for ping, other in zip(it.pings(POSES, labels=True), expected, strict=True):
+                check_same(ping, other)
+    finally:
+        stop.set()
+        thread.join()
+    assert len(found) > 2
+    for ping in found:
+        check_same(ping, expected[4])
+
+
+def test_interleaved_sequences_of_two_sonars(it):
+    other = sg.Sonar("other", 450e3, 32, 100, 90.0, 15.0, 3.0, 0.5, 15.0)
+    with sg.Simulator(it, other, sg.Acoustics.ideal(), SAMPLING) as second:
+        expected = [(it.ping(pose, labels=True), second.ping(pose, labels=True)) for pose in POSES]
+        pairs = zip(it.pings(POSES, labels=True), second.pings(POSES, labels=True), strict=True)
+        for (one, two), (first, following) in zip(pairs, expected, strict=True):
+            check_same(one, first)
+            check_same(two, following)
+
+
+def test_a_body_added_during_a_sequence_is_in_later_pings():
+    """Pings drawn before belong to the old scene; no ping is lost, and body numbers stay."""
+    with simulator(bodies=BODIES[:2]) as it:
+        before = [it.ping(pose, labels=True) for pose in POSES]
+        pings = it.pings(POSES, labels=True)
+        together = list(islice(pings, 2))
+        it.add(BODIES[2])
+        together += pings
+        after = [it.ping(pose, labels=True) for pose in POSES]
+    assert len(together) == len(POSES)
+    old = [len(ping.body_echo) == 3 for ping in together]
+    assert old == sorted(old, reverse=True)
+    assert 2 <= sum(old) <= 2 + 2 * sequence.BATCH
+    for number, ping in enumerate(together):
+        expected = (before if old[number] else after)[number]
+        np.testing.assert_array_equal(ping.intensity, expected.intensity)
+        np.testing.assert_array_equal(ping.body_id, expected.body_id)
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow():
+    with simulator() as it:
+
+        def some(n):
+            for ping in it.pings(POSES[k % 11] for k in range(n)):
+                del ping
+
+        some(12)
+        tracemalloc.start()
+        some(8)
+        _, few = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        some(200)
+        now, many = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    # a ping has 51 kB; up to three batches are in progress and the pool keeps 16 arrays; 200 pings would be 10 MB
+    assert many < 2_000_000
+    assert now < few + 16 * 51_200
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize("after", [1, 2, 4, 5, 7])
+def test_an_error_in_the_caller_s_loop_is_raised(after):
+    """The block closes the simulator while a batch is in progress; nothing waits for ever."""
+    with pytest.raises(KeyError), simulator(sg.Sampling(16, 600)) as it:
+        for number, _ in enumerate(it.pings((POSES[k % 11] for k in count()), labels=True), 1):
+            if number == after:
+                raise KeyError
+    with simulator() as another:
+        assert another.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.timeout(10)
+def test_closing_the_simulator_ends_a_sequence_with_an_error():
+    it = simulator()
+    pings = it.pings(POSES[k % 11] for k in count())
+    next(pings)
+    it.close()
+    with pytest.raises(sg.Error) as caught:
+        list(pings)
+    assert str(caught.value) == "this Simulator is closed; make a new one"
+    with simulator() as another:
+        assert another.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.parametrize(
+    "more", [{name: [None]} for name in ("times_s", "bodies", "velocities", "reflectivities", "waters")]
+)
+def test_all_lists_must_be_as_long_as_the_poses(more):
+    scene, sonar, refused = (
+        sg.Scene([]),
+        sg.load_sonar("p900-45"),
+        r"must be as many as poses \(got 1 for 3 poses",
+    )
+    with (
+        sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 8)) as simulator,
+        pytest.raises(sg.Error, match=refused),
+    ):
+        list(simulator.pings([np.eye(4)] * 3, **more))

@@ -1,0 +1,65 @@
+"""Styles: the pictures of pings as fan images and as the founding paper's."""
+
+import warnings
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.imaging.film import DemarcoStyle, FanStyle
+from tests.support.fan_ping import fan_ping
+
+
+@pytest.mark.parametrize("axes", [False, True])
+def test_fan_style(axes):
+    ping = fan_ping(60)
+    ping.intensity[:] = np.random.default_rng(0).random(ping.intensity.shape)
+    expected = sg.colorize(sg.fan_image(ping, 90, "db", (-30, -3)), "hot")
+    expected = sg.draw_axes(expected, ping) if axes else expected
+    assert (FanStyle(90, "db", (-30, -3), "hot", axes)(None, ping, 5) == expected).all()
+
+
+def test_unknown_colour_map():
+    with pytest.raises(sg.Error, match=r"unknown colour map \(got 'jett'; did you mean 'jet'\?\)"):
+        FanStyle(90, "db", (-60, 0), "jett", False)
+
+
+def test_demarco_style_counts_seeds():
+    """The picture of ping n has the seed + n, and the ping's pose alone."""
+    pose, poses = sg.pose(1.0), []
+
+    def point_cloud(pose, columns, rows):
+        poses.append(pose)
+        rng = np.random.default_rng(0)
+        points = rng.uniform((1, -2, -1), (8, 2, 1), (rows, columns, 3)).astype(np.float32)
+        return points, rng.random((rows, columns), np.float32)
+
+    sonar = sg.Sonar("small", 900e3, 16, 20, 60.0, 20.0, 1.0, 0.5, 10.0)
+    simulator = SimpleNamespace(sonar=sonar, acoustics=sg.Acoustics.demarco2015(), point_cloud=point_cloud)
+    noise = sg.Noise.demarco2015()
+    picture = DemarcoStyle(80, "isotropic", "polygons", noise, 5)(
+        simulator, sg.Ping(*3 * [None], pose=pose), 2
+    )
+    expected = sg.demarco_image(simulator, pose, 7, noise, 80, "isotropic", "polygons")
+    assert (picture == expected).all() and all(given is pose for given in poses)
+
+
+@pytest.mark.parametrize(
+    ("noise", "missing"),
+    [
+        (sg.Noise(speckle=True), ["speckle and no gaussian noise"]),
+        (sg.Noise(gaussian=0.1), ["speckle and no gaussian noise"]),
+        (sg.Noise(ambient_db=-90.0), ["receiver noise and no interference"]),
+        (sg.Noise(interference_lines=1), ["receiver noise and no interference"]),
+        (sg.Noise.physical(), ["speckle and no gaussian noise", "receiver noise and no interference"]),
+        (sg.Noise.demarco2015(), []),
+    ],
+)
+def test_demarco_style_warns_of_noise_that_it_lacks(noise, missing):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        DemarcoStyle(80, "isotropic", "circles", noise, 0)
+    expected = [f"pictures of style demarco2015 have no {what}" for what in missing]
+    assert [str(warning.message) for warning in caught] == expected
+    assert all(warning.filename == __file__ for warning in caught)

@@ -1,0 +1,276 @@
+"""Amounts of noise, and the chain of terms: each acts by itself, and the same seed gives the same bytes."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sonar_gl
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.noise import Noise, add_noise
+from tests.support.even_ping import SIGMAS, even_ping
+
+LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
+ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, -20.0, -30.0, 3.0)
+
+
+def message(call, *args, **kwargs) -> str:
+    """Return the message of the Error that the call raises."""
+    with pytest.raises(Error) as caught:
+        call(*args, **kwargs)
+    return str(caught.value)
+
+
+def noisy(noise, ping=None, seed=1, ping_number=0) -> np.ndarray:
+    """Return the (B, K) float32 intensity of a ping with noise."""
+    return add_noise(ping or even_ping(256, 1102), noise, seed, ping_number).intensity
+
+
+# --- terms
+
+
+@pytest.mark.parametrize("noise", [None, Noise(), Noise.none(), Noise(cloud_gaussian_m=0.01)])
+def test_no_noise_returns_the_ping(noise):
+    ping = even_ping()
+    assert add_noise(ping, noise, seed=0) is ping
+
+
+def test_gaussian():
+    added = noisy(Noise(gaussian=0.01), even_ping(256, 1102, level=0.5)).astype(np.float64) - 0.5
+    n = added.size
+    assert added.mean() == pytest.approx(0, abs=SIGMAS * 0.01 / np.sqrt(n))
+    assert added.std() == pytest.approx(0.01, abs=SIGMAS * 0.01 / np.sqrt(2 * n))
+
+
+def test_gaussian_is_clipped_at_0():
+    out = noisy(Noise(gaussian=0.01), even_ping(256, 1102, level=0.0))
+    assert out.min() == 0
+    assert (out == 0).mean() == pytest.approx(0.5, abs=SIGMAS * 0.5 / np.sqrt(out.size))
+
+
+def test_salt_and_pepper():
+    out = noisy(Noise(salt_and_pepper=0.1), even_ping(256, 1102, level=0.5))
+    assert set(np.unique(out)) == {0, 0.5, 1}
+    for value in (0, 1):
+        error = SIGMAS * np.sqrt(0.05 * 0.95 / out.size)
+        assert (out == value).mean() == pytest.approx(0.05, abs=error)
+    assert set(np.unique(noisy(Noise(salt_and_pepper=1), even_ping(level=0.5)))) == {0, 1}
+
+
+@pytest.mark.parametrize("size", [3, 5])
+def test_median(size):
+    ping, half = even_ping(20, 30), size // 2
+    speckle = noisy(Noise(speckle=True), ping)
+    out = noisy(Noise(speckle=True, median=size), ping)
+    assert out.shape == (20, 30)
+    for b, k in ((10, 10), (half, half), (19 - half, 29 - half)):
+        assert out[b, k] == np.median(speckle[b - half : b + half + 1, k - half : k + half + 1])
+
+
+def test_salt_and_pepper_come_after_the_median():
+    """The founding paper's order; a median filter would remove them."""
+    out = noisy(Noise(median=3, salt_and_pepper=0.005), even_ping(256, 1102, level=0.5))
+    assert (out != 0.5).mean() == pytest.approx(0.005, rel=0.2)  # 1410 bins; 5 sigma is 13 %
+
+
+def test_a_term_leaves_the_numbers_of_others():
+    ping = even_ping(level=2.0)
+    both = noisy(Noise(speckle=True, gaussian=0.01), ping, 5)
+    speckle = add_noise(ping, Noise(speckle=True), 5)
+    assert (noisy(Noise(gaussian=0.01), speckle, 5) == both).all()
+    hit = noisy(Noise(salt_and_pepper=0.1), ping, 5) != 2
+    hit_beside_others = np.isin(noisy(Noise(True, 0.01, 0.1), ping, 5), [0, 1])
+    assert hit.any() and hit_beside_others[hit].all()
+
+
+# --- seeds and bytes
+
+
+def test_founding_papers_noise_never_changes():
+    ping = replace(even_ping(64, 100), intensity=np.random.default_rng(0).random((64, 100), np.float32))
+    found = noisy(Noise.demarco2015(), ping, 7, 3).tobytes()
+    assert hashlib.sha256(found).hexdigest()[:16] == "9c649b4619528638"
+
+
+def test_same_seed_same_bytes():
+    ping = even_ping(64, 100)
+    first, second, third = (noisy(ALL_TERMS, ping, 9, 4).tobytes() for _ in range(3))
+    assert first == second == third
+
+
+def test_seeds_and_ping_numbers_differ():
+    ping = even_ping(64, 100)
+    pings = {noisy(ALL_TERMS, ping, seed, number).tobytes() for seed in (9, 10) for number in (4, 5)}
+    assert len(pings) == 4
+
+
+def test_same_bytes_for_any_number_of_threads():
+    """BLAS starts a thread per core; no sum may depend on their number."""
+    code = (
+        "import hashlib; from sonar_gl.noise.noise import Noise, add_noise; "
+        "from tests.support.even_ping import even_ping; "
+        "intensity = add_noise(even_ping(512, 700, 0.09), Noise.physical(), 3).intensity; "
+        "print(hashlib.sha256(intensity.tobytes()).hexdigest())"
+    )
+    root = str(Path(sonar_gl.__file__).parent.parent)
+    found = set()
+    for threads in ("1", "5"):
+        settings = {f"{name}_NUM_THREADS": threads for name in ("OPENBLAS", "OMP", "MKL")}
+        environment = {**os.environ, "PYTHONPATH": root, **settings}
+        found.add(subprocess.check_output([sys.executable, "-c", code], env=environment, timeout=60))
+    assert len(found) == 1
+
+
+# --- the ping
+
+
+def test_the_ping_itself_stays():
+    ping = even_ping(8, 9)
+    out = add_noise(ping, Noise.physical(), seed=np.int64(3), ping_number=2)
+    assert (ping.intensity == 1).all() and "noise" not in ping.meta
+    assert out.intensity.dtype == np.float32 and out.intensity.shape == (8, 9)
+    assert not out.intensity.flags.writeable
+    for name in ("azimuth_rad", "range_m", "sonar", "acoustics"):
+        assert getattr(out, name) is getattr(ping, name)
+
+
+def test_meta_records_the_noise():
+    record = json.loads(json.dumps(add_noise(even_ping(8, 9), Noise.physical(), np.int64(3), 2).meta))
+    assert (record["seed"], record["ping_number"]) == (3, 2)
+    assert Noise(**record["noise"]) == Noise.physical()
+
+
+def test_read_only_and_transposed_arrays():
+    ping = even_ping(8, 9)
+    ping.intensity.setflags(write=False)
+    transposed = replace(ping, intensity=np.ones((9, 8), np.float32).T)
+    noise = Noise(True, 0.01, 0.1, 3)
+    assert (noisy(noise, ping) == noisy(noise, transposed)).all()
+
+
+# --- amounts
+
+
+def test_profiles():
+    assert Noise.none() == Noise()
+    assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
+    assert Noise.physical() == Noise(speckle=True, electronic_db=-90.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "noise"),
+    [
+        ("none", Noise()),
+        ("physical", Noise.physical()),
+        ("demarco2015", Noise.demarco2015()),
+        ("gaussian=0.01,median=3", Noise(gaussian=0.01, median=3)),
+        (" speckle , gaussian = 1e-3 ", Noise(speckle=True, gaussian=1e-3)),
+        ("speckle=no", Noise()),
+        ("physical,median=3.0", Noise(speckle=True, electronic_db=-90.0, median=3)),
+        ("speckle,follow_motion,looks=4", Noise(speckle=True, follow_motion=True, looks=4)),
+        ("speckle,speckle_shape=0.5,follow_motion=no", Noise(speckle=True, speckle_shape=0.5)),
+        ("electronic_db=-85,ambient_db=-100", Noise(electronic_db=-85.0, ambient_db=-100.0)),
+        ("physical,electronic_db=none,speckle_shape=none", Noise(speckle=True)),
+        ("interference_lines=2,interference_db=-30", Noise(interference_lines=2, interference_db=-30)),
+    ],
+)
+def test_parse(text, noise):
+    assert Noise.parse(text) == noise
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("fysical", "noise 'fysical': unknown name (got 'fysical'; did you mean 'physical'?)"),
+        (
+            "gausian=1",
+            "noise 'gausian=1': unknown name (got 'gausian'; did you mean 'gaussian' or 'cloud_gaussian_m'?)",
+        ),
+        (
+            "median=3,none",
+            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, speckle, speckle_shape)",
+        ),
+        (
+            "none=1",
+            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, speckle, speckle_shape)",
+        ),
+        ("gaussian=a", "noise 'gaussian=a': gaussian must be a number (got 'a')"),
+        ("median", "noise 'median': median must have a value, as in median=... (got none)"),
+        ("speckle=2", "noise 'speckle=2': speckle must be yes or no (got '2')"),
+        ("median=3,median=5", "noise 'median=3,median=5': median must be given once"),
+        ("median=4", "noise: median must be 0, 3 or 5 (got 4; 0 is none)"),
+        ("median=3.5", "noise: median must be 0, 3 or 5 (got 3.5; 0 is none)"),
+        ("gaussian=-1", "noise: gaussian must lie in 0..1 (got -1; a fraction of full scale)"),
+        ("gaussian=nan", "noise: gaussian must lie in 0..1 (got nan; a fraction of full scale)"),
+        ("salt_and_pepper=5", "noise: salt_and_pepper must lie in 0..1 (got 5; a fraction of the bins)"),
+        ("cloud_gaussian_m=20", "noise: cloud_gaussian_m must lie in 0..10 (got 20; give metres)"),
+    ],
+)
+def test_wrong_text(text, expected):
+    assert message(Noise.parse, text) == expected
+
+
+def test_empty_text_names_all_choices():
+    assert message(Noise.parse, "") == (
+        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, electronic_db, "
+        "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
+        "salt_and_pepper, speckle, speckle_shape)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("amounts", "expected"),
+    [
+        ({"speckle": 0.5}, "noise: speckle must be True or False (got 0.5)"),
+        ({"follow_motion": 1}, "noise: follow_motion must be True or False (got 1)"),
+        (
+            {"speckle_shape": 0},
+            "noise: speckle_shape must lie in 0.05..10000 (got 0; below 1 is spiky, None is fully developed)",
+        ),
+        ({"speckle_shape": "K"}, "noise: speckle_shape must be a number (got 'K')"),
+        ({"looks": 0}, "noise: looks must be a whole number in 1..1000 (got 0)"),
+        ({"looks": 2.0}, "noise: looks must be a whole number in 1..1000 (got 2.0)"),
+        ({"looks": 2}, "noise: looks needs speckle (got 2 without it; switch speckle on)"),
+        (
+            {"follow_motion": True},
+            "noise: follow_motion needs speckle (got True without it; switch speckle on)",
+        ),
+        (
+            {"electronic_db": np.nan},
+            f"noise: electronic_db must lie in -300..100 (got nan; {LEVEL})",
+        ),
+        (
+            {"ambient_db": 101},
+            f"noise: ambient_db must lie in -300..100 (got 101; {LEVEL})",
+        ),
+        (
+            {"interference_lines": -1},
+            "noise: interference_lines must lie in 0..1000 (got -1; a mean number in a ping)",
+        ),
+        ({"interference_db": None}, "noise: interference_db must be a number (got None)"),
+        ({"gaussian": True}, "noise: gaussian must be a number (got True)"),
+        ({"gaussian": "a"}, "noise: gaussian must be a number (got 'a')"),
+        ({"median": True}, "noise: median must be 0, 3 or 5 (got True; 0 is none)"),
+        ({"median": [3]}, "noise: median must be 0, 3 or 5 (got [3]; 0 is none)"),
+    ],
+)
+def test_wrong_amount(amounts, expected):
+    assert message(Noise, **amounts) == expected
+
+
+@pytest.mark.parametrize("seed", [-1, 1.0, None, "0", True])
+@pytest.mark.parametrize("noise", [None, Noise(), Noise.physical()])  # checked even if no term is random
+def test_wrong_seed(seed, noise):
+    expected = f"must be a whole number, 0 or more (got {seed!r})"
+    assert message(add_noise, even_ping(2, 2), noise, seed) == f"seed {expected}"
+    assert message(add_noise, even_ping(2, 2), noise, 0, seed) == f"ping_number {expected}"

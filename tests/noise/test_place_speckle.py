@@ -1,0 +1,126 @@
+"""Place-locked speckle: what it does as the sonar stands still, turns and moves."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sonar_gl import pose
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.noise import Noise, add_noise
+from tests.support.even_ping import (
+    BEAM_WIDTH_RAD,
+    BIN_M,
+    FREQUENCY_HZ,
+    SIGMAS,
+    SOUND_SPEED_M_S,
+    UNIFORM_WIDTH,
+    correlation,
+    even_ping,
+    hamming_correlation,
+)
+
+APERTURE_M = UNIFORM_WIDTH * SOUND_SPEED_M_S / FREQUENCY_HZ / BEAM_WIDTH_RAD  # length of the array
+PLACE_LOCKED = Noise(speckle=True, follow_motion=True)
+YAW_RAD = 0.3  # heading of the sonars of `moved`
+AHEAD, PORT = np.array([[np.cos(YAW_RAD), np.sin(YAW_RAD)], [-np.sin(YAW_RAD), np.cos(YAW_RAD)]])
+BORESIGHT = slice(31, 33)  # the two middle beams of 64
+
+
+def patterns(noise, ping, count=1, seed=1) -> np.ndarray:
+    """Return (count, B, K) float64, the intensities of so many pings."""
+    return np.array([add_noise(ping, noise, seed, n).intensity for n in range(count)], np.float64)
+
+
+def moved(seed, x=0.0, y=0.0, yaw=0.0, **acoustics) -> np.ndarray:
+    """Return the (B, K) pattern of a sonar, so many metres and radians from one place in the sea."""
+    where = pose(100.2 + x, -50.2 + y, 0, 0, 0, YAW_RAD + yaw)
+    return patterns(PLACE_LOCKED, even_ping(pose=where, **acoustics), 1, seed)[0]
+
+
+@pytest.mark.parametrize("noise", [PLACE_LOCKED, replace(PLACE_LOCKED, speckle_shape=1.0, looks=2)])
+def test_a_still_sonar_has_a_still_pattern(noise):
+    ping = even_ping(pose=pose(0.2, 0.2, 0, 0, 0, 0))
+    first, second = patterns(noise, ping, 2)
+    assert (first == second).all()
+    assert correlation(first, patterns(noise, ping, 1, seed=2)) < 0.1
+
+
+def test_receiver_noise_is_new_in_each_ping():
+    ping = even_ping(pose=pose(0.2, 0.2, 0, 0, 0, 0))
+    first, second = patterns(replace(PLACE_LOCKED, electronic_db=0.0), ping, 2)
+    assert (first != second).mean() > 0.99
+
+
+def test_statistics_are_those_of_speckle():
+    x = np.array([moved(seed) for seed in range(30)])
+    n = 30 * 256 * 64 * 0.25 * UNIFORM_WIDTH
+    assert x.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n))
+    assert x.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / n))
+    half_a_width_apart = np.sinc(UNIFORM_WIDTH / 2) ** 2
+    found = correlation(x[:, 2:], x[:, :-2])
+    assert found == pytest.approx(half_a_width_apart, abs=SIGMAS * 2 / np.sqrt(n) + 5e-3)
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi - YAW_RAD - 0.002])
+@pytest.mark.parametrize("beams", [1, 5])
+def test_turning_moves_the_pattern_by_beams(yaw, beams):
+    """Across the seam of the circle, too."""
+    turned = moved(0, yaw=yaw + np.radians(0.25) * beams)
+    np.testing.assert_allclose(turned[:-beams], moved(0, yaw=yaw)[beams:], rtol=0, atol=2e-4)  # float32
+
+
+def test_moving_ahead_moves_the_pattern_in_range():
+    forward = 3 * BIN_M * AHEAD
+    assert correlation(moved(0, *forward)[BORESIGHT, :-3], moved(0)[BORESIGHT, 3:]) > 0.999
+
+
+def test_moving_ahead_by_half_a_bin_interpolates():
+    pulse = {"bandwidth_hz": SOUND_SPEED_M_S / (4 * BIN_M), "pulse_taper": "hamming"}  # c/2B is 2 bins
+    forward = BIN_M / 2 * AHEAD
+    before = np.array([moved(seed, **pulse)[BORESIGHT] for seed in range(30)])
+    after = np.array([moved(seed, *forward, **pulse)[BORESIGHT] for seed in range(30)])
+    error = SIGMAS * 0.15 / np.sqrt(30 * 128)  # of a correlation of 0.94
+    assert correlation(after, before) == pytest.approx(hamming_correlation(0.25) ** 2, abs=error)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15, 0.25])
+def test_moving_sideways_slides_the_aperture(share):
+    aside = share * APERTURE_M * PORT
+    before = np.array([moved(seed)[BORESIGHT] for seed in range(40)])
+    after = np.array([moved(seed, *aside)[BORESIGHT] for seed in range(40)])
+    found = correlation(after, before)
+    # the outermost of 79 waves count in part, which correlates by up to a third of a wave too much
+    error = SIGMAS / np.sqrt(40 * 256) * (1 - found**2) + 0.01
+    assert found == pytest.approx((1 - 2 * share) ** 2, abs=error)
+
+
+def test_heave_roll_and_pitch_leave_the_pattern():
+    level, tilted = (
+        patterns(PLACE_LOCKED, even_ping(pose=pose(3.2, 1.2, z, roll, pitch, YAW_RAD)))[0]
+        for z, roll, pitch in ((0, 0, 0), (-7.0, 0.3, -0.4))
+    )
+    np.testing.assert_allclose(tilted, level, rtol=0, atol=2e-4)  # float32
+
+
+def test_cells_of_the_sea_fade_into_each_other():
+    """Across a border in steps of 4 mm: each step correlates as well as within a cell."""
+    steps = [
+        patterns(PLACE_LOCKED, even_ping(pose=pose(x, 0.2, 0, 0, 0, 0)))[0]
+        for x in np.arange(0.44, 0.5601, 0.004)
+    ]
+    within = [correlation(a[:, :-1], b[:, :-1]) for a, b in pairwise(steps[:3])]
+    assert min(correlation(a, b) for a, b in pairwise(steps)) > min(within) - 0.05
+    assert all(abs(step.mean() - 1) < SIGMAS / np.sqrt(256 * 14) for step in steps)
+    assert correlation(steps[0], steps[-1]) < 0.1  # each cell has its own waves
+
+
+@pytest.mark.parametrize("missing", ["pose", "sonar"])
+def test_it_needs_a_pose_and_a_sonar(missing):
+    with pytest.raises(Error) as caught:
+        add_noise(replace(even_ping(pose=np.eye(4)), **{missing: None}), PLACE_LOCKED, 0)
+    assert str(caught.value) == (
+        f"noise: the ping must have a {missing} for place-locked speckle, follow_motion=True "
+        "(got None; pings of a Simulator have one)"
+    )

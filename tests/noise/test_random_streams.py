@@ -1,0 +1,33 @@
+"""Random streams are independent of one another, and the same key gives the same numbers."""
+
+import pytest
+
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.random_streams import STREAMS, check_seed, stream
+
+
+def test_stream_numbers_never_change():
+    """Each noisy ping's bytes depend on them."""
+    numbers = {"speckle": 1, "gaussian": 2, "salt_and_pepper": 3, "cloud": 4}
+    assert numbers | {"texture": 5, "receiver": 6, "interference": 7} == STREAMS
+
+
+def test_first_numbers_of_streams_never_change():
+    assert stream(0, 0, "speckle").bit_generator.random_raw() == 3503594916310552525
+    assert stream(7, 3, "texture", 1, 2).bit_generator.random_raw() == 11501054001911140744
+
+
+def test_terms_have_different_streams():
+    assert len({stream(5, 0, term).random() for term in STREAMS}) == len(STREAMS)
+
+
+def test_large_seeds_do_not_collide_with_ping_numbers():
+    keys = [(0, 1), (1 << 32, 0), (1 << 32, 1), (1, 0), (0, 1 << 32)]
+    assert len({stream(seed, number, "speckle").random() for seed, number in keys}) == len(keys)
+
+
+def test_seeds_are_whole_numbers():
+    assert check_seed(3) == 3
+    with pytest.raises(Error) as caught:
+        check_seed(1.5, "random_views: seed")
+    assert str(caught.value) == "random_views: seed must be a whole number, 0 or more (got 1.5)"

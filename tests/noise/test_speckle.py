@@ -1,0 +1,229 @@
+"""Speckle: its distribution, and its correlation between beams, under tapers and along the pulse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sonar_gl.noise.gaussian import standard_normal
+from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.random_streams import stream
+from sonar_gl.noise.speckle import (
+    FieldCorrelation,
+    aperture_width,
+    beam_matrix,
+    multiply_by_speckle,
+    sines_and_cosines,
+)
+from tests.support.even_ping import (
+    BEAM_WIDTH_RAD,
+    BIN_M,
+    HAMMING_SERIES,
+    SIGMAS,
+    SOUND_SPEED_M_S,
+    UNIFORM_WIDTH,
+    correlation,
+    even_ping,
+    hamming_correlation,
+)
+
+SPECKLE = Noise(speckle=True)
+TWO_BINS_HZ = SOUND_SPEED_M_S / (4 * BIN_M)  # bandwidth whose c/2B is two bins
+
+
+def speckled(ping, noise=SPECKLE, seed=1) -> np.ndarray:
+    return add_noise(ping, noise, seed).intensity.astype(np.float64)
+
+
+def speckle(azimuth_rad, n_bins, beam_width_rad, generator) -> np.ndarray:
+    """Return (B, K) float32 speckle of mean 1."""
+    out = np.ones((len(azimuth_rad), n_bins), np.float32)
+    multiply_by_speckle(out, FieldCorrelation(tuple(azimuth_rad.tolist()), beam_width_rad), generator)
+    return out
+
+
+def fan(fov_deg, n_beams) -> np.ndarray:
+    """Return (B,) beam centres, radians, half a spacing inside the fan's edges."""
+    return np.radians(fov_deg * ((np.arange(n_beams) + 0.5) / n_beams - 0.5))
+
+
+# --- distribution
+
+
+def test_speckle_is_exponential():
+    """Independent beams give n independent draws, so that every tolerance is a known standard error."""
+    out = speckled(replace(even_ping(256, 4000), sonar=None))
+    n = out.size
+    assert out.min() >= 0
+    assert out.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n))
+    # contrast std/mean of an exponential is 1, with variance 1/n
+    assert out.std() / out.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n))
+    for k in (0.5, 1, 3, 6):  # P(I > k) = e^-k
+        p = np.exp(-k)
+        assert (out > k).mean() == pytest.approx(p, abs=SIGMAS * np.sqrt(p * (1 - p) / n))
+    # log of an exponential: mean −2.507 dB, std 5.570 dB, kurtosis 5.4, so var(std) = (5.4 − 1)/4n · std²
+    db = 10 * np.log10(out)
+    assert db.mean() == pytest.approx(-2.50682, abs=SIGMAS * 5.57 / np.sqrt(n))
+    assert db.std() == pytest.approx(5.57004, abs=SIGMAS * 5.57 * np.sqrt(1.1 / n))
+    assert abs(correlation(out[1:], out[:-1])) < SIGMAS / np.sqrt(n)
+    assert abs(correlation(out[:, 1:], out[:, :-1])) < SIGMAS / np.sqrt(n)
+
+
+def test_overlapping_beams_have_the_same_distribution():
+    out = speckled(even_ping(256, 4000, 45 / 256), seed=2)
+    n = 4000 * 45 * UNIFORM_WIDTH  # independent cells: resolved directions, times bins
+    assert out.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n))
+    assert out.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / n))
+    assert (10 * np.log10(out)).std() == pytest.approx(5.57004, abs=SIGMAS * 5.57 * np.sqrt(1.1 / n))
+
+
+def test_speckle_of_no_echo_is_none():
+    assert not speckled(even_ping(level=0.0)).any()
+
+
+@pytest.mark.parametrize("looks", [2, 5])
+def test_looks_reduce_the_contrast(looks):
+    x = speckled(even_ping(100, 4000, 2.0), Noise(speckle=True, looks=looks))
+    n = x.size
+    assert x.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n * looks))
+    assert x.std() == pytest.approx(looks**-0.5, abs=SIGMAS * np.sqrt((2 + 6 / looks) / (4 * n * looks)))
+
+
+# --- correlation between beams
+
+
+@pytest.mark.parametrize(
+    ("spacing_deg", "field", "intensity"),
+    # sinc(0.8859 D / width) of a uniform line array, for a width of 1 degree
+    [(0.18, 0.9587, 0.9191), (0.5, 0.7071, 0.5), (1.0 / 0.885893, 0.0, 0.0)],
+)
+def test_overlapping_beams_share_speckle(spacing_deg, field, intensity):
+    # every fourth beam is compared: 0.18, 0.5 or 1.13 degrees apart
+    n_beams = 100
+    azimuth = np.radians(spacing_deg / 4 * (np.arange(n_beams) - n_beams / 2))
+    draws = speckle(azimuth, 20_000, BEAM_WIDTH_RAD, stream(3, 0, "speckle")).astype(np.float64)
+    found = np.array([correlation(draws[b], draws[b + 4]) for b in range(0, n_beams - 4, 4)])
+    # a bin has as many independent draws as the fan has beam widths
+    n = 20_000 * max(1.0, n_beams * spacing_deg / 4 * UNIFORM_WIDTH)
+    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it, below 4e-4
+    error = SIGMAS * 2 * (1 - intensity**2 + 1e-9) / np.sqrt(n) + 4e-4
+    assert found.mean() == pytest.approx(intensity, abs=error)
+    assert intensity == pytest.approx(field**2, abs=1e-4)
+
+
+@pytest.mark.parametrize("fov_deg", [10.0, 45.0, 130.0, 360.0])
+def test_correlation_of_all_pairs_of_beams(fov_deg):
+    """From the matrix itself: near pairs correlate as the array dictates, distant ones not at all."""
+    azimuth = fan(fov_deg, 512)
+    matrix = beam_matrix(tuple(azimuth.tolist()), float(BEAM_WIDTH_RAD)).astype(np.float64)
+    apart = np.abs(np.subtract.outer(azimuth, azimuth))
+    apart = np.minimum(apart, 2 * np.pi - apart)  # a full circle closes
+    expected = np.sinc(UNIFORM_WIDTH * apart / BEAM_WIDTH_RAD)
+    found = matrix @ matrix.T
+    np.testing.assert_allclose(np.diag(found), 1, rtol=0, atol=1e-6)  # float32 rows of unit power
+    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it; M is least, 21, for 10 degrees
+    near = apart < BEAM_WIDTH_RAD
+    assert np.abs(found - expected)[near].max() < 1e-3
+    assert np.abs(found**2 - expected**2).max() < 1.2e-3  # of the intensity's variance, all pairs
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.4])
+@pytest.mark.parametrize("n_beams", [2, 7, 64])
+def test_symmetric_fans_need_half_of_the_matrix(n_beams, middle):
+    """The beams of one half and their mirror images are all beams."""
+    azimuths = tuple((middle + np.radians(0.3) * (np.arange(n_beams) - (n_beams - 1) / 2)).tolist())
+    matrix = beam_matrix(azimuths, BEAM_WIDTH_RAD)
+    sines, cosines = sines_and_cosines(azimuths, BEAM_WIDTH_RAD)
+    assert len(sines) == len(cosines) == (n_beams + 1) // 2
+    mirrored = np.column_stack([-sines, cosines])[::-1]
+    joined = np.concatenate([np.column_stack([sines, cosines]), mirrored[n_beams % 2 :]])
+    np.testing.assert_allclose(joined, matrix, rtol=0, atol=1e-6)  # float32 of numbers below 1
+
+
+def test_uneven_fans_need_the_whole_matrix():
+    assert all(len(part) == 3 for part in sines_and_cosines((-0.02, 0.0, 0.01), BEAM_WIDTH_RAD))
+
+
+@pytest.mark.parametrize(
+    "azimuth",
+    [
+        np.linspace(-0.2, 0.2, 41),
+        np.linspace(-0.2, 0.2, 41)[:-1],
+        np.linspace(-0.2, 0.2, 41) + 1e-3 * np.arange(41) ** 2,
+    ],
+    ids=["symmetric", "off_centre", "uneven"],
+)
+def test_speckle_is_the_matrix_times_normals(azimuth):
+    """8 bins fit into one block."""
+    found = speckle(azimuth, 8, 2 * BEAM_WIDTH_RAD, stream(8, 0, "speckle"))
+    matrix = beam_matrix(tuple(azimuth.tolist()), 2 * BEAM_WIDTH_RAD)
+    normals = standard_normal(stream(8, 0, "speckle"), (matrix.shape[1], 16))
+    real, imaginary = np.split(matrix @ normals, 2, axis=1)
+    # float32 sums of some 40 numbers of about 0.2, in another order
+    np.testing.assert_allclose(found, (real**2 + imaginary**2) / 2, rtol=1e-5, atol=1e-5)
+
+
+def test_uneven_beams():
+    azimuth = np.radians([-10.0, -9.9, 0.0, 9.0])
+    draws = speckle(azimuth, 50_000, BEAM_WIDTH_RAD, stream(0, 0, "speckle"))
+    expected = np.sinc(UNIFORM_WIDTH * 0.1) ** 2
+    assert correlation(draws[0], draws[1]) == pytest.approx(expected, abs=5e-3)
+    assert abs(correlation(draws[1], draws[2])) < SIGMAS / np.sqrt(50_000) + 1e-3
+
+
+def test_one_beam():
+    assert speckle(np.zeros(1), 7, BEAM_WIDTH_RAD, stream(0, 0, "speckle")).shape == (1, 7)
+
+
+def test_beams_that_do_not_overlap_are_independent():
+    ping = even_ping(64, 10, 1.0)
+    assert (speckled(ping) == speckled(replace(ping, sonar=None))).all()
+
+
+# --- tapers
+
+
+@pytest.mark.parametrize("fov_deg", [10.0, 130.0])
+def test_a_taper_widens_the_correlation(fov_deg):
+    """From the matrix itself: the transform of the squared taper, at the data sheet's width."""
+    azimuth = fan(fov_deg, 256)
+    matrix = beam_matrix(tuple(azimuth.tolist()), float(BEAM_WIDTH_RAD), HAMMING_SERIES).astype(np.float64)
+    apart = np.abs(np.subtract.outer(azimuth, azimuth)) / BEAM_WIDTH_RAD
+    found = matrix @ matrix.T
+    np.testing.assert_allclose(np.diag(found), 1, rtol=0, atol=1e-6)
+    # a sum of few waves in place of the integral, 31 for 10 degrees
+    assert np.abs(found - hamming_correlation(aperture_width(HAMMING_SERIES) * apart)).max() < 5e-3
+    assert aperture_width(HAMMING_SERIES) == pytest.approx(1.302982, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("acoustics", "expected"),
+    [({}, 0.5), ({"beam_pattern": "line_array", "taper": "hamming"}, hamming_correlation(1.302982 / 2) ** 2)],
+    ids=["uniform", "hamming"],
+)
+def test_the_taper_is_that_of_the_ping(acoustics, expected):
+    x = speckled(even_ping(64, 2000, 0.5, **acoustics))
+    error = SIGMAS * 2 / np.sqrt(64 * 2000 / 2)
+    assert correlation(x[1:], x[:-1]) == pytest.approx(expected, abs=error + 5e-3)
+
+
+# --- correlation along the pulse
+
+
+@pytest.mark.parametrize(("taper", "field"), [("uniform", np.sinc), ("hamming", hamming_correlation)])
+def test_bins_shorter_than_the_pulse_share_speckle(taper, field):
+    x = speckled(even_ping(100, 4000, 2.0, bandwidth_hz=TWO_BINS_HZ, pulse_taper=taper))
+    n = x.size / 2  # independent draws, one per c/2B
+    for bins in (1, 2, 3):
+        error = SIGMAS * 2 / np.sqrt(n) + 4e-3  # the pulse weights are cut off
+        assert correlation(x[:, bins:], x[:, :-bins]) == pytest.approx(field(bins / 2) ** 2, abs=error)
+    assert x.mean() == pytest.approx(1, abs=SIGMAS * np.sqrt(1 / n))
+    assert x.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / n))
+    assert abs(correlation(x[1:], x[:-1])) < SIGMAS / np.sqrt(n)  # beams almost two widths apart
+
+
+def test_correlation_over_beams_and_bins_is_the_product():
+    x = speckled(even_ping(64, 2000, 0.5, bandwidth_hz=TWO_BINS_HZ))
+    expected = (np.sinc(0.5) * np.sinc(0.5 * UNIFORM_WIDTH)) ** 2
+    error = SIGMAS * 2 / np.sqrt(x.size / 4) + 4e-3
+    assert correlation(x[1:, 1:], x[:-1, :-1]) == pytest.approx(expected, abs=error)

@@ -1,0 +1,325 @@
+"""Patches that a sector draws: all visible ones, as coarse as the error allows, and few others."""
+
+import json
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.raster import buffers, scene_meshes
+from sonar_gl.raster import level_of_detail as detail
+from sonar_gl.raster.cull import BEYOND, SectorGeometry
+from sonar_gl.raster.draw_list import DrawList, SectorView
+from sonar_gl.sonar.fan import FAR_FACTOR
+from tests.support.worlds import terrain
+
+SONAR = sg.Sonar("test", 900e3, 64, 200, 100.0, 20.0, 1.5, 0.5, 30.0)
+SAMPLING = sg.Sampling(1, 60)
+FAR_M = FAR_FACTOR * SONAR.range_max_m
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_patches():
+    """Lower the limits to leaves of 64 faces and levels above 2000 faces, so that small meshes have many of both."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(detail, "LEAF_FACES", 64)
+        patch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 2000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def hills():
+    """Return sharp hills of 12 000 faces, 60 m wide."""
+    return terrain(np.random.default_rng(0), 60.0, 6.0, 80)
+
+
+@pytest.fixture(scope="module")
+def views():
+    with sg.Simulator(sg.Scene([]), SONAR, sampling=SAMPLING) as it:
+        return [SectorView(sector) for sector in it.fan.sectors]
+
+
+def choose(bodies, pose, view):
+    """Return the list of (patch, body) that a sector draws, the meshes, and the placed bodies."""
+    some = scene_meshes.SceneMeshes()
+    some.add(bodies)
+    placed = some.view_from(pose)
+    out = DrawList()
+    some.draw_sector(view, placed, FAR_M, SONAR.range_max_m, 0, out)
+    (draws,) = out.draws.filled()
+    firsts = 3 * some.levels["first_face"]
+    real = np.flatnonzero(some.levels["n_faces"] > 0)
+    at = dict(zip(firsts[real].tolist(), real.tolist(), strict=True))
+    return [(at[int(row[2])], int(row[4])) for row in draws], some, placed
+
+
+def corners_in(view, some, placed, patch, body, m=None):
+    """Return the corners of a patch's faces in the sector's frame, (n, 3, 3)."""
+    levels = some.levels
+    first, n = levels["first_face"][patch], levels["n_faces"][patch]
+    used = levels["first_vertex"][patch] + levels["faces"][first : first + n].astype(int)
+    m = placed.matrices[body]
+    # without software rasterization the meshes leave their vertices to the driver; `keep_points` keeps a copy
+    points = some.all_points[used]
+    return (points @ m[:, :3].T + m[:, 3]) @ SectorGeometry(*view.geometry).rotation.T
+
+
+@pytest.fixture
+def keep_points(monkeypatch):
+    """Have SceneMeshes keep the vertices that go to the driver."""
+    add = scene_meshes.SceneMeshes.add
+
+    def adding(self, bodies):
+        made = add(self, bodies)
+        self.all_points = np.concatenate([one.points for one in made]).astype(float)
+        return made
+
+    monkeypatch.setattr(scene_meshes.SceneMeshes, "add", adding)
+
+
+def any_inside(corners, view, slack=0.0):
+    """Return whether vertices, or random points of the faces, lie in the view of a sector and in range."""
+    weights = np.random.default_rng(0).dirichlet([1, 1, 1], 12)
+    weights = np.concatenate([weights, np.eye(3)])
+    x, y, z = np.einsum("sk,fkc->cfs", weights, corners)
+    ahead = x > scene_meshes.NEAR_M + slack
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = -y / x, z / x
+    low_u, high_u, low_v, high_v = SectorGeometry(*view.geometry).limits
+    inside = ahead & (u > low_u) & (u < high_u) & (v > low_v) & (v < high_v)
+    return (inside & (np.sqrt(x * x + y * y + z * z) < FAR_M)).any()
+
+
+def poses(n=8):
+    """Yield poses around the origin; all but one look roughly at it, with roll."""
+    rng = np.random.default_rng(4)
+    for _ in range(n):
+        x, y = rng.uniform(-22, 22, 2)
+        yaw = np.arctan2(-y, -x) + rng.uniform(-0.8, 0.8)
+        yield sg.pose(x, y, rng.uniform(1, 8), rng.uniform(-3, 3), rng.uniform(-0.2, 0.4), yaw)
+    yield sg.pose(20, 0, 4)
+
+
+def test_visible_leaves_are_drawn_and_others_culled(views, keep_points, monkeypatch, hills):
+    """Each leaf is checked against points of its faces."""
+    monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 10**9)
+    ground = terrain(np.random.default_rng(1), 60.0, 6.0, 48)
+    ball = trimesh.creation.icosphere(4, 5.0)
+    bodies = [sg.Body("ground", ground, sg.pose(z=-2)), sg.Body("ball", ball, sg.pose(3, 2))]
+    left_out = wasted = drawn = 0
+    for pose in poses():
+        for view in views:
+            chosen, some, placed = choose(bodies, pose, view)
+            assert len(set(chosen)) == len(chosen)
+            for body, (first, end) in enumerate(some.boxes.roots):
+                for patch in range(first, end):
+                    if not some.levels["leaf"][patch]:
+                        continue
+                    corners = corners_in(view, some, placed, patch, body)
+                    in_view = any_inside(corners, view)
+                    if (patch, body) in chosen:
+                        drawn += 1
+                        wasted += not in_view
+                        # its box reaches into the view: none lies beyond one side of the view
+                        x, y, z = corners.reshape(-1, 3).T
+                        low_u, high_u, low_v, high_v = SectorGeometry(*view.geometry).limits
+                        side = np.linalg.norm(2 * some.levels["box"][patch, 3:])
+                        outside = (x, high_u * x + y, -y - low_u * x, high_v * x - z, z - low_v * x)
+                        assert all(away.max() > -2 * side for away in outside)
+                    elif in_view:
+                        # culled although in view: back faces of a closed body seen from outside
+                        assert some.boxes.closed[body]
+                        assert placed.outside
+                        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+                        assert ((normals * corners[:, 0]).sum(axis=1) >= -1e-9).all()
+                        left_out += 1
+    assert left_out > 50
+    assert drawn > 200
+    assert wasted < 0.3 * drawn  # boxes are larger than the faces in them
+
+
+def test_back_faces_of_open_bodies_and_from_inside_are_drawn(views, keep_points):
+    ball = trimesh.creation.icosphere(4, 4.0)
+    bowl = trimesh.Trimesh(ball.vertices, ball.faces[:-1], process=False)
+    n = {}
+    for name, mesh, x in (("closed", ball, 8), ("open", bowl, 8), ("inside", ball, 1)):
+        chosen, some, _ = choose([sg.Body("ball", mesh, sg.pose(x))], np.eye(4), views[len(views) // 2])
+        n[name] = int(some.levels["n_faces"][[patch for patch, _ in chosen]].sum())
+    assert n["closed"] < 0.75 * n["open"]
+    assert n["inside"] > 0
+
+
+def test_bodies_behind_or_beyond_the_fan_draw_nothing(views, hills):
+    for pose in (sg.pose(-2000), sg.pose(200), sg.pose(z=200), sg.pose(z=-200)):
+        for view in views:
+            chosen, _, _ = choose([sg.Body("hills", hills)], pose, view)
+            assert chosen == []
+
+
+def test_levels_cover_a_body_once_and_coarsen_with_distance(views, monkeypatch):
+    """No patch is drawn with one of its descendants; from further away a smaller share of the faces is drawn."""
+    view, ground = views[0], terrain(np.random.default_rng(0), 60.0, 1.0, 80)
+    faces = {}
+    for error_samples in (scene_meshes.ERROR_SAMPLES, 0.0):
+        monkeypatch.setattr(scene_meshes, "ERROR_SAMPLES", error_samples)
+        faces[error_samples] = []
+        for x in (20, 50, 80, 110):
+            chosen, some, _ = choose(
+                [sg.Body("ground", ground)], sg.pose(-x, 0, 5, pitch=0.05, yaw=0.5), view
+            )
+            patches = sorted(patch for patch, _ in chosen)
+            for one, following in pairwise(patches):
+                assert some.levels["skip"][one] <= following
+            faces[error_samples].append(int(some.levels["n_faces"][patches].sum()))
+    levels, all_faces = (np.array(n) for n in faces.values())
+    assert all_faces.min() > 500
+    share = levels / all_faces
+    assert (np.diff(share) < 0).all()
+    assert share[-1] < 0.25  # all of it beyond the last bin
+
+
+def test_the_error_of_drawn_patches_is_within_the_limit(views, hills):
+    """The error is at most a fraction of a sample's width at the patch; beyond the last bin, BEYOND times more."""
+    coarse = 0
+    for x in (20, 35, 50):
+        for view in views:
+            pose = sg.pose(-x, 0, 5, pitch=0.05)
+            chosen, some, _ = choose([sg.Body("hills", hills)], pose, view)
+            eye = pose[:3, 3] - some.boxes.centres[0]
+            for patch, _ in chosen:
+                error_m, box = some.levels["error_m"][patch], some.levels["box"][patch]
+                nearest = np.linalg.norm(np.maximum(np.abs(box[:3] - eye) - box[3:], 0))
+                allowed = scene_meshes.ERROR_SAMPLES * view.sample_rad * nearest
+                if nearest - error_m > SONAR.range_max_m:
+                    allowed *= BEYOND
+                assert error_m <= allowed
+                coarse += error_m > 0
+    assert coarse > 10
+
+
+def pings(bodies, poses, **kw):
+    with sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), SAMPLING, **kw) as it:
+        return [it.ping(pose, labels=True) for pose in poses]
+
+
+def test_levels_change_a_ping_by_less_than_its_sampling_error(monkeypatch):
+    """105 000 faces of gentle hills, with and without levels, against nine times as many samples without levels."""
+    monkeypatch.setattr(detail, "LEAF_FACES", 512)
+    monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 100_000)
+    ground = terrain(np.random.default_rng(2), 60.0, 0.6, 230)
+    ball = sg.Body("ball", trimesh.creation.icosphere(3), sg.pose(9))
+    scene, ideal = sg.Scene([sg.Body("ground", ground, sg.pose(z=-5)), ball]), sg.Acoustics.ideal()
+    places = [sg.pose(0, y, 0, 0, 0.15, yaw) for y, yaw in ((0, 0), (5, 1), (-20, 2.5))]
+    with (
+        sg.Simulator(scene, SONAR, ideal, sg.Sampling(2, 120)) as it,
+        sg.Simulator(it, SONAR, ideal, sg.Sampling(6, 360)) as fine,
+    ):
+        levels = [it.ping(pose, labels=True) for pose in places]
+        monkeypatch.setattr(scene_meshes, "ERROR_SAMPLES", 0.0)
+        full = [it.ping(pose, labels=True) for pose in places]
+        truth = [fine.ping(pose).intensity for pose in places]
+    for one, other, true in zip(levels, full, truth, strict=True):
+        change, error, samples = (
+            np.abs(a - b).sum() / true.sum()
+            for a, b in (
+                (one.intensity, other.intensity),
+                (one.intensity, true),
+                (other.intensity, true),
+            )
+        )
+        assert change > 0, "no coarser level was drawn"
+        # measured: 0.2 to 0.3 %, where the samples alone err by 0.5 to 1 %
+        assert change < 0.5 * samples
+        assert error < 1.15 * samples
+        # a body's echo may change by a sample's width in radians, 0.003
+        np.testing.assert_allclose(one.body_echo[1:], other.body_echo[1:], rtol=3e-3)
+
+
+def small_scene(hills):
+    ball = trimesh.creation.icosphere(3)
+    patchy = np.linspace(0.1, 1, len(ball.faces))
+    normals = np.asarray(ball.vertices, np.float32)
+    return [
+        sg.Body("hills", hills, sg.pose(z=-5), 0.4),
+        sg.Body("patchy", ball, sg.pose(7, 2), patchy),
+        sg.Body("smooth", ball, sg.pose(9, -2), 0.9, normals),
+        sg.Body("box", trimesh.creation.box((1, 1, 2)), sg.pose(5, -0.5, yaw=0.4), 1.0),
+    ]
+
+
+VIEWS = [sg.pose(0, 0, 0, 0, 0.1, 0), sg.pose(-3, 1, 1, 0.2, 0.1, 0.3)]
+
+
+@pytest.mark.parametrize("software", [True, False])
+def test_pings_without_indirect_draws_are_identical(monkeypatch, hills, software):
+    monkeypatch.setattr(buffers, "is_software", lambda _: software)
+    expected, calls = pings(small_scene(hills), VIEWS), []
+    draw = buffers.SceneBuffers.draw
+    monkeypatch.setattr(
+        buffers.SceneBuffers, "draw", lambda self, *a: calls.append(self.indirect) or draw(self, *a)
+    )
+    monkeypatch.setattr(buffers, "MIN_INDIRECT_VERSION", 999)
+    found = pings(small_scene(hills), VIEWS)
+    assert calls
+    assert not any(calls)
+    for one, other in zip(found, expected, strict=True):
+        assert other.intensity.any()
+        for name in ("intensity", "body_id", "elevation_rad", "body_echo"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+OLD_DRIVER_PROGRAM = """
+import json, sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from tests.raster import test_cull as here
+here.detail.LEAF_FACES, here.detail.MIN_FACES_TO_SIMPLIFY = 64, 2000
+from sonar_gl.raster import buffers
+used = []
+draw = buffers.SceneBuffers.draw
+buffers.SceneBuffers.draw = lambda self, *a: used.append(self.indirect) or draw(self, *a)
+with here.sg.Simulator(
+    here.sg.Scene(here.small_scene(here.old_hills())), here.SONAR, here.sg.Acoustics.ideal(), here.SAMPLING
+) as it:
+    found = [it.ping(pose).intensity for pose in here.VIEWS]
+    with it.run.drawing() as context:
+        code = context.version_code
+np.save(sys.argv[2], found)
+print(json.dumps({"code": code, "indirect": used}))
+"""
+
+
+def old_hills():
+    return terrain(np.random.default_rng(0), 60.0, 6.0, 30)
+
+
+def test_a_driver_of_opengl_3_3_gives_the_same_ping(tmp_path):
+    """Mesa offers version 3.3 in a separate process."""
+    bodies = small_scene(old_hills())
+    with sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
+        if "Mesa" not in it.gl_info["version"]:
+            pytest.skip("only Mesa can be set to another version")
+        expected = [it.ping(pose).intensity for pose in VIEWS]
+    versions = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
+    command = [
+        sys.executable,
+        "-c",
+        OLD_DRIVER_PROGRAM,
+        str(Path(__file__).resolve().parents[2]),
+        tmp_path / "found.npy",
+    ]
+    done = subprocess.run(
+        command, env={**os.environ, **versions}, capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["code"] == 330
+    assert report["indirect"]
+    assert not any(report["indirect"])
+    np.testing.assert_array_equal(np.load(tmp_path / "found.npy"), expected)

@@ -1,0 +1,334 @@
+"""The depth and normal pass against geometry, pyrender's depth buffer, and its NumPy twin."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.acoustics.boundary import cos_incidence, cos_times_range, plane_of
+from sonar_gl.gl import context as gl
+from sonar_gl.gl import shaders as programs
+from sonar_gl.scene.primitives import closedness
+from sonar_gl.scene.pyrender_scene import import_pyrender
+from tests.support import glsl
+
+BOX = trimesh.creation.box((1, 1, 1))
+
+
+def sonar(fov=60.0, elevation=40.0, beams=60, bins=200, **more):
+    return sg.Sonar("test", 900e3, beams, bins, fov, elevation, fov / beams, 0.5, 20.0, **more)
+
+
+def simulate(bodies, it=None, sampling=None):
+    return sg.Simulator(sg.Scene(bodies), it or sonar(), sg.Acoustics.ideal(), sampling or sg.Sampling(2, 60))
+
+
+def ping(bodies, it=None, pose=None, sampling=None, **kw):
+    with simulate(bodies, it, sampling) as simulator:
+        return simulator.ping(np.eye(4) if pose is None else pose, **kw)
+
+
+def test_gbuffer_of_a_slanted_plane_is_exact():
+    """Range and normal of each sample, computed from 1/x and its slopes, are those of the plane."""
+    normal = np.array([1.0, 0.4, -0.3]) / np.linalg.norm([1.0, 0.4, -0.3])
+    pose = trimesh.geometry.align_vectors([0, 0, 1], normal)
+    pose[:3, 3] = 7.0 * normal
+    plate = sg.Body("plate", trimesh.creation.box((60, 60, 1e-3)), pose, 0.6)
+    with simulate([plate], sonar(130.0)) as simulator:
+        buffers = simulator.gbuffers(np.eye(4))
+        sectors = simulator.fan.sectors
+    assert len(buffers) == len(sectors) == 3
+    for sector, buffer in zip(sectors, buffers, strict=True):
+        u, v = sector.sample_coordinates()
+        rays = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation()
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        cosine = rays @ normal
+        exact = (7.0 - 0.5e-3) / np.where(cosine > 0, cosine, np.inf)
+        hit = buffer.range_m > 0
+        # excluding the plate's rim and grazing incidence, where the plate ends
+        inner = hit & (cosine > 0.35)
+        assert inner.sum() > 0.5 * (cosine > 0.35).sum()
+        # float32 positions of 40 m give micrometres; the slopes are differences of neighbouring pixels
+        np.testing.assert_allclose(buffer.range_m[inner], exact[inner], rtol=5e-6)
+        assert np.abs(buffer.normal[inner] + normal).max() < 2e-3
+        np.testing.assert_allclose(buffer.echo[inner], 0.6 * cosine[inner], rtol=1e-3)
+        assert set(np.unique(buffer.body_id)) <= {0, 1}
+        assert (buffer.body_id[hit] == 1).all()
+
+
+def test_depth_agrees_with_pyrender():
+    """An independent renderer draws the pylon scene from the sonar's pose."""
+    pyrender = import_pyrender()
+    scene = sg.load_scene("pylon")
+    it = replace(sg.load_sonar("p900-45"), azimuth_fov_deg=45.0, elevation_fov_deg=20.0)
+    with sg.Simulator(scene, it, sg.Acoustics.ideal(), sg.Sampling(1, 100)) as simulator:
+        (buffer,) = simulator.gbuffers(scene.sonar_pose)
+        (sector,) = simulator.fan.sectors
+    other = pyrender.Scene()
+    for body in scene.bodies:
+        other.add(pyrender.Mesh.from_trimesh(body.mesh, smooth=False), pose=body.pose)
+    # OpenGL's camera looks along -z with y up; the sonar along x with z up
+    camera_from_sonar = np.array([[0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+    width, height, half_height = 1200, 600, math.tan(math.radians(12))
+    camera = pyrender.PerspectiveCamera(
+        yfov=2 * math.atan(half_height), aspectRatio=width / height, znear=0.5, zfar=60.0
+    )
+    other.add(camera, pose=scene.sonar_pose @ camera_from_sonar)
+    renderer = pyrender.OffscreenRenderer(width, height)
+    try:
+        depth = renderer.render(other, flags=pyrender.RenderFlags.DEPTH_ONLY)
+    finally:
+        renderer.delete()
+    u, v = sector.sample_coordinates()
+    column = (u / (half_height * width / height) + 1) / 2 * width - 0.5
+    row = (1 - v / half_height) / 2 * height - 0.5
+    inside = (column > 1) & (column < width - 2) & (row > 1) & (row < height - 2)
+    inside &= (buffer.range_m > 0) & (buffer.range_m < 40)
+    assert inside.sum() > 10_000
+    # 1/depth is linear on a plane, so interpolation is exact where all neighbours lie on one plane
+    inverse = 1 / np.where(depth > 0, depth, np.inf).astype(np.float64)
+    bend = np.maximum(np.abs(cv2.Laplacian(inverse, cv2.CV_64F)), np.where(depth > 0, 0, 1))
+    bend = cv2.dilate(bend, np.ones((5, 5)))
+    stretch = np.sqrt(1 + u * u + v * v)[inside]
+    found = []
+    # pyrender renders four samples per pixel and keeps the depth of one; in OpenGL's standard pattern that sample is
+    # 1/8 and 3/8 of a pixel off the centre
+    for right, down in ((x, y) for x in (-3, -1, 1, 3) for y in (-3, -1, 1, 3)):
+        x, y = column[inside] - right / 8, row[inside] - down / 8
+        i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+        top = inverse[j, i] * (1 - x + i) + inverse[j, i + 1] * (x - i)
+        bottom = inverse[j + 1, i] * (1 - x + i) + inverse[j + 1, i + 1] * (x - i)
+        one_plane = bend[j, i] < 2e-5
+        range_m = stretch / np.maximum(top * (1 - y + j) + bottom * (y - j), 1e-6)
+        error = np.abs(range_m - buffer.range_m[inside])[one_plane]
+        found.append((np.median(error), error.max(), one_plane.mean()))
+    median, worst, share = min(found)
+    assert share > 0.9
+    # pyrender's buffer of 24 bits and znear 0.5 resolves 0.2 mm at 40 m
+    assert median < 5e-4
+    assert worst < 5e-3
+
+
+def test_a_scene_far_from_the_origin_has_the_same_echo():
+    """At UTM coordinates, 4500 km from the origin, the image is that at the origin."""
+    away = np.array([500_000.0, 4_500_000.0, -30.0])
+    images = []
+    for offset in (np.zeros(3), away):
+        x, y, z = offset
+        bodies = [
+            sg.Body("floor", trimesh.creation.box((40, 40, 1)), sg.pose(x, y, z - 3)),
+            sg.Body("box", BOX, sg.pose(x + 6, y + 1, z - 1.5, 0.1, 0.2, 0.3)),
+        ]
+        # a mesh whose vertices are far from its own origin, too
+        rock = trimesh.creation.icosphere(2, 0.8)
+        rock.apply_translation((x + 8, y - 2, z))
+        bodies.append(sg.Body("rock", rock))
+        images.append(ping(bodies, pose=sg.pose(*offset, 0, 0.2, 0.1)).intensity)
+    # float64 at 4 500 km resolves a nanometre
+    assert np.abs(images[0] - images[1]).sum() < 1e-4 * images[0].sum()
+
+
+@pytest.mark.parametrize("roll, pitch, yaw", [(0, 0, 0), (0.3, -0.5, 2.0), (math.pi / 2, 0, 0), (0, -1.5, 1)])
+def test_the_fan_follows_the_sonar_s_pose(roll, pitch, yaw):
+    """A ball at range 8 m, azimuth +20°, elevation -5° of the sonar appears there for every pose of the sonar."""
+    pose = sg.pose(1, 2, 3, roll, pitch, yaw)
+    azimuth, elevation = math.radians(20), math.radians(-5)
+    direction = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    centre = (pose @ [*(8 * np.array(direction)), 1])[:3]
+    result = ping(
+        [sg.Body("box", trimesh.creation.icosphere(3, 0.2), sg.pose(*centre))], pose=pose, labels=True
+    )
+    beam, k = np.unravel_index(result.intensity.argmax(), result.intensity.shape)
+    assert abs(math.degrees(result.azimuth_rad[beam]) - 20) < 1.5
+    assert abs(result.range_m[k] - 7.8) < 0.15
+    assert result.elevation_rad[beam, k] == pytest.approx(elevation, abs=math.radians(0.7))
+
+
+def test_roll_by_90_degrees_turns_the_fan():
+    """An upright rod fills one beam of a level fan, and all beams of a fan rolled by 90 degrees."""
+    rod = [sg.Body("rod", trimesh.creation.cylinder(0.05, 30.0, sections=64), sg.pose(8, 0, 0))]
+    level = ping(rod).intensity.sum(axis=1)
+    upright = ping(rod, pose=sg.pose(0, 0, 0, math.pi / 2, 0, 0)).intensity.sum(axis=1)
+    assert (level > 0).sum() <= 3
+    assert (upright > 0).all()
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_back_face_culling_does_not_change_the_image(inverted, monkeypatch):
+    """Back-face culling does not change the image, since nearer faces hide further ones."""
+    torus = trimesh.creation.torus(1.0, 0.3)
+    if inverted:
+        torus.invert()
+    assert closedness(torus.vertices, torus.faces) == (-1 if inverted else 1)
+    body = sg.Body("torus", torus, sg.pose(6, 0, 0, 1.0, 0.3, 0))
+    culled = ping([body]).intensity
+    monkeypatch.setattr("sonar_gl.scene.primitives.MAX_CLOSED_FACES", 0)
+    whole = ping([body]).intensity
+    assert whole.any()
+    # identical, except where faces were reversed, which changes the order of their corners
+    difference = np.abs(culled - whole).sum() / whole.sum()
+    assert difference < (1e-4 if inverted else 1e-12)
+
+
+def test_a_sonar_inside_a_closed_body_sees_its_walls():
+    room = sg.Body("room", trimesh.creation.box((12, 10, 8)))
+    result = ping([room])
+    assert (result.intensity.sum(axis=1) > 0).all()
+    assert result.range_m[result.intensity[30].argmax()] == pytest.approx(6.0, abs=0.1)
+
+
+def test_closedness():
+    assert closedness(BOX.vertices, BOX.faces) == 1
+    split = BOX.copy()
+    split.unmerge_vertices()  # as at creases and seams, where vertices are duplicated
+    assert closedness(split.vertices, split.faces) == 1
+    assert closedness(BOX.vertices, BOX.faces[:-1]) == 0
+    assert closedness(BOX.vertices, BOX.faces[[0, 0, *range(1, 12)]]) == 0
+    one_turned = np.vstack([BOX.faces[:1, ::-1], BOX.faces[1:]])
+    assert closedness(BOX.vertices, one_turned) == 0
+    flat = np.zeros((3, 3))
+    assert closedness(flat, np.array([[0, 1, 2]])) == 0
+
+
+def test_an_open_sheet_echoes_on_both_sides():
+    sheet = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]])
+    front = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0))]).intensity
+    back = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0, 0, 0, math.pi))]).intensity
+    assert front.any()
+    np.testing.assert_allclose(front, back, rtol=1e-3, atol=1e-9)
+
+
+def test_bodies_nearer_than_range_min_cast_a_shadow_without_an_echo():
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 30, 30)), sg.pose(10, 0, 0))
+    hand = sg.Body("hand", trimesh.creation.box((0.02, 0.1, 0.4)), sg.pose(0.3, 0, 0))
+    result = ping([wall, hand], labels=True)
+    middle = np.abs(np.degrees(result.azimuth_rad)) < 7
+    assert not result.intensity[middle].any()
+    assert (result.intensity[np.abs(np.degrees(result.azimuth_rad)) > 12].sum(axis=1) > 0).all()
+    assert set(np.unique(result.body_id)) == {0, 1}
+
+
+def test_reflectivity_of_bodies_and_of_faces():
+    box = sg.Body("box", BOX, sg.pose(5, 0, 0), 1.0)
+    full = ping([box]).intensity
+    assert full.any()
+    np.testing.assert_allclose(ping([replace(box, reflectivity=0.25)]).intensity, 0.25 * full, rtol=1e-6)
+    nearest = np.isclose(BOX.face_normals[:, 0], -1)
+    only = replace(box, reflectivity=np.where(nearest, 0.5, 0.0))
+    np.testing.assert_allclose(ping([only]).intensity, 0.5 * full, rtol=1e-5)
+    # open bodies are drawn after closed ones; each face must still have its own reflectivity
+    sheet = trimesh.Trimesh(BOX.vertices, BOX.faces[:-1], process=False)
+    values = np.linspace(0.1, 1, len(sheet.faces))
+    pair = [
+        sg.Body("sheet", sheet, sg.pose(6, 2, 0), values),
+        sg.Body("closed", BOX, sg.pose(6, -2, 0), np.linspace(0.1, 1, 12)),
+    ]
+    both = ping(pair).intensity
+    apart = ping(pair[:1]).intensity + ping(pair[1:]).intensity
+    # the window's size changes the rounding of slopes
+    np.testing.assert_allclose(both, apart, rtol=1e-3, atol=1e-6)
+
+
+def test_shading_normals_change_the_cosine_only():
+    """A coarse cylinder with true normals has the echo of a fine one, at the ranges of its coarse faces."""
+    coarse = trimesh.creation.cylinder(1.0, 20.0, sections=24)
+    normals = coarse.vertices * [1, 1, 0]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    fine = ping([sg.Body("fine", trimesh.creation.cylinder(1.0, 20.0, sections=720), sg.pose(6, 0, 0))])
+    flat = ping([sg.Body("flat", coarse, sg.pose(6, 0, 0))])
+    smooth = ping([sg.Body("smooth", coarse, sg.pose(6, 0, 0), normals=normals)])
+    per_beam = [p.intensity.sum(axis=1) for p in (fine, flat, smooth)]
+    error = [np.abs(per_beam[k] - per_beam[0]).sum() / per_beam[0].sum() for k in (1, 2)]
+    # the remaining difference is the polygon's silhouette, narrower by 1 - cos(180°/24)
+    assert error[1] < 0.01 < error[0]
+    np.testing.assert_array_equal(smooth.intensity > 0, flat.intensity > 0)
+
+
+def test_labels_name_the_strongest_body_and_do_not_change_the_echo():
+    bodies = [
+        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.2),
+        sg.Body("left", BOX, sg.pose(8, 3, 0), 0.9),
+        sg.Body("right", BOX, sg.pose(8, -3, 0), 0.9),
+    ]
+    with simulate(bodies) as simulator:
+        plain = simulator.ping(np.eye(4))
+        labelled = simulator.ping(np.eye(4), labels=True)
+        alone = []
+        for k in range(3):
+            with simulate(
+                [body if i == k else replace(body, reflectivity=0.0) for i, body in enumerate(bodies)]
+            ) as one:
+                alone.append(one.ping(np.eye(4)).intensity)
+    np.testing.assert_array_equal(plain.intensity, labelled.intensity)
+    assert plain.body_id is None
+    assert plain.elevation_rad is None
+    strongest = np.argmax(alone, axis=0) + 1
+    strongest[np.max(alone, axis=0) == 0] = 0
+    np.testing.assert_array_equal(labelled.body_id, strongest)
+    assert (np.isnan(labelled.elevation_rad) == (labelled.body_id == 0)).all()
+    port = labelled.azimuth_rad[:, None] > 0.05
+    assert not (labelled.body_id == 3)[np.broadcast_to(port, labelled.body_id.shape)].any()
+    floor = labelled.body_id == 1
+    # the floor's top is 2.5 m below: its elevation follows from the range
+    expected = -np.arcsin(2.5 / np.broadcast_to(labelled.range_m, floor.shape)[floor])
+    np.testing.assert_allclose(labelled.elevation_rad[floor], expected, atol=math.radians(1.0))
+
+
+def test_glsl_functions_equal_their_numpy_twins():
+    rng = np.random.default_rng(0)
+    normal, direction = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 4096, 3)))
+    direction[:64] = -normal[:64]  # aligned: the dot product may be a hair above 1
+    normal, direction = np.float32(normal), np.float32(direction)
+    got = glsl.call("echo.glsl", {"n": normal, "d": direction}, "cos_incidence(n, d)")[:, 0]
+    np.testing.assert_allclose(got, cos_incidence(normal.astype(float), direction), atol=2e-7)  # float32
+    assert got.max() <= 1
+    assert got.min() >= 0
+
+
+def test_glsl_functions_of_planes_equal_their_numpy_twins():
+    rng = np.random.default_rng(1)
+    q = np.float32(1 / rng.uniform(0.5, 60, 4096))
+    at, slopes = np.float32(rng.uniform(-0.5, 0.5, (4096, 2))), np.float32(rng.normal(size=(4096, 2)) * 0.3)
+    normal = np.float32(rng.normal(size=(4096, 3)) * rng.uniform(0.1, 10, (4096, 1)))
+    normal[::5] = 0.0  # flat
+    inputs = {"q": q, "slopes": slopes, "at": at}
+    planes = plane_of(*(value.astype(float) for value in (q, slopes, at)))
+    got = glsl.call("plane.glsl", inputs, "plane_of(q, slopes, at)", 3)
+    np.testing.assert_allclose(got, planes, atol=3e-7)  # float32, numbers up to 2
+    got = glsl.call(
+        "plane.glsl", inputs | {"n": normal}, "cos_times_range(plane_of(q, slopes, at), q, at, n)"
+    )[:, 0]
+    want = cos_times_range(planes, q.astype(float), at.astype(float), normal.astype(float))
+    # near grazing incidence rounding decides on which side of the plane the normal is
+    clear = np.abs((planes * normal).sum(axis=1)) > 1e-5 * np.linalg.norm(normal, axis=1)
+    clear |= ~normal.any(axis=1)
+    assert clear.mean() > 0.99
+    np.testing.assert_allclose(got[clear], want[clear], rtol=1e-4, atol=1e-4)  # of metres up to 70
+
+
+def test_a_shader_error_names_its_file_and_line(tmp_path):
+    (tmp_path / "a.vert").write_text("#version 330 core\nvoid main() { gl_Position = vec4(0); }\n")
+    (tmp_path / "b.glsl").write_text("float one() { return 1.0; }\nfloat two() { return nonsense; }\n")
+    (tmp_path / "c.frag").write_text(
+        '#version 330 core\n#include "b.glsl"\nout vec4 o;\nvoid main() { o = vec4(one()); }\n'
+    )
+    context = gl.create_context()
+    with context, pytest.raises(RuntimeError, match=r"b\.glsl:2"):
+        programs.compile_program(context, tmp_path, "a.vert", "c.frag", {"X": 1})
+    context.release()
+
+
+def test_too_many_samples_for_the_driver():
+    it = sonar(beams=100)
+    with pytest.raises(sg.Error) as caught:
+        simulate([sg.Body("box", BOX)], it, sg.Sampling(1000, 10))
+    assert str(caught.value).startswith("samples must fit the driver's limit of 16384 by 16384 pixels (got ")
+    assert str(caught.value).endswith("ask for a larger tolerance or fewer samples)")

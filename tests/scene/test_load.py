@@ -1,0 +1,305 @@
+"""Scenes from bundled names, files, and objects of trimesh and pyrender."""
+
+import os
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose
+from sonar_gl.scene import load
+from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
+from sonar_gl.scene.pyrender_scene import import_pyrender
+from sonar_gl.scene.scene import Scene
+
+ENDINGS = ".sdf .world .glb .gltf .obj .stl .ply .dae"
+SDF = (
+    "<sdf version='1.9'>{}<model name='m'><link name='l'><collision name='c'><geometry><box>"
+    "<size>1 2 3</size></box></geometry><laser_retro>51</laser_retro></collision></link></model></sdf>"
+)
+
+
+@pytest.fixture
+def pyrender():
+    try:
+        return import_pyrender()
+    except Error as why:
+        pytest.skip(str(why))
+
+
+def error_message(*args, **kwargs):
+    with pytest.raises(Error) as caught:
+        load_scene(*args, **kwargs)
+    return str(caught.value)
+
+
+# ---- names and files ---------------------------------------------------------------------------------
+
+
+def test_data_folders_are_found():
+    assert (data_folder("shaders")).is_dir() and (data_folder("scenes")).is_dir()
+    with pytest.raises(Error, match="the folder 'nonsense' is neither in"):
+        data_folder("nonsense")
+
+
+def test_every_bundled_scene_loads_without_a_warning():
+    for name, path in bundled_scenes().items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            scene = load_scene(name)
+        assert scene.name == name == path.stem
+        assert scene.n_triangles > 0 and scene_description(path)
+
+
+@pytest.fixture
+def two_scenes(tmp_path, monkeypatch):
+    for name in ("pylon", "harbour"):
+        (tmp_path / f"{name}.sdf").write_text(SDF.format(""))
+    monkeypatch.setattr(load, "data_folder", lambda name: tmp_path)
+    return tmp_path
+
+
+def test_bundled_names_and_unknown_ones(two_scenes):
+    assert list(bundled_scenes()) == ["harbour", "pylon"]
+    assert load_scene("pylon").name == "pylon"
+    hint = f"a file must end in one of {ENDINGS}"
+    assert error_message("pilon") == (f"there is no bundled scene 'pilon' (did you mean 'pylon'?; {hint})")
+    assert error_message("xyz") == f"there is no bundled scene 'xyz' (known are harbour, pylon; {hint})"
+
+
+def test_invalid_paths(two_scenes):
+    assert error_message("no.sdf") == (
+        "no.sdf: there is no such file (bundled scenes are named without an ending)"
+    )
+    assert error_message(two_scenes / "a.fbx") == (
+        f"{two_scenes / 'a.fbx'}: a scene file must end in one of {ENDINGS} (got '.fbx')"
+    )
+    assert (
+        error_message(str(two_scenes)) == f"{two_scenes}: a scene file must end in one of {ENDINGS} (got '')"
+    )
+    assert error_message(3) == (
+        "a scene must be a bundled name, a path, or a scene or mesh of trimesh or pyrender (got int)"
+    )
+
+
+@pytest.mark.parametrize("suffix", [".sdf", ".world", ".SDF"])
+def test_sdf_files(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.write_text(SDF.format(""))
+    for what in (path, str(path)):
+        scene = load_scene(what)
+        assert (scene.name, scene.bodies[0].name, scene.bodies[0].reflectivity) == ("a", "m", 0.2)
+
+
+def test_resource_paths_and_skip_missing_reach_the_reader(tmp_path):
+    path = tmp_path / "a.world"
+    path.write_text("<sdf><world name='w'><include><uri>model://rock</uri></include></world></sdf>")
+    (tmp_path / "models" / "rock").mkdir(parents=True)
+    (tmp_path / "models" / "rock" / "model.sdf").write_text(SDF.format(""))
+    assert len(load_scene(path, [tmp_path / "models"]).bodies) == 1
+    with pytest.warns(UserWarning, match="model://rock"):
+        assert load_scene(path, skip_missing=True).bodies == ()
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected"),
+    [
+        ("<!-- A pylon\n   and a &amp; sign. --><description>no</description>", "A pylon and a & sign."),
+        ("<model><description>Words\n of it.</description></model>", "Words of it."),
+        ("", ""),
+    ],
+)
+def test_scene_description(tmp_path, inside, expected):
+    (tmp_path / "a.sdf").write_text(f"<sdf>{inside}</sdf>")
+    assert scene_description(tmp_path / "a.sdf") == expected
+
+
+@pytest.mark.parametrize(("suffix", "extents"), [("glb", (1, 3, 2)), ("gltf", (1, 3, 2)), ("stl", (1, 2, 3))])
+def test_only_gltf_is_turned_to_z_up(tmp_path, suffix, extents):
+    box = trimesh.creation.box((1, 2, 3))
+    box.apply_translation((0, 0, 10))
+    if suffix == "gltf":
+        for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(box)).items():
+            (tmp_path / name.replace("model.gltf", "a.gltf")).write_bytes(data)
+    else:
+        box.export(tmp_path / f"a.{suffix}")
+    scene = load_scene(tmp_path / f"a.{suffix}")
+    (body,) = scene.bodies
+    assert (scene.name, body.name, body.reflectivity) == ("a", "a", 0.5)
+    np.testing.assert_allclose(body.mesh.extents, extents, rtol=1e-6)
+    centre = (0, 0, 10) if suffix == "stl" else (0, -10, 0)
+    np.testing.assert_allclose(body.mesh.bounds.mean(axis=0), centre, atol=1e-6)
+    assert body.mesh.volume == pytest.approx(6, rel=1e-6)
+
+
+def test_normals_of_a_glb_turn_with_it(tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    ball.export(tmp_path / "a.glb", include_normals=True)
+    (body,) = load_scene(tmp_path / "a.glb").bodies
+    np.testing.assert_allclose(body.normals, body.mesh.vertices, atol=1e-6)
+
+
+def test_parts_of_a_mesh_file_are_bodies(tmp_path):
+    scene = trimesh.Scene()
+    for name, x in (("left", -5.0), ("right", 5.0)):
+        scene.add_geometry(
+            trimesh.creation.box((1, 1, 1)),
+            node_name=name,
+            transform=trimesh.transformations.translation_matrix((x, 0, 0)),
+        )
+    scene.export(tmp_path / "a.glb")
+    bodies = {body.name: body for body in load_scene(tmp_path / "a.glb").bodies}
+    assert set(bodies) == {"left", "right"}
+    np.testing.assert_allclose(bodies["left"].mesh.bounds[:, 0], [-5.5, -4.5])
+
+
+# ---- trimesh -----------------------------------------------------------------------------------------
+
+
+def test_a_trimesh_is_a_flat_body():
+    ball = trimesh.creation.icosphere(1)
+    assert len(ball.vertex_normals)  # computed by trimesh, not those of the mesh
+    scene = load_scene(ball)
+    (body,) = scene.bodies
+    assert (scene.name, body.name, body.reflectivity, body.normals) == ("scene", "mesh", 0.5, None)
+    np.testing.assert_array_equal(body.mesh.vertices, ball.vertices)
+
+
+def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():
+    scene, scaled = trimesh.Scene(), pose(1, 2, 3, yaw=np.pi / 2)
+    scaled[:3, :3] *= 2
+    scene.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="rigid", transform=pose(4, 5, 6, roll=1))
+    scene.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="scaled", transform=scaled)
+    scene.add_geometry(trimesh.PointCloud(np.zeros((3, 3))), node_name="points")
+    bodies = {body.name: body for body in load_scene(scene).bodies}
+    assert set(bodies) == {"rigid", "scaled"}
+    np.testing.assert_array_equal(bodies["rigid"].pose, pose(4, 5, 6, roll=1))
+    np.testing.assert_array_equal(bodies["scaled"].pose, pose(1, 2, 3))
+    np.testing.assert_allclose(bodies["scaled"].mesh.extents, [4, 2, 6])
+
+
+# ---- pyrender ----------------------------------------------------------------------------------------
+
+
+def test_import_pyrender_leaves_numpy_alone(pyrender):
+    before = hasattr(np, "infty")
+    mesh = pyrender.Mesh.from_trimesh(trimesh.creation.box())
+    scene = pyrender.Scene()
+    scene.add(mesh)
+    np.testing.assert_array_equal(scene.bounds, [[-0.5] * 3, [0.5] * 3])  # numpy 2 broke this
+    assert hasattr(np, "infty") is before
+
+
+def test_pyrender_scene_round_trip(pyrender):
+    box, ball = trimesh.creation.box((1, 2, 3)), trimesh.creation.icosphere(2)
+    scene = pyrender.Scene(name="host")
+    parent = scene.add_node(pyrender.Node(name="parent", matrix=pose(10, 0, 0, yaw=np.pi / 2))) or next(
+        iter(scene.get_nodes(name="parent"))
+    )
+    scene.add(
+        pyrender.Mesh.from_trimesh(box, smooth=False), name="box", pose=pose(1, 2, 3), parent_node=parent
+    )
+    scene.add(pyrender.Mesh.from_trimesh(ball, smooth=True), name="ball", pose=pose(0, 0, 7))
+    scene.add(pyrender.Mesh.from_trimesh(ball, smooth=True), name="ball")
+    scene.add(pyrender.Mesh.from_points(np.zeros((5, 3))), name="points")
+    scene.add(pyrender.PerspectiveCamera(1.0), name="camera")
+    loaded = load_scene(scene)
+    assert loaded.name == "host" and [b.name for b in loaded.bodies] == ["box", "ball", "ball_2"]
+    placed, round_, _ = loaded.bodies
+    np.testing.assert_allclose(placed.pose, pose(8, 1, 3, yaw=np.pi / 2), atol=1e-12)
+    np.testing.assert_allclose(placed.mesh.triangles, box.triangles, atol=1e-6)
+    cosines = np.einsum("fkc,fc->fk", placed.normals[placed.mesh.faces], placed.mesh.face_normals)
+    np.testing.assert_allclose(cosines, 1, atol=1e-6)
+    np.testing.assert_array_equal(round_.pose, pose(0, 0, 7))
+    np.testing.assert_allclose(round_.mesh.vertices, ball.vertices, atol=1e-6)
+    np.testing.assert_allclose(round_.normals, ball.vertex_normals, atol=1e-6)
+    assert round_.reflectivity == 0.5
+
+
+def test_pyrender_instances_are_joined(pyrender):
+    poses = np.stack([pose(x, 0, 0) for x in (-5.0, 5.0)])
+    mesh = pyrender.Mesh.from_trimesh(trimesh.creation.box(), poses=poses)
+    scene = pyrender.Scene()
+    scene.add(mesh, pose=pose(0, 0, 1))
+    (body,) = load_scene(scene).bodies
+    assert len(body.mesh.faces) == 24
+    np.testing.assert_allclose(body.mesh.bounds, [[-5.5, -0.5, -0.5], [5.5, 0.5, 0.5]])
+    np.testing.assert_array_equal(body.pose, pose(0, 0, 1))
+
+
+def test_objects_with_the_interface_of_a_pyrender_scene():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], float)
+    primitive = SimpleNamespace(positions=corners, indices=None, normals=None, poses=None, mode=4)
+    lines = SimpleNamespace(positions=corners, indices=None, normals=None, poses=None, mode=1)
+    nodes = {
+        SimpleNamespaceNode(name=name, mesh=SimpleNamespace(name=None, primitives=[primitive, lines]))
+        for name in ("c", "a", "b", None)
+    }
+    scene = SimpleNamespace(mesh_nodes=nodes, get_pose=lambda node: pose(0, 0, 2))
+    loaded = load_scene(scene)
+    assert isinstance(loaded, Scene) and {b.name for b in loaded.bodies} == {"a", "b", "c", "mesh"}
+    np.testing.assert_array_equal(loaded.bodies[0].mesh.triangles.reshape(-1, 3), corners)
+    assert loaded.bodies[0].normals is None
+
+
+class SimpleNamespaceNode(SimpleNamespace):
+    """A namespace that sets can hold, as pyrender's nodes are held."""
+
+    __hash__ = object.__hash__
+
+
+# ---- imports -----------------------------------------------------------------------------------------
+
+
+def test_importing_the_loader_imports_no_slow_package():
+    code = (
+        "import sys; import sonar_gl.scene.load; "
+        "print([m for m in ('trimesh', 'cv2', 'pyrender', 'OpenGL', 'scipy') if m in sys.modules])"
+    )
+    root = str(Path(sg.__file__).parents[1])
+    out = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": root},
+    )
+    assert out.stdout.strip() == "[]"
+
+
+# ---- lazy meshes -------------------------------------------------------------------------------------
+
+
+def test_bodies_of_files_make_a_trimesh_when_mesh_is_first_read():
+    body = load_scene("pylon").bodies[0]
+    vertices, faces = body.surface
+    assert not isinstance(body.surface, trimesh.Trimesh)
+    mesh = body.mesh
+    assert isinstance(mesh, trimesh.Trimesh) and body.mesh is mesh is body.surface
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    again = replace(body, reflectivity=0.1)
+    assert again.mesh is mesh and again.reflectivity == 0.1
+    mesh.apply_translation((1, 0, 0))  # takes effect, since surface is the same object
+    np.testing.assert_allclose(body.surface.vertices, vertices + np.array([1.0, 0.0, 0.0]))
+
+
+def test_a_command_loads_neither_trimesh_nor_scipys_algebra(tmp_path):
+    """They would add half a second and 60 MB to `sonar-gl render pylon`."""
+    code = f"""
+import sys
+from sonar_gl.cli.main import main
+main("render pylon --range 20 --labels --axes --out".split() + [{str(tmp_path)!r}], standalone_mode=False)
+print(*[name for name in ("trimesh", "scipy.linalg", "PIL") if name in sys.modules], file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (tmp_path / "pylon.png").is_file() and done.stderr.split() == []

@@ -1,0 +1,326 @@
+"""Primitive shapes, height maps and mesh files: vertices, normals, orientation, errors."""
+
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from sonar_gl.core.errors import Error
+from sonar_gl.scene import mesh_files
+from sonar_gl.scene import primitives as meshes
+
+FLOAT32 = 1e-6  # normals are float32
+UPWARD = np.array([0.0, 0.0, 0.3])  # tilts normals, so that they differ from computed ones
+SOLIDS = {
+    "box": (meshes.box((1.0, 2.0, 3.0)), 6.0, (1, 2, 3)),
+    "cylinder": (meshes.cylinder(1.0, 2.0), 2 * np.pi, (2, 2, 2)),
+    "sphere": (meshes.sphere(2.0), 32 / 3 * np.pi, (4, 4, 4)),
+    "capsule": (meshes.capsule(1.0, 2.0), 2 * np.pi + 4 / 3 * np.pi, (2, 2, 4)),
+    "ellipsoid": (meshes.ellipsoid((1.0, 2.0, 3.0)), 8 * np.pi, (2, 4, 6)),
+}
+
+
+def error_message(call, *args, **kwargs):
+    with pytest.raises(Error) as caught:
+        call(*args, **kwargs)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_solids_are_closed_and_oriented_outward_with_the_right_size(name):
+    (mesh, normals), volume, extents = SOLIDS[name]
+    mesh = mesh.to_trimesh()
+    merged = mesh.copy()
+    merged.merge_vertices()
+    assert merged.is_watertight and merged.is_winding_consistent
+    # chords lie half a millimetre within arcs of radius 0.4 m and more
+    assert 0.996 * volume <= mesh.volume <= volume * (1 + 1e-12)
+    np.testing.assert_array_equal(mesh.bounds, np.array([[-0.5], [0.5]]) * extents)
+    assert mesh.area_faces.min() > 0
+    if normals is not None:
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=FLOAT32)
+        cosines = np.einsum("fkc,fc->fk", normals[mesh.faces], mesh.face_normals)
+        assert cosines.min() > np.cos(np.radians(6))  # half of 3.75 degrees; more where ellipsoids bend
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.11, 0.5, 1.2, 5.0])
+def test_chords_stay_near_their_arcs(radius):
+    n = meshes.facets_around(radius)
+    assert n % 4 == 0
+    assert radius * (1 - np.cos(np.pi / n)) <= meshes.SAGITTA_M * (1 + 1e-9)
+    assert n == 24 or radius * (1 - np.cos(np.pi / (n - 4))) > meshes.SAGITTA_M  # and no more than needed
+
+
+def test_box_is_flat():
+    assert meshes.box((1, 1, 1))[1] is None
+
+
+def test_sphere_vertices_and_normals():
+    mesh, normals = meshes.sphere(2.0)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 2.0, rtol=1e-12)
+    np.testing.assert_allclose(normals, mesh.vertices / 2.0, atol=FLOAT32)
+    n = meshes.facets_around(2.0)
+    assert len(mesh.faces) == n * (2 * (n // 2) - 2)
+
+
+def test_cylinder_has_a_smooth_side_flat_ends_and_sharp_edges():
+    mesh, normals = meshes.cylinder(0.5, 3.0)
+    side = normals[:, 2] == 0
+    radial = mesh.vertices[side] / 0.5
+    np.testing.assert_allclose(normals[side], radial * [1, 1, 0], atol=FLOAT32)
+    np.testing.assert_array_equal(normals[~side], np.sign(mesh.vertices[~side]) * [0, 0, 1])
+    rim = mesh.vertices[:, 2] == 1.5
+    assert {0.0, 1.0} == set(normals[rim, 2].tolist())  # two vertices where side and end meet
+
+
+def test_capsule_vertices_keep_their_distance_from_the_axis_segment():
+    mesh, normals = meshes.capsule(0.5, 2.0)
+    nearest = np.clip(mesh.vertices * [0, 0, 1], -1, 1)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - nearest, axis=1), 0.5, rtol=1e-12)
+    np.testing.assert_allclose(normals, (mesh.vertices - nearest) / 0.5, atol=FLOAT32)
+
+
+def test_ellipsoid_normals_are_gradients():
+    radii = np.array([1.0, 2.0, 3.0])
+    mesh, normals = meshes.ellipsoid(radii)
+    np.testing.assert_allclose((mesh.vertices**2 / radii**2).sum(axis=1), 1, rtol=1e-12)
+    gradient = mesh.vertices / radii**2
+    np.testing.assert_allclose(
+        normals, gradient / np.linalg.norm(gradient, axis=1, keepdims=True), atol=FLOAT32
+    )
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -2, 0), (1, 2, 3), (0, 1e-9, -1)])
+def test_plane_turns_to_its_normal(normal):
+    mesh, normals = meshes.plane(normal, (2.0, 4.0))
+    mesh = mesh.to_trimesh()
+    assert normals is None and len(mesh.faces) == 2
+    unit = np.array(normal) / np.linalg.norm(normal)
+    np.testing.assert_allclose(mesh.face_normals, [unit, unit], atol=1e-8)
+    np.testing.assert_allclose(mesh.area, 8.0)
+    np.testing.assert_allclose(mesh.vertices @ unit, 0, atol=1e-8)
+
+
+def test_plane_without_a_size_is_two_kilometres_wide():
+    np.testing.assert_array_equal(meshes.plane()[0].to_trimesh().bounds, [[-1000, -1000, 0], [1000, 1000, 0]])
+
+
+def test_transform_moves_normals_by_the_inverse_transpose():
+    mesh, normals = meshes.transform(meshes.sphere(3.0), np.diag([1 / 3, 2 / 3, 1.0, 1.0]))
+    other, expected = meshes.ellipsoid((1.0, 2.0, 3.0))
+    np.testing.assert_allclose(mesh.vertices, other.vertices, atol=1e-12)
+    np.testing.assert_allclose(normals, expected, atol=FLOAT32)
+
+
+def test_mirroring_keeps_the_orientation_outward():
+    mesh, normals = meshes.transform(meshes.sphere(1.0), np.diag([-1.0, 1.0, 1.0, 1.0]))
+    assert mesh.to_trimesh().volume > 0
+    np.testing.assert_allclose(normals, mesh.vertices, atol=FLOAT32)
+
+
+def test_concatenate_gives_zero_normals_to_flat_shapes_and_merges_nothing():
+    box, ball = meshes.box((1, 1, 1)), meshes.sphere(1.0)
+    mesh, normals = meshes.concatenate([box, ball, box])
+    assert len(mesh.vertices) == 8 + len(ball[0].vertices) + 8
+    assert not normals[:8].any() and not normals[-8:].any()
+    np.testing.assert_array_equal(normals[8:-8], ball[1])
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces[-12:]], box[0].vertices[box[0].faces])
+    assert meshes.concatenate([box, box])[1] is None
+
+
+# ---- height maps -------------------------------------------------------------------------------------
+
+
+def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
+    image = np.zeros((3, 4), np.uint8)
+    image[0, 1] = 255  # top row: +y; second column: -x side
+    image[2, 3] = 51
+    cv2.imwrite(str(tmp_path / "h.png"), image)
+    mesh, normals = mesh_files.heightmap(tmp_path / "h.png", (6.0, 4.0, 10.0), (100.0, 200.0, -5.0))
+    assert normals is None and len(mesh.vertices) == 12 and len(mesh.faces) == 2 * 3 * 2
+    heights = {tuple(v[:2]): v[2] for v in mesh.vertices.tolist()}
+    assert heights.pop((99.0, 202.0)) == 5.0
+    assert heights.pop((103.0, 198.0)) == pytest.approx(-3.0, abs=1e-12)
+    assert set(heights.values()) == {-5.0}
+    mesh = mesh.to_trimesh()
+    np.testing.assert_array_equal(mesh.bounds[:, :2], [[97, 198], [103, 202]])
+    assert (mesh.face_normals[:, 2] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "image", "expected"),
+    [
+        ("png", np.full((2, 2), 128, np.uint8), 128 / 255 * 3),
+        ("png", np.full((2, 2), 40000, np.uint16), 40000 / 65535 * 3),
+        ("png", np.full((2, 2, 3), 51, np.uint8), 0.2 * 3),
+        ("tiff", np.full((2, 2), -1.25, np.float32), -1.25 * 3),
+    ],
+)
+def test_heightmap_scales_by_the_full_range_of_its_type(tmp_path, suffix, image, expected):
+    cv2.imwrite(str(tmp_path / f"h.{suffix}"), image)
+    mesh, _ = mesh_files.heightmap(tmp_path / f"h.{suffix}", (1.0, 1.0, 3.0))
+    np.testing.assert_allclose(mesh.vertices[:, 2], expected, rtol=1e-12)
+
+
+def test_heightmap_errors(tmp_path):
+    missing, text, dot, gap = (tmp_path / n for n in ("no.png", "text.png", "dot.png", "gap.tiff"))
+    text.write_text("not an image")
+    cv2.imwrite(str(dot), np.zeros((1, 5), np.uint8))
+    cv2.imwrite(str(gap), np.array([[0, np.nan], [0, 0]], np.float32))
+    assert error_message(mesh_files.heightmap, missing) == f"{missing}: there is no such file"
+    assert error_message(mesh_files.heightmap, text) == (
+        f"{text}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)"
+    )
+    assert error_message(mesh_files.heightmap, dot) == (
+        f"{dot}: a height map must have 2 x 2 to 20000000 pixels (got 5 x 1)"
+    )
+    assert error_message(mesh_files.heightmap, gap) == (
+        f"{gap}: heights must be finite (got NaN or infinity; fill the gaps first)"
+    )
+
+
+# ---- mesh files --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf", "obj", "ply", "dae"])
+def test_normals_of_the_file_are_used(tmp_path, suffix):
+    ball = trimesh.creation.icosphere(1)
+    tilted = ball.vertices + UPWARD
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    ball = trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=tilted, process=False)
+    if suffix == "gltf":
+        for name, data in trimesh.exchange.gltf.export_gltf(
+            trimesh.Scene(ball), include_normals=True
+        ).items():
+            (tmp_path / name.replace("model.gltf", "a.gltf")).write_bytes(data)
+    else:
+        options = {"ply": {"vertex_normal": True}, "dae": {}}.get(suffix, {"include_normals": True})
+        ball.export(tmp_path / f"a.{suffix}", **options)
+    mesh, normals = mesh_files.read_mesh(tmp_path / f"a.{suffix}")
+    expected = mesh.vertices + UPWARD
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    assert len(mesh.faces) == 80
+    np.testing.assert_allclose(normals, expected, atol=1e-5)  # text formats hold 6 to 8 digits
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj", "ply", "stl"])
+def test_files_without_normals_are_flat(tmp_path, suffix):
+    ball = trimesh.creation.icosphere(1)
+    options = {"ply": {"vertex_normal": False}, "stl": {}}.get(suffix, {"include_normals": False})
+    ball.export(tmp_path / f"a.{suffix}", **options)
+    mesh, normals = mesh_files.read_mesh(tmp_path / f"a.{suffix}")
+    assert normals is None and len(mesh.faces) == 80
+    assert mesh.to_trimesh().volume == pytest.approx(ball.volume, rel=1e-6)
+
+
+def test_bad_normals_in_a_file_become_flat(tmp_path):
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        "property float nx\nproperty float ny\nproperty float nz\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n"
+        "0 0 0 0 0 2\n1 0 0 nan 0 1\n0 1 0 0 0 0\n1 1 0 0 inf 0\n3 0 1 2\n"
+    )
+    _, normals = mesh_files.read_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(normals, [[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+
+
+def test_degenerate_and_inverted_faces_load_unchanged(tmp_path):
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+        "f 1 2 3\nf 1 2 3\nf 3 2 1\nf 1 1 2\nf 1 2 4\n"  # duplicate, inverted, degenerate, open
+    )
+    mesh, normals = mesh_files.read_mesh(tmp_path / "a.obj")
+    assert normals is None and len(mesh.faces) == 5
+
+
+def test_scene_graph_is_flattened_and_submeshes_are_found(tmp_path):
+    scene, move = trimesh.Scene(), np.eye(4)
+    move[:3, 3] = 5, 0, 0
+    scene.add_geometry(trimesh.creation.box((1, 1, 1)), node_name="near", geom_name="one")
+    scene.add_geometry(trimesh.creation.box((2, 2, 2)), node_name="far", geom_name="two", transform=move)
+    scene.export(tmp_path / "a.glb")
+    all_parts, _ = mesh_files.read_mesh(tmp_path / "a.glb")
+    np.testing.assert_allclose(all_parts.to_trimesh().bounds, [[-0.5, -1, -1], [6, 1, 1]])
+    far, _ = mesh_files.read_mesh(tmp_path / "a.glb", "far")
+    np.testing.assert_allclose(far.to_trimesh().bounds, [[4, -1, -1], [6, 1, 1]])
+    centred, _ = mesh_files.read_mesh(tmp_path / "a.glb", "far", center=True)
+    np.testing.assert_allclose(centred.to_trimesh().bounds, [[-1, -1, -1], [1, 1, 1]])
+    assert error_message(mesh_files.read_mesh, tmp_path / "a.glb", "nose") == (
+        f"{tmp_path / 'a.glb'}: there is no submesh 'nose' (it has far, near)"
+    )
+
+
+def test_collada_unit_is_applied_and_up_axis_is_not(tmp_path):
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "a.dae")
+    text = (tmp_path / "a.dae").read_text()
+    assert "<asset>" in text
+    start, end = text.index("<asset>"), text.index("</asset>")
+    asset = (
+        "<asset><created>2020-01-01T00:00:00</created><modified>2020-01-01T00:00:00</modified>"
+        '<unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis>'
+    )
+    (tmp_path / "b.dae").write_text(text[:start] + asset + text[end:])
+    mesh, _ = mesh_files.read_mesh(tmp_path / "b.dae")
+    np.testing.assert_allclose(mesh.to_trimesh().extents, [0.01, 0.02, 0.03], rtol=1e-6)
+
+
+POINTS = (
+    "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    "end_header\n1 2 3\n"
+)
+NO_FACE = "a mesh must have at least one face (got none; a point cloud cannot echo)"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("empty.stl", "", NO_FACE),
+        ("points.ply", POINTS, NO_FACE),
+        ("points.obj", "v 0 0 0\nv 1 0 0\n", NO_FACE),
+        (
+            "nan.obj",
+            "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+            "vertices must be finite (got NaN or infinity in geometry 'nan.obj')",
+        ),
+    ],
+)
+def test_meshes_without_faces_or_with_nan(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    assert error_message(mesh_files.read_mesh, tmp_path / name) == f"{tmp_path / name}: {message}"
+
+
+@pytest.mark.parametrize("name", ["bad.glb", "bad.gltf", "bad.ply", "bad.dae"])
+def test_unreadable_meshes_name_the_file(tmp_path, name):
+    (tmp_path / name).write_text("garbage")
+    start = f"{tmp_path / name}: trimesh cannot read this mesh ("  # what follows is trimesh's own
+    assert error_message(mesh_files.read_mesh, tmp_path / name).startswith(start)
+
+
+def test_missing_mesh(tmp_path):
+    path = tmp_path / "no.stl"
+    assert error_message(mesh_files.read_mesh, path) == f"{path}: there is no such file"
+
+
+def test_collada_with_entities_is_refused(tmp_path):
+    path = tmp_path / "bomb.dae"
+    path.write_text('<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><COLLADA>&b;</COLLADA>')
+    assert error_message(mesh_files.read_mesh, path) == (
+        f"{path}: trimesh cannot read this mesh (ValueError: a document type declaration is refused)"
+    )
+
+
+def test_reading_warns_about_nothing(tmp_path):
+    trimesh.creation.box().export(tmp_path / "a.glb")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh_files.read_mesh(tmp_path / "a.glb")
+
+
+def test_text_meshes_need_not_be_utf8(tmp_path):
+    """CAD programs write comments in Latin-1."""
+    text = "# mod\xe8le\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_bytes(text.encode("latin-1"))
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2]]

@@ -1,0 +1,849 @@
+"""SDF: poses, the choice of shapes, the sonar, includes, extensions, and error messages."""
+
+import os
+import warnings
+import xml.etree.ElementTree as ElementTree
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose
+from sonar_gl.scene.materials import material
+from sonar_gl.scene.sdf import extensions, frames, reader, resources
+from sonar_gl.scene.sdf.reader import read_sdf
+
+ROUNDING = 1e-12  # of a few products of float64 matrices
+BOX = "<geometry><box><size>2 4 6</size></box></geometry>"
+RETRO = "<laser_retro>255</laser_retro>"
+SHAPE = f"<collision name='c'>{BOX}{RETRO}</collision>"
+
+
+@pytest.fixture(autouse=True)
+def no_environment(monkeypatch):
+    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
+    monkeypatch.delenv("GAZEBO_MODEL_PATH", raising=False)
+
+
+def link(inside="", name="link", shape=SHAPE):
+    return f"<link name='{name}'>{inside}{shape}</link>"
+
+
+def model(inside, name="m"):
+    return f"<model name='{name}'>{inside}</model>"
+
+
+def write(path, inside, world=True):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    inside = f"<world name='w'>{inside}</world>" if world else inside
+    path.write_text(f"<?xml version='1.0'?>\n<sdf version='1.9'>{inside}</sdf>", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def read(tmp_path):
+    """A function that reads a world with these elements; warnings are errors unless a test catches them."""
+
+    def read(inside, world=True, **options):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return read_sdf(write(tmp_path / "a.sdf", inside, world), **options)
+
+    return read
+
+
+@pytest.fixture
+def message(tmp_path):
+    """A function that returns the error message of a world with these elements, without the folder."""
+
+    def message(inside, world=True, **options):
+        with pytest.raises(Error) as caught:
+            read_sdf(write(tmp_path / "a.sdf", inside, world), **options)
+        return str(caught.value).replace(f"{tmp_path}{os.sep}", "")
+
+    return message
+
+
+def add_model(folder, name, inside=None, config=None):
+    text = model(link(), name) if inside is None else inside
+    write(folder / name / "model.sdf", text, world=False)
+    if config:
+        (folder / name / "model.config").write_text(config)
+    return folder / name
+
+
+# ---- poses -------------------------------------------------------------------------------------------
+
+
+def test_chain_of_relative_frames_against_hand_computed_values(read):
+    scene = read(
+        model(
+            "<pose>10 0 0 0 0 1.5707963267948966</pose>"
+            "<link name='base'><pose>1 0 0 0 0 0</pose></link>"
+            "<frame name='f' attached_to='base'><pose>0 2 0 0 0 0</pose></frame>"
+            "<frame name='g'><pose relative_to='f'>0 0 3 1.5707963267948966 0 0</pose></frame>"
+            "<link name='tip'><pose relative_to='g'>0 1 0 0 0 0</pose>"
+            f"<collision name='c'><pose>0 0 5 0 0 0</pose>{BOX}{RETRO}</collision></link>"
+        )
+    )
+    # in the model: base (1 0 0), f (1 2 0), g (1 2 3) rolled by 90 degrees, whose y is up: tip (1 2 4)
+    # the model, turned by 90 degrees about z at (10 0 0), takes (x y z) to (10 - y, x, z)
+    (body,) = scene.bodies
+    expected = [[0, 0, 1, 8], [1, 0, 0, 1], [0, 1, 0, 4], [0, 0, 0, 1]]
+    np.testing.assert_allclose(body.pose, expected, atol=ROUNDING)
+    np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, 2], [1, 2, 8]])
+    assert body.name == "m" and body.reflectivity == 1.0 and body.normals is None
+
+
+def test_shape_relative_to_a_frame_of_its_model(read):
+    shape = f"<collision name='c'><pose relative_to='mark'>1 0 0 0 0 0</pose>{BOX}{RETRO}</collision>"
+    scene = read(
+        model(
+            "<frame name='mark'><pose>0 0 9 0 0 3.141592653589793</pose></frame>"
+            + link("<pose>5 0 0 0 0 0</pose>", shape=shape)
+        )
+    )
+    # mark points backwards: the shape is at (-1 0 9) in the model, and at (-6 0 9) in the link
+    np.testing.assert_allclose(scene.bodies[0].mesh.bounds, [[-7, -2, 6], [-5, 2, 12]], atol=ROUNDING)
+
+
+def test_quaternion_degrees_and_old_frame_attribute(read):
+    half = np.sqrt(0.5)
+    scene = read(
+        "<frame name='there'><pose>0 0 7 0 0 0</pose></frame>"
+        + model(
+            f"<pose rotation_format='quat_xyzw'>1 2 3 0 0 {2 * half} {2 * half}</pose>" + link(), "quaternion"
+        )
+        + model("<pose degrees='true'>1 2 3 0 0 450</pose>" + link(), "degrees")
+        + model("<pose>1 2 3 0 0 1.5707963267948966</pose>" + link(), "radians")
+        + model("<pose frame='there'>1 0 0 0 0 0</pose>" + link(), "old")
+        + model("<pose frame=''/>" + link(), "empty")
+    )
+    turned = pose(1, 2, 3, yaw=np.pi / 2)
+    for body in scene.bodies[:3]:
+        np.testing.assert_allclose(body.pose, turned, atol=ROUNDING)
+    np.testing.assert_array_equal(scene.bodies[3].pose, pose(1, 0, 7))
+    np.testing.assert_array_equal(scene.bodies[4].pose, np.eye(4))
+
+
+def test_nested_models_scoped_frames_joints_and_placement(read):
+    inner = model("<pose>1 0 0 0 0 0</pose>" + link("<pose>0 1 0 0 0 0</pose>"), "inner")
+    scene = read(
+        model("<pose>0 0 5 0 0 0</pose>" + inner + link("<pose relative_to='inner::link'/>"), "outer")
+        + model("<pose relative_to='outer::inner'>0 0 1 0 0 0</pose>" + link(), "beside")
+        + model(
+            "<joint name='j'><pose>0 0 2 0 0 0</pose><child>a</child></joint>"
+            "<link name='a'><pose>0 0 1 0 0 0</pose></link>" + link("<pose relative_to='j'/>"),
+            "jointed",
+        )
+        + "<model name='placed' placement_frame='foot'><pose>0 0 0 0 0 0</pose>"
+        "<frame name='foot'><pose>0 0 -3 0 0 0</pose></frame>" + link() + "</model>"
+    )
+    poses = {body.name: body.pose for body in scene.bodies}
+    np.testing.assert_array_equal(poses["outer::inner"], pose(1, 1, 5))
+    np.testing.assert_array_equal(poses["outer"], pose(1, 1, 5))
+    np.testing.assert_array_equal(poses["beside"], pose(1, 0, 6))
+    np.testing.assert_array_equal(poses["jointed"], pose(0, 0, 3))
+    np.testing.assert_array_equal(poses["placed"], pose(0, 0, 3))
+
+
+def test_poses_keep_float64_far_from_the_origin(read):
+    scene = read(model("<pose>500000.000001 5000000.000001 0 0 0 0</pose>" + link()))
+    np.testing.assert_array_equal(scene.bodies[0].pose[:2, 3], [500000.000001, 5000000.000001])
+
+
+# ---- bodies ------------------------------------------------------------------------------------------
+
+
+def test_bare_model_and_scene_name(read):
+    scene = read(model("<pose>1 2 3 0 0 0</pose>" + link()), world=False)
+    assert scene.name == "a" and [b.name for b in scene.bodies] == ["m"] and scene.sonar_pose is None
+    np.testing.assert_array_equal(scene.bodies[0].pose, pose(1, 2, 3))
+
+
+def test_names_of_several_links(read):
+    scene = read(
+        model(link(name="a") + link(name="b") + "<link name='bare'/>" + model(link(), "inner"), "outer")
+    )
+    assert [b.name for b in scene.bodies] == ["outer::a", "outer::b", "outer::inner"]
+
+
+SIZES = {"box": (2, 4, 6), "sphere": (2, 2, 2)}
+BALL = "<geometry><sphere><radius>1</radius></sphere></geometry>"
+
+
+@pytest.mark.parametrize(
+    ("on_collision", "on_visual", "expected"),
+    [(True, True, "box"), (False, False, "box"), (True, False, "box"), (False, True, "sphere")],
+)
+def test_shapes_with_laser_retro_make_the_body(tmp_path, on_collision, on_visual, expected):
+    shapes = (
+        f"<visual name='v'>{BALL}{RETRO * on_visual}</visual>"
+        f"<collision name='c'>{BOX}{RETRO * on_collision}</collision>"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = read_sdf(write(tmp_path / "a.sdf", model(link(shape=shapes))))
+    np.testing.assert_array_equal(scene.bodies[0].mesh.extents, SIZES[expected])
+
+
+def test_visuals_make_the_body_without_collisions(read):
+    empty = "<collision name='c'><geometry><empty/></geometry></collision>"
+    scene = read(model(link(shape=f"{empty}<visual name='v'>{BALL}{RETRO}</visual>")))
+    np.testing.assert_array_equal(scene.bodies[0].mesh.extents, SIZES["sphere"])
+
+
+def test_shapes_of_a_link_are_one_body_with_one_reflectivity_per_face(read):
+    scene = read(
+        model(
+            link(
+                shape=f"<collision name='a'>{BOX}<laser_retro>0</laser_retro></collision>"
+                f"<collision name='b'>{BALL}<laser_retro>51</laser_retro></collision>"
+            )
+        )
+    )
+    (body,) = scene.bodies
+    faces = len(body.mesh.faces)
+    np.testing.assert_array_equal(body.reflectivity, [0.0] * 12 + [0.2] * (faces - 12))
+    assert not body.normals[:8].any()
+    np.testing.assert_allclose(np.linalg.norm(body.normals[8:], axis=1), 1, atol=1e-6)
+
+
+def test_one_warning_names_the_bodies_without_laser_retro(tmp_path):
+    bare = f"<collision name='c'>{BOX}</collision>"
+    path = write(
+        tmp_path / "a.sdf",
+        model(link(shape=bare), "x") + model(link(), "y") + model(link(shape=bare), "z"),
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: no <laser_retro> in 2 of 3 bodies (x, z); their reflectivity is taken as 0.5"
+    ]
+    assert [b.reflectivity for b in scene.bodies] == [0.5, 1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "extents"),
+    [
+        ("<cylinder><radius>1</radius><length>3</length></cylinder>", (2, 2, 3)),
+        ("<capsule><radius>1</radius><length>3</length></capsule>", (2, 2, 5)),
+        ("<ellipsoid><radii>1 2 3</radii></ellipsoid>", (2, 4, 6)),
+        ("<plane><normal>0 0 1</normal><size>3 4</size></plane>", (2000, 2000, 0)),
+    ],
+)
+def test_geometry_of_collisions(read, geometry, extents):
+    shape = f"<collision name='c'><geometry>{geometry}</geometry>{RETRO}</collision>"
+    np.testing.assert_array_equal(read(model(link(shape=shape))).bodies[0].mesh.extents, extents)
+
+
+def test_a_visual_plane_has_its_size(read):
+    plane = "<geometry><plane><normal>1 0 0</normal><size>3 4</size></plane></geometry>"
+    scene = read(model(link(shape=f"<visual name='v'>{plane}{RETRO}</visual>")))
+    np.testing.assert_allclose(scene.bodies[0].mesh.extents, (0, 4, 3), atol=ROUNDING)
+
+
+def test_heightmap_and_scaled_mesh_beside_the_file(tmp_path, read):
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "h.png"), np.array([[255, 0], [0, 0]], np.uint8))
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
+    scene = read(
+        model(
+            link(
+                shape="<collision name='c'><geometry><heightmap><uri>h.png</uri><size>4 4 2</size>"
+                f"<pos>1 0 0</pos></heightmap></geometry>{RETRO}</collision>"
+            ),
+            "floor",
+        )
+        + model(
+            link(
+                shape="<collision name='c'><geometry><mesh><uri>file://box.stl</uri>"
+                f"<scale>1 2 -3</scale></mesh></geometry>{RETRO}</collision>"
+            ),
+            "box",
+        )
+    )
+    floor, box = scene.bodies
+    top = floor.mesh.vertices[floor.mesh.vertices[:, 2].argmax()]
+    np.testing.assert_array_equal(top, [-1, 2, 2])
+    np.testing.assert_allclose(box.mesh.extents, [1, 2, 3])
+    assert box.mesh.volume == pytest.approx(6)
+
+
+def test_a_glb_named_by_sdf_is_not_turned(tmp_path, read):
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.glb")
+    shape = f"<collision name='c'><geometry><mesh><uri>box.glb</uri></mesh></geometry>{RETRO}</collision>"
+    np.testing.assert_allclose(read(model(link(shape=shape))).bodies[0].mesh.extents, [1, 2, 3])
+
+
+# ---- the sonar ---------------------------------------------------------------------------------------
+
+SENSOR = "<pose>0 0 1 0 0 0</pose>"
+
+
+def test_a_custom_sensor_overrides_one_named_sonar_and_its_link_is_no_body(read):
+    scene = read(
+        model(link(f"<sensor name='my_sonar' type='depth'>{SENSOR}</sensor>"), "first")
+        + model(
+            "<pose>5 0 0 0 0 1.5707963267948966</pose>"
+            + link(f"<pose>1 0 0 0 0 0</pose><sensor name='s' type='custom'>{SENSOR}</sensor>"),
+            "second",
+        )
+    )
+    np.testing.assert_allclose(scene.sonar_pose, pose(5, 1, 1, yaw=np.pi / 2), atol=ROUNDING)
+    assert [b.name for b in scene.bodies] == ["first"]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "name"),
+    [
+        ("<sensor name='front_SONAR' type='ray'/>", "m"),
+        ("<sensor name='s' type='depth'><plugin name='p' filename='libnps_multibeam.so'/></sensor>", "m"),
+        ("<sensor name='s' type='depth'><plugin name='FLS' filename='x'/></sensor>", "m"),
+        ("<sensor name='imu' type='imu'/><sensor name='s' type='depth'/>", "p900_multibeam"),
+    ],
+)
+def test_sensors_named_after_a_sonar(read, sensor, name):
+    scene = read(model(link("<pose>1 2 3 0 0 0</pose>" + sensor), name))
+    np.testing.assert_array_equal(scene.sonar_pose, pose(1, 2, 3))
+    assert scene.bodies == ()
+
+
+def test_a_camera_is_no_sonar(read):
+    scene = read(model(link("<sensor name='camera' type='camera'/><sensor name='imu' type='imu'/>")))
+    assert scene.sonar_pose is None and len(scene.bodies) == 1
+
+
+def test_the_mesh_of_the_sonar_is_not_read(read):
+    shape = "<collision name='c'><geometry><mesh><uri>model://none/a.stl</uri></mesh></geometry></collision>"
+    assert read(model(link("<sensor name='s' type='custom'/>", shape=shape))).bodies == ()
+
+
+# ---- includes ----------------------------------------------------------------------------------------
+
+
+def test_include_by_model_config_newest_version_name_and_pose(tmp_path, read):
+    folder = add_model(
+        tmp_path / "models",
+        "rock",
+        model("<pose>9 9 9 0 0 0</pose>" + link(), "old"),
+        "<model><sdf version='1.4'>model.sdf</sdf><sdf version='1.10'>new.sdf</sdf>"
+        "<sdf version='1.9'>model.sdf</sdf></model>",
+    )
+    write(folder / "new.sdf", model("<pose>1 1 1 0 0 0</pose>" + link(), "new"), world=False)
+    scene = read(
+        "<include><uri>model://rock</uri></include>"
+        "<include><uri>model://rock/</uri><name>moved</name><pose>2 0 0 0 0 0</pose></include>",
+        resource_paths=[tmp_path / "models"],
+    )
+    assert [b.name for b in scene.bodies] == ["new", "moved"]
+    np.testing.assert_array_equal(scene.bodies[0].pose, pose(1, 1, 1))
+    np.testing.assert_array_equal(scene.bodies[1].pose, pose(2, 0, 0))
+
+
+@pytest.mark.parametrize("key", ["GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"])
+def test_environment_names_folders_of_models(tmp_path, monkeypatch, key):
+    add_model(tmp_path / "b", "rock")
+    monkeypatch.setenv(key, f"{tmp_path / 'a'}{os.pathsep}{tmp_path / 'b'}")
+    path = write(tmp_path / "worlds" / "a.sdf", "<include><uri>model://rock</uri></include>")
+    assert [b.name for b in read_sdf(path).bodies] == ["rock"]
+
+
+def test_order_of_argument_environment_and_own_folder(tmp_path, monkeypatch, read):
+    for folder in ("argument", "environment", "."):
+        add_model(tmp_path / folder, "rock", model(link(), folder.replace(".", "own")))
+    include = "<include><uri>model://rock</uri></include>"
+    assert read(include).bodies[0].name == "own"
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "environment"))
+    assert read(include).bodies[0].name == "environment"
+    assert read(include, resource_paths=tmp_path / "argument").bodies[0].name == "argument"
+
+
+def test_relative_uris_are_relative_to_the_file_that_names_them(tmp_path, read):
+    mesh = "<collision name='c'><geometry><mesh><uri>meshes/b.stl</uri></mesh></geometry>"
+    folder = add_model(tmp_path / "models", "rock", model(link(shape=f"{mesh}{RETRO}</collision>"), "rock"))
+    (folder / "meshes").mkdir()
+    trimesh.creation.box((1, 2, 3)).export(folder / "meshes" / "b.stl")
+    scene = read("<include><uri>models/rock</uri></include>")
+    np.testing.assert_allclose(scene.bodies[0].mesh.extents, [1, 2, 3])
+
+
+def test_a_model_opened_alone_finds_its_own_meshes(tmp_path):
+    mesh = "<collision name='c'><geometry><mesh><uri>model://rock/b.stl</uri></mesh></geometry>"
+    folder = add_model(tmp_path, "rock", model(link(shape=f"{mesh}{RETRO}</collision>"), "rock"))
+    trimesh.creation.box((1, 2, 3)).export(folder / "b.stl")
+    assert [b.name for b in read_sdf(folder / "model.sdf").bodies] == ["rock"]
+
+
+def test_ground_plane_and_sun_are_known_without_files(tmp_path):
+    path = write(
+        tmp_path / "a.sdf",
+        "<include><uri>model://sun</uri></include><include><uri>model://ground_plane</uri>"
+        "<name>floor</name><pose>0 0 -3 0 0 0</pose></include>",
+    )
+    with pytest.warns(UserWarning, match=r"no <laser_retro> in 1 of 1 bodies \(floor\)"):
+        scene = read_sdf(path)
+    (body,) = scene.bodies
+    np.testing.assert_array_equal(body.mesh.bounds, [[-1000, -1000, 0], [1000, 1000, 0]])
+    np.testing.assert_array_equal(body.pose, pose(0, 0, -3))
+
+
+def test_elements_without_acoustic_meaning_are_ignored(read):
+    scene = read(
+        "<physics type='ode'><gravity>x y z</gravity></physics><light name='l'><pose>nonsense</pose></light>"
+        "<gui><camera name='c'><pose>1 2</pose></camera></gui><plugin name='p' filename='q'><a/></plugin>"
+        + model("<static>1</static>" + link("<inertial><pose>bad</pose></inertial>"))
+    )
+    assert len(scene.bodies) == 1
+
+
+MISSING = """a.sdf: models or files are missing:
+  model://no
+    named by a.sdf: world/include[model://no]
+    named by a.sdf: world/include[again]
+    not at R/models/no
+    not at R/no
+  https://fuel.gazebosim.org/1.0/a/models/b
+    named by a.sdf: world/include[https://fuel.gazebosim.org/1.0/a/models/b]
+    not fetched: download it, and put its folder into the resource paths
+  a.stl
+    named by a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh/uri
+    not at R/a.stl
+    not at R/models/a.stl
+"""
+MISSING_WORLD = (
+    "<include><uri>model://no</uri></include><include><uri>model://no</uri><name>again</name></include>"
+    "<include><uri>https://fuel.gazebosim.org/1.0/a/models/b</uri></include>"
+    + model(
+        link(shape="<collision name='c'><geometry><mesh><uri>a.stl</uri></mesh></geometry></collision>")
+        + link(name="other")
+    )
+    + model("<pose relative_to='again'>0 0 1 0 0 0</pose>" + link(), "beside")
+)
+
+
+def test_all_that_is_missing_is_named_at_once(tmp_path, message):
+    (tmp_path / "models").mkdir()
+    text = message(MISSING_WORLD, resource_paths=[tmp_path / "models"])
+    expected = MISSING.replace("R/", "") + (
+        "Give the folders that hold them (--resource-path, resource_paths=), "
+        "or carry on without them (--skip-missing, skip_missing=True)."
+    )
+    assert text == expected
+
+
+def test_skip_missing_warns_once_and_carries_on(tmp_path):
+    (tmp_path / "models").mkdir()
+    path = write(tmp_path / "a.sdf", MISSING_WORLD)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = read_sdf(path, [tmp_path / "models"], skip_missing=True)
+    expected = MISSING.replace("R/", f"{tmp_path}/").replace("a.sdf:", f"{path}:")
+    assert [str(w.message) for w in caught] == [expected + "The scene is read without them."]
+    assert [b.name for b in scene.bodies] == ["m::other", "beside"]
+
+
+def test_a_model_folder_without_a_model_is_missing(tmp_path, message):
+    (tmp_path / "rock").mkdir()
+    assert message("<include><uri>model://rock</uri></include>").startswith(
+        "a.sdf: models or files are missing:\n  model://rock\n"
+        "    named by a.sdf: world/include[model://rock]\n    not at rock/model.sdf\n"
+    )
+
+
+# ---- errors ------------------------------------------------------------------------------------------
+
+REFUSED = "a document type or entities must not be declared (refused)"
+
+
+def test_billion_laughs_and_external_entities_are_refused(tmp_path):
+    secret = tmp_path / "secret.txt"
+    secret.write_text("secret")
+    laughs = "".join(f"<!ENTITY l{i + 1} '{f'&l{i};' * 10}'>" for i in range(9))
+    for dtd, use in (
+        (f"<!DOCTYPE sdf [<!ENTITY l0 'lol'>{laughs}]>", "&l9;"),
+        (f"<!DOCTYPE sdf [<!ENTITY x SYSTEM '{secret.as_uri()}'>]>", "&x;"),
+        (f"<!DOCTYPE sdf SYSTEM '{secret.as_uri()}'>", ""),
+    ):
+        path = tmp_path / "a.sdf"
+        path.write_text(f"<?xml version='1.0'?>{dtd}<sdf><world name='w'>{use}</world></sdf>")
+        with pytest.raises(Error) as caught:
+            read_sdf(path)
+        assert str(caught.value) == f"{path}: {REFUSED}"
+
+
+def test_an_included_file_must_not_declare_a_document_type(tmp_path, message):
+    (tmp_path / "rock").mkdir()
+    (tmp_path / "rock" / "model.sdf").write_text("<!DOCTYPE sdf><sdf/>")
+    assert message("<include><uri>model://rock</uri></include>") == f"rock/model.sdf: {REFUSED}"
+
+
+def test_huge_files_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources, "MAX_XML_BYTES", 1_000_000)
+    path = tmp_path / "a.sdf"
+    path.write_text("<sdf>" + " " * 1_000_000 + "</sdf>")
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    assert str(caught.value) == f"{path}: a scene file must not exceed 1 MB of XML"
+
+
+@pytest.mark.parametrize("uri", ["../out/b.stl", "file://../out/b.stl", "model://../out/b.stl", "ABSOLUTE"])
+def test_paths_out_of_the_folders_are_refused(tmp_path, uri):
+    (tmp_path / "out").mkdir()
+    trimesh.creation.box().export(tmp_path / "out" / "b.stl")
+    uri = f"file://{tmp_path}/out/b.stl" if uri == "ABSOLUTE" else uri
+    mesh = f"<collision name='c'><geometry><mesh><uri>{uri}</uri></mesh></geometry>{RETRO}</collision>"
+    path = write(tmp_path / "in" / "a.sdf", model(link(shape=mesh)))
+    with pytest.raises(Error) as caught:
+        read_sdf(path, skip_missing=True)
+    assert str(caught.value) == (
+        f"{path}: world/model[m]/link[link]/collision[c]/geometry/mesh/uri: {uri!r} must stay in the scene's "
+        f"folder and the resource paths (it leads to {tmp_path}/out/b.stl; if that is to be trusted, "
+        "make its folder a resource path)"
+    )
+    assert len(read_sdf(path, [tmp_path / "out", tmp_path]).bodies) == 1
+
+
+def test_symbolic_links_out_of_the_folders_are_refused(tmp_path):
+    add_model(tmp_path / "out", "rock")
+    path = write(tmp_path / "in" / "a.sdf", "<include><uri>model://rock</uri></include>")
+    (tmp_path / "in" / "rock").symlink_to(tmp_path / "out" / "rock")
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    assert str(caught.value) == (
+        f"{path}: world/include[model://rock]: 'model://rock' must stay in the scene's folder and the "
+        f"resource paths (it leads to {tmp_path}/out/rock; if that is to be trusted, make its folder "
+        "a resource path)"
+    )
+
+
+def test_a_symbolic_link_that_leads_out_by_its_model_file_is_refused(tmp_path):
+    add_model(tmp_path / "out", "rock")
+    path = write(tmp_path / "in" / "a.sdf", "<include><uri>model://rock</uri></include>")
+    (tmp_path / "in" / "rock").mkdir()
+    (tmp_path / "in" / "rock" / "model.sdf").symlink_to(tmp_path / "out" / "rock" / "model.sdf")
+    with pytest.raises(Error, match="must name a file beside it"):
+        read_sdf(path)
+
+
+def test_a_model_config_that_leads_out_is_refused(tmp_path):
+    add_model(tmp_path / "out", "rock")
+    config = "<model><sdf version='1.9'>../../out/rock/model.sdf</sdf></model>"
+    folder = add_model(tmp_path / "in", "rock", config=config)
+    path = write(tmp_path / "in" / "a.sdf", "<include><uri>model://rock</uri></include>")
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    outside = folder / "../../out/rock/model.sdf"
+    assert str(caught.value) == (
+        f"{folder / 'model.config'}: sdf must name a file beside it (got {str(outside)!r})"
+    )
+
+
+def test_include_cycles(tmp_path, message):
+    add_model(tmp_path, "a", model("<include><uri>model://b</uri></include>", "a"))
+    add_model(tmp_path, "b", model("<include><uri>model://a</uri></include>", "b"))
+    assert message("<include><uri>model://a</uri></include>") == (
+        "b/model.sdf: model[b]/include[model://a]: a model must not include itself "
+        "(got a/model.sdf -> b/model.sdf -> a/model.sdf)"
+    )
+
+
+def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
+    nested = link()
+    for i in range(40):
+        nested = model(nested, f"m{i}")
+    assert message(nested).endswith(": a scene must hold at most 65535 models, at most 32 deep")
+    monkeypatch.setattr(reader, "MAX_MODELS", 50)
+    for i in range(8):  # doubles at every level
+        twice = "".join(f"<include><uri>model://b{i + 1}</uri><name>{n}</name></include>" for n in "xy")
+        add_model(tmp_path, f"b{i}", model(twice if i < 7 else link(), f"b{i}"))
+    assert message("<include><uri>model://b0</uri></include>").endswith(
+        ": a scene must hold at most 50 models, at most 32 deep"
+    )
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected"),
+    [
+        (
+            model("<pose>1 2 3</pose>" + link()),
+            "world/model[m]/pose: must be 6 finite numbers (got '1 2 3')",
+        ),
+        (
+            model("<pose>0 0 0 0 0 nan</pose>" + link()),
+            "world/model[m]/pose: must be 6 finite numbers (got '0 0 0 0 0 nan')",
+        ),
+        (
+            model("<pose>0 0 0 0 0 90</pose>" + link()),
+            "world/model[m]/pose: angles must be radians, within ±2π (got '0 0 0 0 0 90'; "
+            'if they are degrees, write <pose degrees="true">)',
+        ),
+        (
+            model("<pose rotation_format='quat_xyzw'>0 0 0 0 0 0 0</pose>" + link()),
+            "world/model[m]/pose: a quaternion must not be zero (got '0 0 0 0 0 0 0')",
+        ),
+        (
+            model(link("<pose relative_to='lnk2'/>") + link(name="link2")),
+            "world/model[m]/link[link]/pose: unknown frame 'lnk2' (did you mean 'link2' or 'link'?)",
+        ),
+        (
+            model(link("<pose relative_to='b'/>", "a") + link("<pose relative_to='a'/>", "b")),
+            "world/model[m]/link[b]/pose: frames must lead to the model or world (got a -> b -> a ...)",
+        ),
+        (model(link()) * 2, "world/model[m]: names must be unique (got 'm' twice)"),
+        (model(link() * 2), "world/model[m]/link[link]: names must be unique (got 'link' twice)"),
+        (
+            model(link()) + "<include><uri>model://ground_plane</uri><name>m</name></include>",
+            "world/include[m]: names must be unique (got 'm' twice)",
+        ),
+        ("<model/>", "world/model[]: must have a name"),
+        ("<include/>", "world/include[]: must name a file or a model (got '')"),
+        (
+            model(link(shape="<collision name='c'/>")),
+            "world/model[m]/link[link]/collision[c]: must hold a <geometry> with a shape in it",
+        ),
+        (
+            model(link(shape=SHAPE.replace("2 4 6", "2 -4 6"))),
+            "world/model[m]/link[link]/collision[c]/geometry/box/size: "
+            "must be 3 finite positive numbers (got '2 -4 6')",
+        ),
+        (
+            model(link(shape="<collision name='c'><geometry><sphere/></geometry></collision>")),
+            "world/model[m]/link[link]/collision[c]/geometry/sphere/radius: "
+            "must be 1 finite positive number (the tag is absent)",
+        ),
+        (
+            model(link(shape="<collision name='c'><geometry><polyline/></geometry></collision>")),
+            "world/model[m]/link[link]/collision[c]/geometry/polyline: unknown geometry (known are box, "
+            "capsule, cylinder, ellipsoid, heightmap, mesh, plane, sphere; anything can be a mesh)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("255", "256"))),
+            "world/model[m]/link[link]/collision[c]/laser_retro: must lie in 0..255 (got 256)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("255", "-1"))),
+            "world/model[m]/link[link]/collision[c]/laser_retro: must lie in 0..255 (got -1)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("255", "bright"))),
+            "world/model[m]/link[link]/collision[c]/laser_retro: must be 1 finite number (got 'bright')",
+        ),
+        (
+            model(
+                link(shape=SHAPE.replace("<geometry>", "<pose degrees='false'>1 2 3 4 5 x</pose><geometry>"))
+            ),
+            "world/model[m]/link[link]/collision[c]/pose: must be 6 finite numbers (got '1 2 3 4 5 x')",
+        ),
+    ],
+)
+def test_messages_name_file_and_element(message, inside, expected):
+    assert message(inside) == f"a.sdf: {expected}"
+
+
+def test_messages_of_a_bare_model_and_of_an_included_file(tmp_path, message):
+    bad = link("<pose>1</pose>")
+    assert message(model(bad), world=False) == (
+        "a.sdf: model[m]/link[link]/pose: must be 6 finite numbers (got '1')"
+    )
+    add_model(tmp_path, "rock", model(bad, "rock"))
+    assert message("<include><uri>model://rock</uri><name>r</name></include>") == (
+        "rock/model.sdf: model[r]/link[link]/pose: must be 6 finite numbers (got '1')"
+    )
+
+
+def test_messages_about_a_mesh_name_the_element(tmp_path, message):
+    (tmp_path / "b.stl").write_text("")
+    mesh = "<collision name='c'><geometry><mesh><uri>b.stl</uri></mesh></geometry></collision>"
+    where = "a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh"
+    assert message(model(link(shape=mesh))) == (
+        f"{where}: b.stl: a mesh must have at least one face (got none; a point cloud cannot echo)"
+    )
+    zero = mesh.replace("</uri>", "</uri><scale>1 0 1</scale>")
+    assert message(model(link(shape=zero))) == f"{where}/scale: must not be zero (got '1 0 1')"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("<sdf>\n  <world>\n</sdf>", "line 3, column 3: broken XML (mismatched tag)"),
+        ("", "line 1, column 1: broken XML (no element found)"),
+        (
+            "<sdf><gz:a/></sdf>",
+            "line 1, column 6: broken XML (unbound prefix; declare it, as in "
+            '<sdf xmlns:gz="http://gazebosim.org/schema">)',
+        ),
+        ("<robot/>", "the root element must be <sdf> (got <robot>)"),
+        ("<sdf/>", "must hold a <world> or a <model>"),
+    ],
+)
+def test_files_other_than_sdf(tmp_path, text, expected):
+    path = tmp_path / "a.sdf"
+    path.write_text(text)
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_missing_scene_file_and_resource_path(tmp_path):
+    with pytest.raises(Error) as caught:
+        read_sdf(tmp_path / "no.sdf")
+    assert str(caught.value) == f"{tmp_path / 'no.sdf'}: No such file or directory"
+    path = write(tmp_path / "a.sdf", model(link()))
+    with pytest.raises(Error) as caught:
+        read_sdf(path, ["/no/such/folder"])
+    assert (
+        str(caught.value) == "resource path '/no/such/folder' must be a folder (there is none of that name)"
+    )
+
+
+def test_names_too_long_for_a_file(message):
+    long = "x" * 5000
+    assert message(f"<include><uri>model://{long}</uri></include>").startswith("a.sdf: ")
+
+
+def test_a_long_chain_of_frames_is_an_error():
+    scope = frames.Scope("a.sdf: world", None, is_world=True)
+    for i in range(5000):
+        scope.add(f"f{i}", frames.Frame(None, f"a.sdf: world/frame[f{i}]", f"f{i + 1}"))
+    with pytest.raises(Error, match=r"frames must lead to the model or world \(got f0 -> f1 "):
+        scope.find("f0", "a.sdf: world")
+
+
+# ---- extensions --------------------------------------------------------------------------------------
+
+
+def shape(tags, name="c", kind="collision", geometry=BOX):
+    return f"<{kind} name='{name}'>{geometry}{tags}</{kind}>"
+
+
+DECLARED = "xmlns:sonar_gl='http://example.org/anything'"
+
+
+@pytest.mark.parametrize("kind", ["collision", "visual"])
+@pytest.mark.parametrize("declared", ["", DECLARED])
+def test_material_with_and_without_declared_prefix(tmp_path, kind, declared):
+    """There is no warning of a missing <laser_retro>. Gazebo reads both files."""
+    inside = model(link(shape=shape("<sonar_gl:material>Steel</sonar_gl:material>", kind=kind)))
+    path = tmp_path / "a.sdf"
+    path.write_text(f"<sdf version='1.9' {declared}><world name='w'>{inside}</world></sdf>")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (body,) = read_sdf(path).bodies
+    steel = material("steel")
+    assert (body.reflectivity, body.specular, body.material) == (steel.reflectivity, steel.specular, "steel")
+    assert body.roughness_rad == steel.roughness_rad
+
+
+def test_a_prefix_declared_on_its_own_element(tmp_path):
+    own = f"<sonar_gl:material {DECLARED}>rock</sonar_gl:material>"
+    path = write(tmp_path / "a.sdf", model(link(shape=shape(own))))
+    assert read_sdf(path).bodies[0].material == "rock"
+
+
+def test_single_properties_override_the_material(read):
+    tags = (
+        "<sonar_gl:material>steel</sonar_gl:material><laser_retro>51</laser_retro>"
+        "<sonar_gl:specular>0.25</sonar_gl:specular><sonar_gl:roughness>0.3</sonar_gl:roughness>"
+    )
+    (body,) = read(model(link(shape=shape(tags)))).bodies
+    assert (body.reflectivity, body.specular, body.roughness_rad) == (0.2, 0.25, 0.3)
+    assert body.material == "steel"
+
+
+def test_extensions_in_visuals_alone_make_visuals_the_body(read):
+    both = shape("", "a") + shape("<sonar_gl:material>rock</sonar_gl:material>", "b", "visual", BALL)
+    (body,) = read(model(link(shape=both))).bodies
+    assert body.material == "rock"
+    assert len(body.surface.faces) > 12
+
+
+def test_shapes_with_other_lobes_are_separate_bodies(read):
+    steel, rock = (f"<sonar_gl:material>{name}</sonar_gl:material>" for name in ("steel", "rock"))
+    shapes = shape(steel, "a") + shape(rock, "b", geometry=BALL) + shape(RETRO, "c") + shape(steel, "d")
+    bodies = read(model(link(shape=shapes))).bodies
+    assert [(one.name, one.material) for one in bodies] == [("m", "steel"), ("m::b", None)]
+    assert len(bodies[0].surface.faces) == 24
+    # neither rock nor <laser_retro> has a lobe, so they are one body, with one reflectivity per face
+    assert bodies[1].specular == 0
+    assert sorted(set(bodies[1].reflectivity)) == [material("rock").reflectivity, 1.0]
+
+
+def test_a_reflectivity_map_is_applied_from_above(read, tmp_path):
+    image = np.array([[255, 0], [51, 102]], np.uint8)
+    cv2.imwrite(str(tmp_path / "map.png"), image)
+    plane = "<geometry><plane><normal>0 0 1</normal><size>4 4</size></plane></geometry>"
+    image_tag = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    (body,) = read(
+        model(link("<pose>10 0 0 0 0 0</pose>", shape=shape(image_tag, "c", "visual", plane)))
+    ).bodies
+    x, y, _ = body.surface.vertices[body.surface.faces].mean(axis=1).T
+    # first row at the highest y, first column at the lowest x, as in a height map
+    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 0).astype(int)] / 255)
+    np.testing.assert_array_equal(body.pose, pose(10))
+
+
+def test_a_shape_with_a_map_beside_one_without(read, tmp_path):
+    cv2.imwrite(str(tmp_path / "map.png"), np.array([[255, 0]], np.uint8))
+    image_tag = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    shapes = shape(image_tag, "a", geometry=BALL) + shape("<laser_retro>51</laser_retro>", "b")
+    (body,) = read(model(link(shape=shapes))).bodies
+    assert len(body.reflectivity) == len(body.surface.faces)
+    assert (body.reflectivity[-12:] == 0.2).all()
+    assert {0.0, 1.0} <= set(body.reflectivity[:-12])
+
+
+@pytest.mark.parametrize(
+    ("tags", "words"),
+    [
+        (
+            "<sonar_gl:material>steal</sonar_gl:material>",
+            "/sonar_gl:material: unknown material (got 'steal'; ",
+        ),
+        ("<sonar_gl:material/>", "/sonar_gl:material: unknown material (got ''; known are "),
+        (
+            "<sonar_gl:matter>x</sonar_gl:matter>",
+            ": unknown tag (got 'sonar_gl:matter'; did you mean 'material'",
+        ),
+        ("<sonar_gl:specular>2</sonar_gl:specular>", "/sonar_gl:specular: must lie in 0..1 (got 2)"),
+        ("<sonar_gl:specular>a</sonar_gl:specular>", "/sonar_gl:specular: must be 1 finite number (got 'a')"),
+        ("<sonar_gl:roughness>9</sonar_gl:roughness>", "/sonar_gl:roughness: must lie in 0.01..0.5 (got 9)"),
+        (
+            "<sonar_gl:reflectivity_map>a.sdf</sonar_gl:reflectivity_map>",
+            "/sonar_gl:reflectivity_map: a.sdf: must be an image that OpenCV reads",
+        ),
+        ("<sonar_gl:reflectivity_map>b.png</sonar_gl:reflectivity_map>", "models or files are missing:"),
+        ("<sonar_gl:reflectivity_map/>", "/sonar_gl:reflectivity_map: must name a file or a model (got '')"),
+    ],
+)
+def test_invalid_extensions(message, tags, words):
+    text = message(model(link(shape=shape(tags))))
+    assert words in text
+    assert "models or files" in words or "world/model[m]/link[link]/collision[c]" in text
+
+
+def test_a_map_on_an_infinite_plane_is_refused(message):
+    image_tag = "<sonar_gl:reflectivity_map>map.png</sonar_gl:reflectivity_map>"
+    plane = "<geometry><plane><normal>0 0 1</normal></plane></geometry>"
+    assert "the plane of a collision is infinite" in message(
+        model(link(shape=shape(image_tag, geometry=plane)))
+    )
+
+
+def test_other_prefixes_must_still_be_declared(tmp_path):
+    path = tmp_path / "a.sdf"
+    path.write_text("<sdf version='1.9'><sonar_gl:x/><gz:y/></sdf>")
+    with pytest.raises(Error, match="unbound prefix"):
+        read_sdf(path)
+
+
+def test_extensions_are_found_by_name():
+    xml = extensions.declare_namespace(b"<sdf a='1'><sonar_gl:surface/><surface/></sdf>")
+    root = ElementTree.fromstring(xml)
+    assert extensions.find_extension(root, "surface") is root[0]
+    assert extensions.find_extension(root, "floor") is None
+    assert extensions.list_extensions(root) == [root[0]]

@@ -1,0 +1,93 @@
+"""The fan: strips cover it once, columns end where box beams end, beams are normalised by their solid angle."""
+
+import math
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform.beamformer import beam_weights
+from sonar_gl.sonar.fan import make_fan
+from tests.support.fans import box_fan, make_sonar
+
+
+@pytest.mark.parametrize("fov_deg", [8.0, 20.0, 45.0, 130.0, 180.0, 359.5, 360.0])
+def test_strips_cover_the_fan_once(fov_deg):
+    sonar = make_sonar(fov_deg, beam_width_deg=min(1.0, fov_deg))
+    fan = box_fan(sonar)
+    edges = fan.column_edges_rad
+    span = sonar.azimuth_rad[-1] - sonar.azimuth_rad[0] + math.radians(sonar.beam_width_deg)
+    assert edges[-1] - edges[0] == pytest.approx(min(2 * math.pi, span), abs=1e-9)
+    assert (np.diff(edges) > 0).all()
+    widths = np.zeros(fan.n_columns)
+    for sector in fan.sectors:
+        assert 2 * sector.half_width_rad <= math.radians(60) + 1e-9
+        strips = sector.strips
+        low = sector.azimuth_rad - np.arctan(strips.u + strips.width / 2)
+        high = sector.azimuth_rad - np.arctan(strips.u - strips.width / 2)
+        np.add.at(widths, strips.column, high - low)
+        # each strip lies in its column, and is at most a tenth wider than a sample
+        assert (low > edges[strips.column] - 1e-9).all()
+        assert (high < edges[strips.column + 1] + 1e-9).all()
+        assert (strips.width <= 1.1 * sector.u[1] * (1 + 1e-9)).all()
+    np.testing.assert_allclose(widths, np.diff(edges), rtol=1e-9, atol=1e-12)
+
+
+SONARS = {
+    "even": make_sonar(45.0, 64, 1.0),
+    "contiguous": make_sonar(45.0, 64, 45 / 64),
+    "apart": make_sonar(45.0, 16, 0.3),
+    "full circle": make_sonar(360.0, 90, 6.0),
+    "wider than the circle": make_sonar(360.0, 4, 170.0),
+    "one beam": make_sonar(10.0, 1, 10.0),
+    "table": make_sonar(90.0, 5, 2.0, beam_azimuths_deg=(-40.0, -11.0, 0.5, 1.0, 44.0)),
+}
+
+
+@pytest.mark.parametrize("name", SONARS)
+@pytest.mark.parametrize("acoustics", [Acoustics.ideal(), Acoustics.physical()], ids=["box", "line array"])
+def test_beams_are_normalised_by_their_solid_angle(name, acoustics):
+    """If each column holds its own solid angle, every beam reads 1."""
+    sonar = SONARS[name]
+    pattern, support_rad = acoustics.receive_pattern(sonar), acoustics.receive_support_rad(sonar)
+    fan = make_fan(sonar, sg.Sampling(4, 16), support_rad, box=pattern is None)
+    found = beam_weights(fan, pattern, support_rad)
+    aperture = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+    solid_angles = np.diff(fan.column_edges_rad) * aperture
+    columns = (found.first[:, None] + np.arange(found.weights.shape[1])) % fan.n_columns
+    beams = (found.weights * solid_angles[columns]).sum(axis=1)
+    np.testing.assert_allclose(beams, 1.0, rtol=1e-5)  # float32 weights
+    assert (found.weights >= 0).all()
+
+
+@pytest.mark.parametrize("name", ["even", "contiguous", "apart", "full circle", "table"])
+def test_box_beams_consist_of_complete_columns(name):
+    """Columns end where beams end, so that no beam contains an unknown part of a column."""
+    sonar = SONARS[name]
+    support_rad = math.radians(sonar.beam_width_deg) / 2
+    fan = make_fan(sonar, sg.Sampling(4, 16), support_rad)
+    weights = beam_weights(fan, None, support_rad).weights
+    shares = weights * math.radians(sonar.beam_width_deg) * 2 * math.sin(math.radians(10))
+    assert ((np.abs(shares) < 1e-5) | (np.abs(shares - 1) < 1e-5)).all()
+
+
+@pytest.mark.parametrize(
+    ("beam_width_deg", "columns_per_beam", "columns_per_spacing"),
+    [(0.05, 3.516, 3.516), (0.5, 1.0, 2), (90.0, 4.0, 0.25)],
+)
+def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_per_spacing):
+    """Columns are as wide as a sample, but at most half a spacing, and wider for much wider beams."""
+    sonar = make_sonar(n_beams=256, beam_width_deg=beam_width_deg)
+    support_rad = Acoustics.physical().receive_support_rad(sonar)
+    fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), support_rad, box=False)
+    edges = fan.column_edges_rad
+    per_spacing = math.radians(45 / 256) * fan.n_columns / (edges[-1] - edges[0])
+    assert per_spacing == pytest.approx(columns_per_spacing, rel=0.02)
+
+
+def test_the_largest_width_of_columns_is_a_parameter():
+    sonar = make_sonar(n_beams=256, beam_width_deg=0.5)
+    support_rad = Acoustics.physical().receive_support_rad(sonar)
+    fan = make_fan(sonar, sg.Sampling(1.0, 16), support_rad, box=False, max_column_width=0.25)
+    assert np.diff(fan.column_edges_rad).max() <= 0.25 * math.radians(45 / 256) * (1 + 1e-9)

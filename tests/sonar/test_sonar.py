@@ -1,0 +1,252 @@
+"""Presets, sonars from files, and the message about each mistake in them."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sonar_gl.core.errors import Error
+from sonar_gl.sonar.sonar import PRESETS, Sonar, load_sonar, presets
+
+KEYS = {
+    "frequency_hz": 900e3,
+    "n_beams": 256,
+    "n_bins": 512,
+    "azimuth_fov_deg": 45.0,
+    "elevation_fov_deg": 20.0,
+    "beam_width_deg": 1.0,
+    "range_min_m": 0.5,
+    "range_max_m": 30.0,
+}
+TEXT = "\n".join(f"{key} = {value}" for key, value in KEYS.items()) + "\n"
+
+
+def error_of(make, *args, **kwargs) -> str:
+    """Return the message of the error that a call raises."""
+    with pytest.raises(Error) as caught:
+        make(*args, **kwargs)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", presets())
+def test_presets_are_complete_and_plausible(name):
+    sonar = load_sonar(name)
+    assert sonar.name == name == name.lower()
+    assert len(sonar.source) > 40
+    # no device has more
+    assert sonar.n_bins <= 5000 and sonar.n_beams <= 1024
+    assert 0 < sonar.range_min_m < sonar.range_max_m <= 50
+    # a bin is the resolution of the device: a whole number of tenths of a millimetre
+    tenths = sonar.bin_size_m * 1e4
+    assert tenths == pytest.approx(round(tenths), abs=1e-6)
+    # imaging sonars form beams that touch or overlap (the DIDSON's: 29/96 = 0.302 for a nominal 0.3)
+    assert sonar.azimuth_fov_deg / sonar.n_beams <= sonar.beam_width_deg * 1.01
+
+
+@pytest.mark.parametrize(("name", "fov", "n_beams"), [("45", 45, 256), ("90", 90, 512), ("130", 130, 768)])
+def test_p900_presets_follow_the_data_sheet(name, fov, n_beams):
+    sonar = load_sonar(f"p900-{name}")
+    assert (sonar.frequency_hz, sonar.n_beams, sonar.azimuth_fov_deg) == (900e3, n_beams, fov)
+    assert (sonar.elevation_fov_deg, sonar.beam_width_deg, sonar.range_min_m) == (20, 1, 0.5)
+    assert sonar.bin_size_m == pytest.approx(0.0254, abs=1e-15)
+    assert abs(sonar.range_max_m - 30) < 0.0254 / 2
+
+
+def test_the_preset_of_demarco2015_is_the_sonar_of_the_paper():
+    sonar = load_sonar("demarco-2015")
+    assert (sonar.n_beams, sonar.azimuth_fov_deg, sonar.elevation_fov_deg) == (280, 45, 20)
+    assert (sonar.range_min_m, sonar.range_max_m, sonar.n_bins) == (0.1, 10, 990)
+    assert sonar.beam_width_deg == 45 / 280  # beams tile the fan
+
+
+def test_unverified_numbers_are_marked():
+    """All presets have numbers from memory, marked as such, except for these."""
+    unverified = {name for name, sonar in presets().items() if "unverified:" in sonar.source}
+    sourced = {"p900-45", "p900-90", "p900-130", "demarco-2015", "oculus-m370s"}
+    assert unverified == set(presets()) - sourced
+
+
+def test_changing_the_returned_presets_changes_no_preset():
+    names = list(presets())
+    presets().clear()
+    assert list(presets()) == names
+
+
+def test_names_of_presets_ignore_case():
+    assert load_sonar("P900-45") is load_sonar("p900-45")
+
+
+def test_the_file_of_presets_explains_every_key():
+    header = PRESETS.read_text().split("[p900-45]")[0]
+    for field in Sonar.__dataclass_fields__:
+        assert f"#   {field} " in header
+
+
+def test_azimuths_and_bins():
+    sonar = Sonar("s", **{**KEYS, "n_beams": 4, "n_bins": 59})
+    np.testing.assert_allclose(np.degrees(sonar.azimuth_rad), [-16.875, -5.625, 5.625, 16.875], rtol=1e-15)
+    assert (sonar.bin_edges_m[0], sonar.bin_edges_m[-1], sonar.bin_size_m) == (0.5, 30.0, 0.5)
+    np.testing.assert_allclose(sonar.range_m, 0.75 + 0.5 * np.arange(59), rtol=1e-15)
+    assert (sonar.with_range(10.5).n_bins, sonar.with_range(10.5).bin_size_m) == (20, 0.5)
+
+
+def test_azimuths_from_a_table():
+    sonar = Sonar("s", **{**KEYS, "n_beams": 3}, beam_azimuths_deg=[-20, 1, 22.5])
+    assert np.degrees(sonar.azimuth_rad) == pytest.approx([-20, 1, 22.5], abs=1e-13)
+
+
+def test_a_file_with_top_level_keys(tmp_path):
+    (tmp_path / "mine.toml").write_text(TEXT)
+    sonar = load_sonar(tmp_path / "mine.toml")
+    assert sonar == load_sonar(str(tmp_path / "mine.toml")) == Sonar("mine", **KEYS)
+
+
+def test_a_file_with_one_table(tmp_path):
+    (tmp_path / "mine.toml").write_text(f"[other]\n{TEXT}beam_azimuths_deg = {list(range(-128, 128))}\n")
+    message = error_of(load_sonar, tmp_path / "mine.toml")
+    assert message == (
+        f"{tmp_path}/mine.toml [other]: sonar 'other': beam_azimuths_deg must lie within "
+        "±azimuth_fov_deg/2 = ±22.5 (got -128 to 127)"
+    )
+    (tmp_path / "mine.toml").write_text(f'[other]\nname = "mine"\nsource = "me"\n{TEXT}')
+    assert load_sonar(tmp_path / "mine.toml") == Sonar("mine", **KEYS, source="me")
+
+
+def test_a_file_with_several_tables(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"[a]\n{TEXT}[b]\n{TEXT}")
+    assert load_sonar(f"{path}#b").name == "b"
+    assert load_sonar(f"{PRESETS}#p900-90") == load_sonar("p900-90")
+    assert error_of(load_sonar, path) == (
+        f"{path}: must contain one sonar, or one of its tables must be named (got a, b; write {path}#a)"
+    )
+    assert error_of(load_sonar, f"{path}#c") == f"{path}: unknown table (got 'c'; known are a, b)"
+
+
+def test_a_file_name_may_contain_a_hash(tmp_path):
+    path = tmp_path / "a.toml#b"
+    path.write_text(TEXT)
+    assert load_sonar(path).n_beams == 256
+
+
+def test_an_unknown_preset_is_an_error():
+    assert error_of(load_sonar, "p900-46") == (
+        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'p900-130'?)"
+    )
+    everything = ", ".join(sorted(presets()))
+    assert error_of(load_sonar, "zzz") == f"unknown sonar (got 'zzz'; known are {everything})"
+
+
+def test_a_sonar_is_a_name_or_a_path():
+    message = "a sonar must be a preset's name or the path of a .toml file (got 900)"
+    assert error_of(load_sonar, 900) == message
+
+
+@pytest.mark.parametrize("name", ["none.toml", "none/mine", "none.toml#a"])
+def test_a_missing_file_is_an_error(name):
+    path = name.split("#")[0]
+    assert error_of(load_sonar, name) == (
+        f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
+    )
+
+
+def test_files_that_describe_no_sonar_are_errors(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("name = 'a'\nn_beams = 1 2\n")
+    assert error_of(load_sonar, path) == (
+        f"{path}: the sonar's file must be TOML "
+        "(Expected newline or end of document after a statement (at line 2, column 13))"
+    )
+    path.write_bytes(b"name = '\xff'")
+    assert error_of(load_sonar, path).startswith(
+        f"{path}: the sonar's file must be TOML ('utf-8' codec can't"
+    )
+    path.write_text("# nothing\n")
+    assert error_of(load_sonar, path) == (
+        f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})"
+    )
+    path.write_text(f"{TEXT}[a]\n{TEXT}")
+    assert error_of(load_sonar, path) == (
+        f"{path}: must contain either a sonar's keys or tables, not both (got key 'frequency_hz' and table 'a')"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n_beam": 2}, "unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins'?)"),
+        ({"name": 3}, "name must be text (got 3; put it in quotes)"),
+        ({"source": "[1]"}, "source must be text (got [1]; put it in quotes)"),
+        ({"n_beams": "256.0"}, "sonar 'a': n_beams must be a whole number in 1..65536 (got 256.0)"),
+        ({"n_bins": 0}, "sonar 'a': n_bins must be a whole number in 1..65536 (got 0)"),
+        ({"n_bins": "true"}, "sonar 'a': n_bins must be a whole number in 1..65536 (got True)"),
+        ({"frequency_hz": "'900'"}, "sonar 'a': frequency_hz must be a number (got '900')"),
+        (
+            {"frequency_hz": 900},
+            "sonar 'a': frequency_hz must lie in 1000..1e+08 (got 900; give hertz, 900e3 for 900 kHz)",
+        ),
+        (
+            {"azimuth_fov_deg": 400},
+            "sonar 'a': azimuth_fov_deg must lie in 0.01..360 (got 400; give degrees)",
+        ),
+        (
+            {"elevation_fov_deg": "nan"},
+            "sonar 'a': elevation_fov_deg must lie in 0.01..170 (got nan; give degrees)",
+        ),
+        ({"range_min_m": 40}, "sonar 'a': range_min_m must be less than range_max_m (got 40 and 30)"),
+        (
+            {"beam_azimuths_deg": [1, 2]},
+            "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,))",
+        ),
+        (
+            {"n_beams": 2, "beam_azimuths_deg": [2, 1]},
+            "sonar 'a': beam_azimuths_deg must rise (starboard first, positive to port)",
+        ),
+    ],
+)
+def test_messages_name_the_file_the_table_and_the_key(tmp_path, change, message):
+    path = tmp_path / "mine.toml"
+    path.write_text("[a]\n" + "".join(f"{key} = {value}\n" for key, value in {**KEYS, **change}.items()))
+    assert error_of(load_sonar, path) == f"{path} [a]: {message}"
+
+
+def test_messages_name_missing_keys(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("n_beams = 1\n" + "\n".join(TEXT.splitlines()[3:]))
+    assert error_of(load_sonar, path) == (
+        f"{path} [mine]: every required key must be present (missing: frequency_hz, n_bins)"
+    )
+
+
+def test_the_range_must_exceed_the_least_range():
+    assert error_of(load_sonar("p900-45").with_range, 0.5) == (
+        "sonar 'p900-45': the range must exceed range_min_m = 0.5 m (got 0.5)"
+    )
+
+
+def test_a_field_of_view_in_radians_is_warned_of():
+    sonar = load_sonar("p900-45")
+    with pytest.warns(UserWarning) as caught:
+        replace(sonar, azimuth_fov_deg=0.7854)
+    assert [str(w.message) for w in caught] == [
+        "sonar 'p900-45': azimuth_fov_deg = 0.7854 puts 256 beams within less than 7 degrees; "
+        "if it is in radians, give 45"
+    ]
+
+
+def test_real_and_unusual_sonars_give_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for sonar in presets().values():
+            replace(sonar)
+        Sonar("one narrow beam", **{**KEYS, "n_beams": 1, "azimuth_fov_deg": 0.01})
+        Sonar("fine beams", **{**KEYS, "n_beams": 4096, "azimuth_fov_deg": 45.0})
+        Sonar("narrow fan", **{**KEYS, "n_beams": 64, "azimuth_fov_deg": 6.0})
+
+
+def test_max_ping_rate_is_one_over_the_two_way_travel_time():
+    assert load_sonar("p900-45").with_range(30.0).max_ping_rate_hz(1480.0) == pytest.approx(
+        1480 / 60, rel=1e-3
+    )

@@ -1,0 +1,34 @@
+"""Functions of a part, imported by the workers of tests/batch/test_cluster.py."""
+
+import os
+import resource
+import signal
+import time
+
+
+def count(folder, part):
+    """Write down every try; part 5 is slow."""
+    with open(f"{folder}/{part}", "a") as file:
+        file.write(f"{os.getpid()}\n")
+    time.sleep(0.5 if part == 5 else 0.01)
+    return {"part": part, "worker": os.getpid()}
+
+
+def deadly(folder, part):
+    """Write down every try; part 3 kills its worker."""
+    found = count(folder, part)
+    if part == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return found
+
+
+def failing(part):
+    raise OSError(28, f"no space left for part {part}")
+
+
+def pages(part):
+    """Return how many pages the kernel gives for arrays that are made and freed."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(50):
+        bytearray(1 << 20)
+    return {"part": part, "pages": resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before}

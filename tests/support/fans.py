@@ -1,0 +1,21 @@
+"""Sonars and fans for tests of the geometry."""
+
+import math
+
+import sonar_gl as sg
+from sonar_gl.sonar.fan import Fan, make_fan
+
+
+def make_sonar(
+    azimuth_fov_deg=45.0, n_beams=64, beam_width_deg=1.0, elevation_fov_deg=20.0, **more
+) -> sg.Sonar:
+    """Return a sonar with 100 bins from 0.5 to 30 m."""
+    return sg.Sonar(
+        "test", 900e3, n_beams, 100, azimuth_fov_deg, elevation_fov_deg, beam_width_deg, 0.5, 30.0, **more
+    )
+
+
+def box_fan(sonar, columns_per_beam=2.0, rows=32) -> Fan:
+    """Return the fan of a sonar whose beams are boxes."""
+    sampling = sg.Sampling(columns_per_beam, rows)
+    return make_fan(sonar, sampling, math.radians(sonar.beam_width_deg) / 2)

@@ -1,0 +1,108 @@
+"""Multipath by brute force: rays are reflected where they hit a planar reflector, and return from their end."""
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+LIFT_M = 1e-4  # rays start this far off a surface, so as not to hit it again
+
+
+class TwoBounces:
+    """Single-bounce and double-bounce echoes of a sonar with box beams, for bodies with one reflectivity each.
+
+    Parameters
+    ----------
+    scene : faces of the bodies in `reflectors`, and a surface at `surface_z_m`, reflect
+    reflectors : names of bodies
+    reflection : |R|² of every reflector, at all angles
+    pattern : two-way elevation pattern, a function of the sine of the elevation; None for a constant
+    """
+
+    def __init__(self, scene, sonar, pose, reflectors, reflection=1.0, multipath="incoherent", pattern=None):
+        self.sonar, self.pattern = sonar, pattern or np.ones_like
+        self.embree, self.keep = EmbreeScene(robust=True), []
+        self.mu = np.array([float(body.reflectivity) for body in scene.bodies])
+        self.is_reflector = np.array([body.name in reflectors for body in scene.bodies])
+        self.reflection, self.single_bounce_gain = reflection, 2.0 if multipath == "coherent" else 1.0
+        sonar_from_world = np.linalg.inv(pose)
+        for body in scene.bodies:
+            m = sonar_from_world @ body.pose
+            vertices = np.asarray(body.mesh.vertices) @ m[:3, :3].T + m[:3, 3]
+            self.keep.append(TriangleMesh(self.embree, vertices[body.mesh.faces].astype(np.float32)))
+        self.surface = None
+        if scene.surface_z_m is not None:  # normal . x = offset, in the sonar's frame
+            self.surface = pose[2, :3], scene.surface_z_m - pose[2, 3]
+
+    def _hits(self, origins, directions):
+        """Return distance (inf for none), unit normal towards the ray, and body; -1 is the water's surface."""
+        found = self.embree.run(origins.astype(np.float32), directions.astype(np.float32), output=True)
+        body = found["geomID"].astype(int)
+        distance = np.where(body >= 0, found["tfar"].astype(float), np.inf)
+        normal = found["Ng"].astype(float)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+        if self.surface is not None:
+            up, offset = self.surface
+            climb = directions @ up
+            with np.errstate(divide="ignore", invalid="ignore"):
+                there = (offset - origins @ up) / climb
+            first = (there > 1e-6) & (there < distance)
+            distance, body = np.where(first, there, distance), np.where(first, -1, body)
+            body = np.where(~first & (found["geomID"].astype(int) < 0), -2, body)
+            normal[first] = up
+        else:
+            body = np.where(body < 0, -2, body)
+        normal *= -np.sign((normal * directions).sum(axis=1))[:, None]
+        return distance, normal, body
+
+    def ping(self, n_rays: int, seed: int = 0):
+        """Return the multipath part of a ping, (B, K), for G = 1, from jittered rays over the fan."""
+        sonar, random = self.sonar, np.random.default_rng(seed)
+        half, top = np.radians(sonar.azimuth_fov_deg) / 2, np.sin(np.radians(sonar.elevation_fov_deg) / 2)
+        across = int(np.sqrt(n_rays * 2))
+        up = n_rays // across
+        i, j = np.meshgrid(np.arange(across), np.arange(up), indexing="ij")
+        azimuth = half * (2 * (i + random.random(i.shape)) / across - 1).ravel()
+        sine = top * (2 * (j + random.random(i.shape)) / up - 1).ravel()
+        cosine = np.sqrt(1 - sine**2)
+        rays = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), sine], axis=1)
+        to_reflector, normal, body = self._hits(np.zeros_like(rays), rays)
+        reflects = (body == -1) | ((body >= 0) & np.append(self.is_reflector, False)[body])
+        rays, azimuth, to_reflector, normal = (x[reflects] for x in (rays, azimuth, to_reflector, normal))
+        turned = rays - 2 * (rays * normal).sum(axis=1)[:, None] * normal
+        start = rays * to_reflector[:, None]
+        beyond, face, met = self._hits(start + LIFT_M * normal, turned)
+        ok = met >= 0
+        rays, azimuth, to_reflector, start, turned, beyond, face, met = (
+            x[ok] for x in (rays, azimuth, to_reflector, start, turned, beyond, face, met)
+        )
+        place, bounced = start + turned * beyond[:, None], to_reflector + beyond
+        mu, loss = self.mu[met], self.reflection
+        out = np.zeros((sonar.n_beams, sonar.n_bins))
+        # double bounce: both ways by the reflector
+        incidence = -(turned * face).sum(axis=1)
+        self._put(out, azimuth, bounced, mu * incidence * loss**2 * self.pattern(rays[:, 2]))
+        # single bounce: the point must be visible directly, from the same side, and within the fan
+        straight = np.linalg.norm(place, axis=1)
+        back = -place / straight[:, None]
+        other = (back * face).sum(axis=1)
+        distance, _, body = self._hits(place + LIFT_M * face, back)
+        there = np.arctan2(place[:, 1], place[:, 0])
+        visible = (other > 0) & (distance > straight - 2 * LIFT_M)
+        visible &= (np.abs(place[:, 2] / straight) < top) & (np.abs(there) < half)
+        if self.surface is not None:
+            visible &= place @ self.surface[0] < self.surface[1]
+        mean = (straight + bounced) / 2
+        energy = self.single_bounce_gain * mu * other * loss * (mean / straight) ** 2 * visible
+        energy *= np.sqrt(self.pattern(rays[:, 2]) * self.pattern(np.clip(place[:, 2] / straight, -top, top)))
+        self._put(out, azimuth, mean, energy)
+        self._put(out, there, mean, energy)
+        beam = 2 * half / sonar.n_beams
+        return out * (2 * half * 2 * top / (across * up)) / (beam * 2 * top)
+
+    def _put(self, out, azimuth, range_m, energy):
+        sonar = self.sonar
+        half = np.radians(sonar.azimuth_fov_deg) / 2
+        beam = np.floor((azimuth + half) / (2 * half) * sonar.n_beams).astype(int)
+        k = np.floor((range_m - sonar.range_min_m) / sonar.bin_size_m).astype(int)
+        ok = (beam >= 0) & (beam < sonar.n_beams) & (k >= 0) & (k < sonar.n_bins)
+        np.add.at(out, (beam[ok], k[ok]), energy[ok])

@@ -1,0 +1,95 @@
+"""Random worlds on which the tolerance is tested."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+import sonar_gl as sg
+
+
+def random_rotation(rng) -> np.ndarray:
+    """Return a uniformly distributed rotation, (4, 4)."""
+    return trimesh.transformations.random_rotation_matrix(rng.random(3))
+
+
+def terrain(rng, size_m: float, relief_m: float, n: int = 96) -> trimesh.Trimesh:
+    """Return a square of hills, a sum of waves with random directions and amplitudes proportional to their lengths."""
+    x = np.linspace(-size_m / 2, size_m / 2, n)
+    x, y = np.meshgrid(x, x, indexing="ij")
+    z = np.zeros_like(x)
+    for octave in range(5):
+        for _ in range(4):
+            angle, phase = rng.uniform(0, 2 * np.pi, 2)
+            k = 2 * np.pi * 2**octave / size_m
+            z += 0.5**octave * np.sin(k * (x * np.cos(angle) + y * np.sin(angle)) + phase)
+    z *= relief_m / np.ptp(z)
+    i = np.arange(n * n).reshape(n, n)
+    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return trimesh.Trimesh(np.stack([x, y, z], -1).reshape(-1, 3), faces, process=False)
+
+
+def random_body(rng, number: int, range_m: float, sonar: sg.Sonar) -> sg.Body:
+    """Return a box, cylinder, rod, sphere or torus in the fan, with a size of up to a third of its range."""
+    r = range_m * rng.uniform(0.08, 0.95)
+    half = np.radians(sonar.azimuth_fov_deg) / 2, np.radians(sonar.elevation_fov_deg) / 2
+    psi, phi = rng.uniform(-half[0], half[0]), rng.uniform(-half[1], half[1])
+    place = r * np.array([np.cos(phi) * np.cos(psi), np.cos(phi) * np.sin(psi), np.sin(phi)])
+    size = r * 10 ** rng.uniform(-1.7, -0.5)
+    kind = rng.choice(["box", "cylinder", "rod", "sphere", "torus"])
+    if kind == "box":
+        mesh = trimesh.creation.box(size * rng.uniform(0.2, 1.5, 3))
+    elif kind == "cylinder":
+        mesh = trimesh.creation.cylinder(
+            size * rng.uniform(0.1, 0.6), size * rng.uniform(0.5, 2), sections=64
+        )
+    elif kind == "rod":
+        mesh = trimesh.creation.cylinder(10 ** rng.uniform(-2, -1), size * rng.uniform(1, 5), sections=24)
+    elif kind == "sphere":
+        mesh = trimesh.creation.icosphere(4, size / 2)
+    else:
+        mesh = trimesh.creation.torus(size / 2, size * rng.uniform(0.05, 0.2), 64, 24)
+    pose = random_rotation(rng)
+    if rng.random() < 0.3:  # upright and level bodies are common, and hard
+        pose = (
+            np.eye(4) if rng.random() < 0.5 else trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
+        )
+    pose[:3, 3] = place
+    return sg.Body(f"{kind} {number}", mesh, pose, reflectivity=rng.uniform(0.1, 1.0))
+
+
+def random_world(seed: int):
+    """Return (scene, sonar, pose) of a seed; nearly all of these worlds return an echo."""
+    rng = np.random.default_rng(seed)
+    range_m = 10 ** rng.uniform(1, 2)
+    fov = rng.uniform(30, 130)
+    n_beams = int(rng.choice([64, 128, 256, 512]))
+    sonar = sg.Sonar(
+        name=f"random {seed}",
+        frequency_hz=900e3,
+        n_beams=n_beams,
+        n_bins=int(rng.choice([200, 400, 512, 800])),
+        azimuth_fov_deg=fov,
+        elevation_fov_deg=rng.uniform(10, 30),
+        beam_width_deg=max(fov / n_beams, float(rng.choice([0.2, 0.5, 1.0, 1.5]))),
+        range_min_m=0.5,
+        range_max_m=range_m,
+    )
+    bodies = [random_body(rng, number, range_m, sonar) for number in range(rng.integers(1, 9))]
+    ground = rng.choice(["none", "floor", "terrain"])
+    if ground != "none":
+        depth = range_m * rng.uniform(0.05, 0.3)
+        mesh = (
+            trimesh.creation.box((6 * range_m, 6 * range_m, 1))
+            if ground == "floor"
+            else terrain(rng, 3 * range_m, depth * rng.uniform(0.2, 1.0))
+        )
+        tilt = sg.pose(0, 0, -depth - 0.5, rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.1), rng.uniform(-3, 3))
+        bodies.append(sg.Body(str(ground), mesh, tilt, reflectivity=rng.uniform(0.1, 1.0)))
+    # bodies were placed for a level fan; now the world is rotated and moved, and the sonar turned a little more
+    world = random_rotation(rng)
+    world[:3, 3] = rng.uniform(-100, 100, 3)
+    bodies = [sg.Body(b.name, b.mesh, world @ b.pose, b.reflectivity) for b in bodies]
+    turn = sg.pose(0, 0, 0, rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.15), rng.uniform(-0.3, 0.3))
+    return sg.Scene(bodies, name=f"world {seed}"), sonar, world @ turn

@@ -1,0 +1,1 @@
+"""Benches of sonar_gl, all with one harness: `python -m tools.bench NAME`; see `__main__`."""

@@ -1,0 +1,127 @@
+"""Read the chart's points: fronts, times at an error, ratios, aims, and whether ours keeps to the front.
+
+A point is (milliseconds, error). Nothing is extrapolated: where a method's points end before an error, a mark
+says on which side the true time lies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+OURS, OUR_RAYS, JITTERED = "ours", "rays_footprints", "rays_jittered"
+JUDGED = (0.01, 0.003)  # errors at which times are compared
+AIMS = {  # at 1 %: the rival's time over ours
+    JITTERED: {"pylon": 15.0, "diver": 10.0, "ocean_floor": 8.0, "ocean_floor_1m": 8.0},
+    OUR_RAYS: {"pylon": 1.0, "diver": 1.0, "ocean_floor": 1.5, "ocean_floor_1m": 1.5},
+}
+BAND = np.geomspace(0.03, 0.005, 8)  # errors at which `violations` compares
+NOISE = 1.25  # a rival must be this much quicker to count
+ALLOWED = {OUR_RAYS: 2.0}  # the strongest rival's
+UNJUDGED = (OURS, "slices")  # slices are for scenes of few faces, and only shown
+
+
+def envelope(points) -> np.ndarray:
+    """Return the (N, 2) points that no other point beats in time and error, by rising time."""
+    front = []
+    for ms, error in sorted(points):
+        if not front or error < front[-1][1]:
+            front.append((ms, error))
+    return np.array(front)
+
+
+def time_at(points, error: float) -> tuple[float, str]:
+    """Return the milliseconds for an error, log-log between the points of the envelope, and a mark.
+
+    The mark is ">" where the slowest point still errs more, "<" where the quickest errs less, with its time;
+    else "".
+    """
+    front = envelope(points)
+    if error < front[-1, 1]:
+        return float(front[-1, 0]), ">"
+    if error > front[0, 1]:
+        return float(front[0, 0]), "<"
+    ms, errors = np.log(front[::-1]).T
+    return float(np.exp(np.interp(np.log(error), errors, ms))), ""
+
+
+def ratio_at(rival, ours, error: float) -> tuple[float, str]:
+    """Return the rival's time over ours and a mark: ">" (at least), "<" (at most), "?" (not known) or ""."""
+    (theirs, mark), (own, own_mark) = time_at(rival, error), time_at(ours, error)
+    if own_mark and mark == own_mark:
+        return theirs / own, "?"
+    return theirs / own, mark or {">": "<", "<": ">", "": ""}[own_mark]
+
+
+def aim_met(scene: str, method: str, ratios) -> str:
+    """Return whether ours is as far ahead at 1 % as AIMS say, and further at 0.3 %, as text.
+
+    ratios : of `ratio_at`, at JUDGED
+    """
+    if scene not in AIMS.get(method, {}):
+        return ""
+    (first, mark), (second, second_mark) = ratios
+    at_one = _passes(first, mark, AIMS[method][scene])
+    further = "open" if mark else _passes(second, second_mark, first)
+    return f"{at_one} at 1 %, {further} at 0.3 %"
+
+
+def _passes(ratio: float, mark: str, aim: float) -> str:
+    if mark == "?" or (mark == ">" and ratio < aim) or (mark == "<" and ratio >= aim):
+        return "open"
+    return "met" if ratio >= aim else "missed"
+
+
+def table(charts) -> list[dict]:
+    """Return rows of times and ratios; charts: {(scene, beams): {method: points}}."""
+    rows = []
+    for (scene, beams), methods in charts.items():
+        for method, points in methods.items():
+            row = {"scene": scene, "beams": beams, "method": method}
+            ratios = [ratio_at(points, methods[OURS], error) for error in JUDGED]
+            for error, (ratio, mark) in zip(JUDGED, ratios, strict=True):
+                ms, side = time_at(points, error)
+                row[f"ms_at_{error:g}"] = f"{side}{ms:.3g}"
+                row[f"ratio_at_{error:g}"] = f"{mark}{ratio:.3g}"
+            rows.append({**row, "aim": aim_met(scene, method, ratios)})
+    return rows
+
+
+def violations(charts) -> list[str]:
+    """Return a line for each rival that is quicker than ours by more than noise, at an error within BAND."""
+    out = []
+    for (scene, beams), methods in charts.items():
+        for method, points in methods.items():
+            if method in UNJUDGED:
+                continue
+            allowed = ALLOWED.get(method, NOISE)
+            worst = None
+            for error in BAND:
+                ratio, mark = ratio_at(points, methods[OURS], error)
+                # neither a lower bound nor "not known" proves anything against ours
+                if ratio * allowed < 1 and mark in ("", "<") and (worst is None or ratio < worst[0]):
+                    worst = ratio, error
+            if worst:
+                out.append(
+                    f"{scene}, {beams} beams: {method} takes {worst[0]:.2f} of our time "
+                    f"at {worst[1]:.2%} error"
+                )
+    return out
+
+
+def false_change(methods) -> tuple[float, str]:
+    """Return ours' largest share of a rival's shimmer at the same time, and that rival's name.
+
+    methods : {method: points}, (ms, shimmer); times within both methods' points are compared
+    """
+    worst = 0.0, ""
+    own = envelope(methods[OURS])
+    for method, points in methods.items():
+        if method == OURS:
+            continue
+        front = envelope(points)
+        times = np.geomspace(max(own[0, 0], front[0, 0]), min(own[-1, 0], front[-1, 0]), 30)
+        ours, theirs = (np.interp(np.log(times), *np.log(f).T) for f in (own, front))
+        share = float(np.exp(ours - theirs).max())
+        if share > worst[0]:
+            worst = share, method
+    return worst

@@ -1,0 +1,67 @@
+"""Every place where the tools look inside a Simulator.
+
+The benches time the stages of a ping, and the chart's rivals sum its samples in other ways; neither is part
+of the public interface. When the package is restructured, this module follows it and the tools stay as they
+are.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from time import perf_counter
+
+from sonar_gl.engine.pipeline import draw
+from sonar_gl.engine.request import PingRequest
+
+STAGES = ("render", "reduce", "beams")  # draw and read back; samples to columns; columns to beams
+
+
+def sample_grid(simulator) -> tuple[int, int]:
+    """Return the columns, over all sectors, and the most rows of the samples at the scene's own pose."""
+    with rendered(simulator, simulator.scene.sonar_pose) as samples:
+        shapes = [one.plane_echo.shape for one in samples]
+    return sum(columns for _, columns, _ in shapes), max(rows for rows, *_ in shapes)
+
+
+@contextmanager
+def rendered(simulator, pose):
+    """Draw from a pose; give the SectorSamples, which stay valid in the block."""
+    with simulator.run.drawing():
+        (view,) = simulator.run.sampler.resolution.stage.draw([pose], [None])
+        yield view.sectors
+
+
+def count_image_sources(simulator, pose) -> int:
+    """Return the number of image sources that are drawn from a pose."""
+    run = simulator.run
+    with run.drawing():
+        setup = run.set_up(PingRequest(pose))
+        (drawn,) = draw(run, [setup], run.sampler.resolution_for(setup))
+    return 0 if drawn.images is None else len(drawn.images.sources)
+
+
+class StageClock:
+    """Adds up the time of STAGES while a simulator pings with samples that stay the same."""
+
+    def __init__(self, simulator):
+        stage = simulator.run.sampler.resolution.stage
+        self._seconds = dict.fromkeys(("render", "sum_footprints", "weigh"), 0.0)
+        for owner, name in zip(
+            (stage.renderer, stage.beamformer, stage.beamformer), self._seconds, strict=True
+        ):
+            setattr(owner, name, self._timed(name, getattr(owner, name)))
+
+    def _timed(self, name, method):
+        def timed(*arguments, **keywords):
+            start = perf_counter()
+            out = method(*arguments, **keywords)
+            self._seconds[name] += perf_counter() - start
+            return out
+
+        return timed
+
+    def lap_ms(self) -> list[float]:
+        """Return the milliseconds of each stage since the last lap."""
+        render, both, beams = (1e3 * seconds for seconds in self._seconds.values())
+        self._seconds = dict.fromkeys(self._seconds, 0.0)
+        return [render, both - beams, beams]

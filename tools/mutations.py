@@ -1,0 +1,648 @@
+"""Judge the tests by mutations: small mistakes in the code that some test must notice.
+
+    python -m tools.mutations --list                      # the table, and where each applies
+    python -m tools.mutations --run --only "labels/*"     # these; prints killed or survived, and the score
+    python -m tools.mutations --run --root DIR            # those of another checkout
+    python -m tools.mutations --run --tests "-k fan"      # other tests than those of the table
+
+A mutation is looked up by its tokens, so that line breaks and spaces do not matter; it must occur once in the
+package. The tree is copied to a temporary folder, one mutation is applied, and pytest runs with -x. First the
+same tests run without a mutation: a mutation says nothing where they fail by themselves. A mutation is killed
+if a test fails, if pytest ends otherwise, or if it takes longer than --timeout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from time import perf_counter
+
+ROOT = Path(__file__).resolve().parents[1]
+UNCOPIED = (".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "out", "build", "pictures")
+TOKEN = re.compile(r"\w+|[^\w\s]")
+PASSED, FAILED = 0, 1  # exit statuses of pytest
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One mistake.
+
+    Attributes
+    ----------
+    name : ROOM/what is wrong
+    old, new : text of the package, and what takes its place
+    tests : modules that are run, without folder and .py; of several separated by | the first that exists
+    also : (old, new) of trees that have this otherwise, such as the one before the packages
+    """
+
+    name: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+    also: tuple[tuple[str, str], ...] = ()
+
+
+FOOTPRINTS = ("test_footprint", "test_failures")
+LABELS = ("test_labels",)
+MULTIPATH = ("test_multipath",)
+TRIANGLES = ("test_small_triangles|test_sift", "test_specular")
+CULLING = ("test_cull|test_culling", "test_level_of_detail|test_detail", "test_window")
+ADAPTIVE = ("test_adaptive|test_plan", "test_moving_bodies|test_moving", "test_sequence")
+NOISE = ("test_noise", "test_speckle")
+STORE = ("test_batch", "test_runs|test_batch_runs")
+GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
+SDF = ("test_sdf",)
+
+MUTATIONS = (
+    # footprints of samples into columns and bins
+    Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
+    Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),
+    Mutation("footprints/no trapezoids", "if 8 * thin * per_metre >= s * s:", "if False:", FOOTPRINTS),
+    Mutation("footprints/inner bins", "np.float32(2 * half_height)", "np.float32(half_height)", FOOTPRINTS),
+    Mutation(
+        "footprints/edge where planes meet",
+        "meet = (rest[m] - rest[below]) / turn",
+        "meet = (rest[below] - rest[m]) / turn",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/edges of noise",
+        "abs((meet - border_here) * turn) > noise",
+        "abs((meet - border_here) * turn) < noise",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/plane beyond a silhouette",
+        "rest[below] if met_low else rest[m]",
+        "rest[m] if met_low else rest[below]",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/slope across",
+        "abs(along_u[m] - at * uc * one_over_L2)",
+        "abs(along_u[m] + at * uc * one_over_L2)",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/length of the ray",
+        "abs(along_v[m] - at * vc * one_over_L2)",
+        "abs(along_v[m])",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/solid angle",
+        "echo[m] * width * height * one_over_L * one_over_L2",
+        "echo[m] * width * height * one_over_L2",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/plane in the strip's middle",
+        "q[m] + along_u[m] * (uc - u[0]",
+        "q[m] - along_u[m] * (uc - u[0]",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/columns into beams",
+        "(w2 * column_sums[c2, k] + w3 * column_sums[c3, k])",
+        "(w2 * column_sums[c2, k] + w3 * column_sums[c2, k])",
+        (
+            *FOOTPRINTS,
+            "test_beam_pattern|test_patterns",
+        ),
+        (("(w2 * echo_sum[c2, k] + w3 * echo_sum[c3, k])", "(w2 * echo_sum[c2, k] + w3 * echo_sum[c2, k])"),),
+    ),
+    Mutation(
+        "footprints/pattern in elevation",
+        "top * (elevation_pattern(top * sines) @ sine_weights)",
+        "top * (elevation_pattern(sines) @ sine_weights)",
+        ("test_beam_pattern|test_patterns",),
+        (("top * (elevation(top * sines) @ parts)", "top * (elevation(sines) @ parts)"),),
+    ),
+    # labels
+    Mutation(
+        "labels/mean range of a full bin",
+        "2.0 / (s[:-1] + s[1:])",
+        "1.0 / s[1:]",
+        LABELS,
+        (("2.0 / (bin_edges_s[:-1] + bin_edges_s[1:])", "1.0 / bin_edges_s[1:]"),),
+    ),
+    Mutation("labels/range of a ramp", "return t * t / 2", "return t * t / 3", LABELS),
+    Mutation("labels/full bins", "cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0", LABELS),
+    Mutation("labels/incidence", "x = rest[m] - along_u[m] * uc", "x = rest[m]", LABELS),
+    Mutation("labels/arccos", "p * c - 0.0170881256", "p * c + 0.0170881256", LABELS),
+    Mutation(
+        "labels/range of point bins",
+        "cell[CELL_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]",
+        "cell[CELL_RANGE] += work[ENERGY, m]",
+        LABELS,
+        (
+            (
+                "cell[ECHO_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]",
+                "cell[ECHO_RANGE] += work[ENERGY, m]",
+            ),
+        ),
+    ),
+    Mutation(
+        "labels/strongest body",
+        "body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]",
+        "body_id[b, k0 + k] = body",
+        LABELS,
+    ),
+    Mutation(
+        "labels/total of a third body",
+        "(echo[b, k0 + k] if is_second else total[b, k0 + k])",
+        "echo[b, k0 + k]",
+        LABELS,
+        (("(strongest[b, k0 + k] if is_second else total[b, k0 + k])", "strongest[b, k0 + k]"),),
+    ),
+    Mutation(
+        "labels/background",
+        "out[1 + self._indices[name]] = True",
+        "out[self._indices[name]] = True",
+        LABELS,
+        (("out[1 + self.places] = True", "out[self.places] = True"),),
+    ),
+    # multipath by image sources
+    Mutation("multipath/mean range", "2.0 / (length / q + range_there)", "1.0 / (length / q)", MULTIPATH),
+    Mutation(
+        "multipath/cosine of the other way",
+        "work[ECHO, m] * side / other_leg[RANGE, m]",
+        "work[ECHO, m] / other_leg[RANGE, m]",
+        MULTIPATH,
+        (("work[ECHO, m] * side / there[RANGE, m]", "work[ECHO, m] / there[RANGE, m]"),),
+    ),
+    Mutation(
+        "multipath/handedness", "leg_x, leg_y, leg_z = x, -y, z", "leg_x, leg_y, leg_z = x, y, z", MULTIPATH
+    ),
+    Mutation("multipath/behind the reflector", "if behind > plane[3] * q:", "if False:", MULTIPATH),
+    Mutation(
+        "multipath/spreading",
+        "single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading",
+        "single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading",
+        MULTIPATH,
+        (
+            (
+                "strength = once * there[LEFT, m] * there[BETWEEN, m] * spreading * spreading",
+                "strength = once * there[LEFT, m] * there[BETWEEN, m] * spreading",
+            ),
+        ),
+    ),
+    Mutation(
+        "multipath/two reflections",
+        "work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]",
+        "work[ENERGY, m] *= other_leg[REFLECTED, m]",
+        MULTIPATH,
+        (("work[ENERGY, m] *= there[LEFT, m] * there[LEFT, m]", "work[ENERGY, m] *= there[LEFT, m]"),),
+    ),
+    Mutation(
+        "multipath/roughness both ways",
+        "coherent_loss(grazing_rad, roughness_m, wavenumber_rad_m) ** 2",
+        "coherent_loss(grazing_rad, roughness_m, wavenumber_rad_m)",
+        (*MULTIPATH, "test_materials"),
+    ),
+    Mutation(
+        "multipath/reflector of a turned body",
+        "normal = pose[:3, :3] @ self.normal",
+        "normal = self.normal @ pose[:3, :3]",
+        MULTIPATH,
+    ),
+    Mutation(
+        "multipath/parallel planes",
+        "(np.abs(offsets - offset) < tolerance_m)",
+        "(np.abs(offsets - offset) < np.inf)",
+        MULTIPATH,
+        (("(np.abs(offsets - offset) < reach)", "(np.abs(offsets - offset) < np.inf)"),),
+    ),
+    # small triangles, filled in on the CPU
+    Mutation(
+        "triangles/grid of the driver", "math.floor(at * GRID + 0.5)", "math.floor(at * GRID)", TRIANGLES
+    ),
+    Mutation(
+        "triangles/shared edges",
+        "min(first, second, third) >= 0.0",
+        "min(first, second, third) > 0.0",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/depth by column",
+        "((qb - qa) * (cj - aj) - (qc - qa) * (bj - aj)) / area",
+        "((qb - qa) * (cj - aj) + (qc - qa) * (bj - aj)) / area",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/perspective of normals",
+        "((bi - i) * (cj - j) - (bj - j) * (ci - i)) / depths[a]",
+        "((bi - i) * (cj - j) - (bj - j) * (ci - i)) / depths[b]",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/candidates",
+        "(column ^ cell_column[b]) | (column ^ cell_column[c])",
+        "(column ^ cell_column[b]) & (column ^ cell_column[c])",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/back faces",
+        "(bi - ai) * (cj - aj) - (bj - aj) * (ci - ai) < -margin * margin",
+        "(bi - ai) * (cj - aj) - (bj - aj) * (ci - ai) > margin * margin",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/specular lobe",
+        "math.exp(-0.5 * (1.0 - square) / (square * s2))",
+        "math.exp(-0.4 * (1.0 - square) / (square * s2))",
+        TRIANGLES,
+    ),
+    # culling and levels of detail
+    Mutation("culling/box behind a plane", "beyond |= at < -reach", "beyond |= at < 0.0", CULLING),
+    Mutation(
+        "culling/level of detail",
+        "enough = error_m[i] <= error_per_m * max(nearest, near_m)",
+        "enough = error_m[i] <= 4 * error_per_m * max(nearest, near_m)",
+        CULLING,
+        (
+            (
+                "enough = error_m[i] <= strays * max(nearest, near_m)",
+                "enough = error_m[i] <= 4 * strays * max(nearest, near_m)",
+            ),
+        ),
+    ),
+    Mutation(
+        "culling/cone of normals",
+        "math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance + radius",
+        "math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance - radius",
+        CULLING,
+    ),
+    Mutation(
+        "culling/boxes beside the sonar",
+        "t = (near_m - x[k]) / (x[o] - x[k])",
+        "t = (near_m - x[o]) / (x[k] - x[o])",
+        CULLING,
+    ),
+    Mutation(
+        "culling/inside a body",
+        "bounds[n, 0, j] - 2 * near_m < sonar < bounds[n, 1, j] + 2 * near_m",
+        "bounds[n, 0, j] < -sonar < bounds[n, 1, j]",
+        (*CULLING, "test_renderer|test_render"),
+    ),
+    # the planner: adaptive sampling
+    Mutation(
+        "planner/rate of the error",
+        "math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE",
+        "math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE - 3",
+        ADAPTIVE,
+        (
+            (
+                "math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE",
+                "math.log2(max(error, 1e-9) / self.tolerance) * STEPS_PER_HALF / ERROR_RATE - 3",
+            ),
+        ),
+    ),
+    Mutation(
+        "planner/reviews by number",
+        "self._since >= CHECK_EVERY or moved > self._far_m",
+        "moved > self._far_m",
+        ADAPTIVE,
+        (("self.since >= CHECK_EVERY or moved > self.far_m", "moved > self.far_m"),),
+    ),
+    Mutation(
+        "planner/samples in the aperture", "vc * vc > limit * (1.0 + uc * uc)", "vc * vc > limit", ADAPTIVE
+    ),
+    Mutation(
+        "planner/body out of the fan",
+        "(np.abs(elevation) - half_angle < math.radians(sonar.elevation_fov_deg) / 2)",
+        "(np.abs(elevation) + half_angle < math.radians(sonar.elevation_fov_deg) / 2)",
+        ADAPTIVE,
+        (
+            (
+                "(np.abs(elevation) - wide < math.radians(sonar.elevation_fov_deg) / 2)",
+                "(np.abs(elevation) + wide < math.radians(sonar.elevation_fov_deg) / 2)",
+            ),
+        ),
+    ),
+    Mutation("planner/angle turned", "max(-1.0, (turned - 1) / 2)", "max(-1.0, (turned + 1) / 4)", ADAPTIVE),
+    Mutation(
+        "planner/bodies moved",
+        "apart = after[:, :3, 3] - before[:, :3, 3]",
+        "apart = after[:1, :3, 3] - before[:1, :3, 3]",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/height of rows", "min(sample_deg, MAX_ROW_DEG)", "max(sample_deg, MAX_ROW_DEG)", ADAPTIVE
+    ),
+    # noise
+    Mutation(
+        "noise/power of a field",
+        "np.multiply(amplitude, np.float32(np.sqrt(0.5)), dtype=np.float32)",
+        "np.multiply(amplitude, np.float32(0.5), dtype=np.float32)",
+        NOISE,
+    ),
+    Mutation(
+        "noise/mean of the texture",
+        "np.exp(np.interp(np.log(x), np.log(decay[known]), grid[known])) / shape",
+        "np.exp(np.interp(np.log(x), np.log(decay[known]), grid[known])) / (shape + 0.1)",
+        NOISE,
+        (
+            (
+                "np.exp(np.interp(np.log(x), np.log(chance[known]), grid[known])) / shape",
+                "np.exp(np.interp(np.log(x), np.log(chance[known]), grid[known])) / (shape + 0.1)",
+            ),
+        ),
+    ),
+    Mutation("noise/thermal noise", "-15 + 20 * np.log10(", "-15 + 17 * np.log10(", NOISE),
+    Mutation(
+        "noise/pulse of another sonar",
+        "PULSE_S * sound_speed_m_s / 2 / bin_size_m",
+        "PULSE_S * sound_speed_m_s / bin_size_m",
+        NOISE,
+        (("PULSE_S * speed_m_s / 2 / bin_size_m", "PULSE_S * speed_m_s / bin_size_m"),),
+    ),
+    Mutation(
+        "noise/aperture that moves aside",
+        "2 * across_m / spacing_m",
+        "across_m / spacing_m",
+        NOISE,
+        (("2 * aside_m / spacing_m", "aside_m / spacing_m"),),
+    ),
+    Mutation("noise/phase of waves", "c * x[k] - s * y[k]", "c * x[k] + s * y[k]", NOISE),
+    Mutation(
+        "noise/mirrored beams",
+        "weight[k] * (even[b, k] - odd[b, k])",
+        "weight[k] * (even[b, k] + odd[b, k])",
+        NOISE,
+    ),
+    Mutation(
+        "noise/mean of looks",
+        "intensity /= np.float32(looks)",
+        "intensity /= np.float32(looks + 1)",
+        NOISE,
+        (("out /= np.float32(looks)", "out /= np.float32(looks + 1)"),),
+    ),
+    # the store of a batch
+    Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", STORE),
+    Mutation(
+        "store/place of a shard", "first // group[name].shards[0]", "first // group[name].chunks[0]", STORE
+    ),
+    Mutation(
+        "store/bodies of later scenes",
+        "np.where(found > 0, found + np.asarray(first, body_dtype), found)",
+        "found + np.asarray(first, body_dtype)",
+        STORE,
+        (
+            (
+                "np.where(found > 0, found + np.asarray(first, of_bodies), found)",
+                "found + np.asarray(first, of_bodies)",
+            ),
+        ),
+    ),
+    Mutation(
+        "store/rounding of labels", "np.int32(np.rint(value * per_step))", "np.int32(value * per_step)", STORE
+    ),
+    Mutation(
+        "store/pings of a chunk",
+        "np.gcd(CHUNK_PINGS, part)",
+        "min(CHUNK_PINGS, part)",
+        STORE,
+        (("np.gcd(CHUNK, part)", "min(CHUNK, part)"),),
+    ),
+    # the guard of a host's OpenGL state
+    Mutation(
+        "guard/objects that are gone",
+        "saved if exists is None or exists(saved) else 0",
+        "saved",
+        GUARD,
+        (("value if is_there is None or is_there(value) else 0", "value"),),
+    ),
+    Mutation(
+        "guard/masks of colours",
+        "gl.glColorMaski(k, *state.color_masks[k])",
+        "gl.glColorMaski(k, *state.color_masks[0])",
+        GUARD,
+        (("gl.glColorMaski(k, *masks[k])", "gl.glColorMaski(k, *masks[0])"),),
+    ),
+    Mutation(
+        "guard/alignment",
+        "4 if name in ALIGNMENT else 0) for name in PACK",
+        "4 if name in ALIGNMENT else 0) for name in PACK[:-1]",
+        GUARD,
+        (
+            (
+                "(0x0D00 + k,), 4 * (k == 5)) for k in range(6)",
+                "(0x0D00 + k,), 4 * (k == 5)) for k in range(5)",
+            ),
+        ),
+    ),
+    Mutation(
+        "guard/clip control",
+        "gl.glClipControl(*state.clip_control)",
+        "gl.glClipControl(*state.clip_control[::-1])",
+        GUARD,
+        (("gl.glClipControl(*clip)", "gl.glClipControl(*clip[::-1])"),),
+    ),
+    Mutation(
+        "guard/switches",
+        "gl.glEnable if capability in (MULTISAMPLE, DITHER) else",
+        "gl.glEnable if capability in (DITHER,) else",
+        GUARD,
+        (("gl.glEnable if cap in (MULTISAMPLE, DITHER) else", "gl.glEnable if cap in (DITHER,) else"),),
+    ),
+    # the SDF reader
+    Mutation(
+        "sdf/quaternion",
+        "[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]",
+        "[1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z + y * w)]",
+        SDF,
+    ),
+    Mutation(
+        "sdf/placement frame",
+        "matrix @ np.linalg.inv(frame.scope.find(frame.placement, frame.location))",
+        "matrix @ frame.scope.find(frame.placement, frame.location)",
+        SDF,
+        (
+            (
+                "matrix @ np.linalg.inv(frame.scope.find(frame.placement, frame.where))",
+                "matrix @ frame.scope.find(frame.placement, frame.where)",
+            ),
+        ),
+    ),
+    Mutation(
+        "sdf/visuals that say how they echo",
+        "visuals if not collisions or only_visuals_specified else collisions",
+        "visuals if not collisions else collisions",
+        SDF,
+        (
+            (
+                "visuals if not collisions or marked == [False, True] else collisions",
+                "visuals if not collisions else collisions",
+            ),
+        ),
+    ),
+    Mutation("sdf/newest version", "max(names, key=lambda n: n[0])", "min(names, key=lambda n: n[0])", SDF),
+    Mutation(
+        "sdf/order of the sonar's signs",
+        '0 if kind == "custom" else 1 if by_sensor else 2',
+        '0 if by_sensor else 1 if kind == "custom" else 2',
+        SDF,
+        (
+            (
+                '0 if kind == "custom" else 1 if speaks[0] else 2',
+                '0 if speaks[0] else 1 if kind == "custom" else 2',
+            ),
+        ),
+    ),
+    Mutation(
+        "sdf/one link",
+        "if n_with_geometry[link.model] == 1",
+        "if n_with_geometry[link.model] >= 1",
+        SDF,
+        (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
+    ),
+)
+
+
+def tokens_of(text: str) -> tuple[list[str], list[tuple[int, int]]]:
+    """Return the tokens of a text without its comments, and the span of each."""
+    found = []
+    start = 0
+    for line in text.splitlines(keepends=True):
+        code = re.sub(r"(?:^|\s)#\s.*", lambda match: " " * len(match[0]), line.rstrip("\n"))
+        found += [(match[0], (start + match.start(), start + match.end())) for match in TOKEN.finditer(code)]
+        start += len(line)
+    return [token for token, _ in found], [span for _, span in found]
+
+
+def places_of(old: str, root: Path) -> list[tuple[Path, int, int]]:
+    """Return where a text stands in the package: file, first character and past the last."""
+    wanted, out = tokens_of(old)[0], []
+    for path in sorted((root / "sonar_gl").rglob("*.py")):
+        tokens, spans = tokens_of(path.read_text(encoding="utf-8"))
+        for k in range(len(tokens) - len(wanted) + 1):
+            if tokens[k] == wanted[0] and tokens[k : k + len(wanted)] == wanted:
+                out.append((path, spans[k][0], spans[k + len(wanted) - 1][1]))
+    return out
+
+
+def test_files(mutation: Mutation, root: Path) -> list[str]:
+    """Return the test files of a mutation, relative to the root."""
+    out = []
+    for names in mutation.tests:
+        found = [path for name in names.split("|") for path in sorted((root / "tests").rglob(f"{name}.py"))]
+        if not found:
+            raise SystemExit(f"{mutation.name}: there is no test module {names} in {root / 'tests'}")
+        out.append(found[0].relative_to(root).as_posix())
+    return out
+
+
+def edits_of(mutation: Mutation, root: Path) -> list[tuple[Path, int, int, str]]:
+    """Return where a mutation applies, and its new text; there should be one such place."""
+    texts = (mutation.old, mutation.new), *mutation.also
+    return [(*place, new) for old, new in texts for place in places_of(old, root)]
+
+
+def apply(mutation: Mutation, root: Path):
+    """Put the mistake into a tree."""
+    ((path, first, past, new),) = edits_of(mutation, root)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text[:first] + new + text[past:], encoding="utf-8")
+
+
+def run_pytest(root: Path, words: list[str], timeout_s: float) -> tuple[int | None, str]:
+    """Run pytest in a tree; return its exit status, None after the timeout, and what it printed."""
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *words]
+    try:
+        done = subprocess.run(
+            command, cwd=root, env=environment, capture_output=True, text=True, timeout=timeout_s
+        )
+    except subprocess.TimeoutExpired:
+        return None, ""
+    return done.returncode, done.stdout + done.stderr
+
+
+def copied(root: Path, folder: str) -> Path:
+    """Copy a tree, with its compiled kernels."""
+    out = Path(folder) / "tree"
+    shutil.copytree(root, out, ignore=shutil.ignore_patterns(*UNCOPIED), symlinks=True)
+    return out
+
+
+def judge(mutation: Mutation, root: Path, words: list[str], timeout_s: float) -> tuple[bool, str]:
+    """Return whether tests notice a mutation, and which."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = copied(root, folder)
+        apply(mutation, tree)
+        status, printed = run_pytest(tree, words, timeout_s)
+    if status == PASSED:
+        return False, ""
+    if status is None:
+        return True, f"longer than {timeout_s:g} s"
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", printed, re.MULTILINE)
+    return True, failed[1] if failed else f"pytest ended with {status}"
+
+
+def check_baseline(root: Path, words: list[str], timeout_s: float):
+    """End the program unless tests pass without a mutation."""
+    with tempfile.TemporaryDirectory() as folder:
+        status, printed = run_pytest(copied(root, folder), words, timeout_s)
+    if status != PASSED:
+        raise SystemExit(f"{shlex.join(words)} must pass without a mutation:\n{printed[-3000:]}")
+
+
+def print_list(mutations, root: Path) -> bool:
+    """Print where each mutation applies; return whether all do."""
+    good = True
+    for mutation in mutations:
+        edits = edits_of(mutation, root)
+        good &= len(edits) == 1
+        where = ", ".join(path.relative_to(root).as_posix() for path, *_ in edits)
+        print(f"{mutation.name:42} {where if len(edits) == 1 else f'{len(edits)} places: {where}'}")
+    return good
+
+
+def main():
+    """List or run mutations."""
+    parser = argparse.ArgumentParser(prog="python -m tools.mutations", description=__doc__.partition("\n")[0])
+    parser.add_argument(
+        "--list", action="store_true", help="print the table; exit status 1 if one does not apply"
+    )
+    parser.add_argument("--run", action="store_true", help="run them")
+    parser.add_argument("--only", default="*", metavar="GLOB", help="mutations by name, such as 'labels/*'")
+    parser.add_argument("--root", type=Path, default=ROOT, help="a checkout; default: this one")
+    parser.add_argument("--tests", help="arguments of pytest in place of the table's tests")
+    parser.add_argument("--timeout", type=float, default=900.0, help="seconds of a run")
+    parser.add_argument("--trust", action="store_true", help="do not run the tests without a mutation first")
+    options = parser.parse_args()
+    root = options.root.resolve()
+    mutations = [one for one in MUTATIONS if fnmatchcase(one.name, options.only)]
+    if not mutations:
+        parser.error(f"no mutation is named like {options.only!r}")
+    if not options.run:
+        raise SystemExit(0 if print_list(mutations, root) else 1)
+    good, killed, passing = print_list(mutations, root), 0, set()
+    if not good:
+        raise SystemExit("each mutation must occur once")
+    for mutation in mutations:
+        words = shlex.split(options.tests) if options.tests else test_files(mutation, root)
+        if not options.trust and tuple(words) not in passing:
+            check_baseline(root, words, options.timeout)
+            passing.add(tuple(words))
+        start = perf_counter()
+        is_killed, by = judge(mutation, root, words, options.timeout)
+        killed += is_killed
+        verdict = f"killed by {by}" if is_killed else "survived"
+        print(f"{mutation.name:42} {perf_counter() - start:5.0f} s  {verdict}", flush=True)
+    print(f"killed {killed} of {len(mutations)}, {killed / len(mutations):.0%}")
+    raise SystemExit(0 if killed == len(mutations) else 1)
+
+
+if __name__ == "__main__":
+    main()
