@@ -2,7 +2,7 @@
 
 OpenGL objects can be released only while their context is current, in a thread that may use it, and while
 nobody draws. The garbage collector calls finalisers at any time and in any thread, and a program may close a
-sonar while another context is current. So objects that cannot be released wait in one queue:
+sonar while another context is current. So objects that cannot be released wait in one queue, which all modules share:
 
 - `discard` only queues. It is for finalisers.
 - `release` releases at once, or queues what is out of reach. It is for `close()`.
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from contextlib import ExitStack
 from threading import Lock
 from typing import NamedTuple, Protocol
 
@@ -20,7 +21,7 @@ import moderngl
 
 # A context that has ended cannot always be told from one that is not current. Each group is tried again at
 # every ping, so that beyond this number the oldest are given up.
-MAX_UNREACHABLE = 64
+MAX_UNREACHABLE = 1000
 
 
 class Releasable(Protocol):
@@ -74,62 +75,67 @@ class _ContextObjects:
         self._context.release()
 
 
-_discarded: deque[tuple[Releasable, ...]] = deque()
-_unreachable: deque[tuple[Releasable, ...]] = deque(maxlen=MAX_UNREACHABLE)
-_releasing = Lock()
+class ReleaseQueue:
+    """OpenGL objects that wait to be released, in groups: the objects of one context that belong together."""
 
+    def __init__(self):
+        self._discarded: deque[tuple[Releasable, ...]] = deque()
+        self._unreachable: deque[tuple[Releasable, ...]] = deque(maxlen=MAX_UNREACHABLE)
+        self._releasing = Lock()
 
-def discard(*objects: moderngl.Context | Releasable) -> None:
-    """Have objects of one context released by a later `release_waiting`, in this order.
+    def discard(self, *objects: moderngl.Context | Releasable) -> None:
+        """Have objects of one context released by a later `release_waiting`, in this order.
 
-    Finalisers may call this: it neither draws nor takes a lock.
-    """
-    _discarded.append(_group(objects))
+        Finalisers may call this: it neither draws nor takes a lock.
+        """
+        self._discarded.append(_group(objects))
 
+    def release(self, *objects: moderngl.Context | Releasable) -> None:
+        """Release objects of one context, in this order; all of them later, if one is out of reach.
 
-def release(*objects: moderngl.Context | Releasable) -> None:
-    """Release objects of one context, in this order; all of them later, if one is out of reach.
+        Not to be called inside a `with context` block, nor while a host draws a sector.
+        """
+        self._release(_group(objects))
 
-    Not to be called inside a `with context` block, nor while a host draws a sector.
-    """
-    _release(_group(objects))
+    def release_waiting(self) -> None:
+        """Release all waiting objects that are in reach.
 
+        Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach.
+        """
+        with self._releasing:
+            for queue in (self._unreachable, self._discarded):
+                for _ in range(len(queue)):
+                    self._release(queue.popleft())
 
-def release_waiting() -> None:
-    """Release all waiting objects that are in reach.
+    def waiting(self) -> Waiting:
+        """Return how much waits to be released."""
+        return Waiting(len(self._discarded), len(self._unreachable))
 
-    Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach.
-    """
-    with _releasing:
-        for queue in (_unreachable, _discarded):
-            for _ in range(len(queue)):
-                _release(queue.popleft())
+    def forget(self) -> None:
+        """Empty the queue in a forked process: the objects are the parent's."""
+        self._releasing = Lock()  # another thread of the parent may hold the old one
+        self._discarded.clear()
+        self._unreachable.clear()
 
-
-def waiting() -> Waiting:
-    """Return how much waits to be released."""
-    return Waiting(len(_discarded), len(_unreachable))
+    def _release(self, group: tuple[Releasable, ...]) -> None:
+        # Whether a context is gone shows when it is tried.
+        if all(one.is_in_reach() or one.is_gone for one in group):
+            with ExitStack() as stack:  # the others are released, too, if one raises an error
+                for one in reversed(group):
+                    stack.callback(one.release)
+        else:
+            self._unreachable.append(group)
 
 
 def _group(objects) -> tuple[Releasable, ...]:
     return tuple(_ContextObjects(one) if isinstance(one, moderngl.Context) else one for one in objects)
 
 
-def _forget() -> None:
-    """Empty the queue in a forked process: the objects are the parent's."""
-    global _releasing
-    _releasing = Lock()  # another thread of the parent may hold the old one
-    _discarded.clear()
-    _unreachable.clear()
-
-
-os.register_at_fork(after_in_child=_forget)
-
-
-def _release(group: tuple[Releasable, ...]) -> None:
-    # Whether a context is gone shows when it is tried.
-    if all(one.is_in_reach() or one.is_gone for one in group):
-        for one in group:
-            one.release()
-    else:
-        _unreachable.append(group)
+_queue = ReleaseQueue()
+discard, release, release_waiting, waiting = (
+    _queue.discard,
+    _queue.release,
+    _queue.release_waiting,
+    _queue.waiting,
+)
+os.register_at_fork(after_in_child=_queue.forget)

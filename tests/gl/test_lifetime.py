@@ -6,17 +6,15 @@ import types
 
 import pytest
 
+from sonar_gl.core.errors import Error
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 
 
-@pytest.fixture(autouse=True)
-def _empty_queue():
-    lifetime.release_waiting()  # what tests before have left
-    assert lifetime.waiting() == (0, 0)
-    yield
-    lifetime.release_waiting()
-    assert lifetime.waiting() == (0, 0)
+@pytest.fixture
+def queue():
+    """A queue of its own: tests before may have left objects in the one that all share."""
+    return lifetime.ReleaseQueue()
 
 
 @pytest.fixture
@@ -38,83 +36,100 @@ def make(released):
     return make
 
 
-def test_what_is_in_reach_is_released_at_once_and_in_order(make, released):
-    lifetime.release(make("framebuffer"), make("context"))
+def test_what_is_in_reach_is_released_at_once_and_in_order(make, released, queue):
+    queue.release(make("framebuffer"), make("context"))
     assert released == ["framebuffer", "context"]
 
 
-def test_what_is_discarded_is_released_later(make, released):
-    lifetime.discard(make("framebuffer"), make("context"))
-    assert released == [] and lifetime.waiting() == (1, 0)
-    lifetime.release_waiting()
+def test_what_is_discarded_is_released_later(make, released, queue):
+    queue.discard(make("framebuffer"), make("context"))
+    assert released == [] and queue.waiting() == (1, 0)
+    queue.release_waiting()
     assert released == ["framebuffer", "context"]
 
 
-@pytest.mark.parametrize("leave", [lifetime.release, lifetime.discard])
-def test_a_group_waits_while_one_of_it_is_out_of_reach(make, released, leave):
+@pytest.mark.parametrize("leave", ["release", "discard"])
+def test_a_group_waits_while_one_of_it_is_out_of_reach(make, released, leave, queue):
     one = make("one")
     one.here = False
-    leave(make("other"), one)
+    getattr(queue, leave)(make("other"), one)
     for _ in range(3):
-        lifetime.release_waiting()
-        assert released == [] and lifetime.waiting() == (0, 1)
+        queue.release_waiting()
+        assert released == [] and queue.waiting() == (0, 1)
     one.here = True
-    lifetime.release_waiting()
+    queue.release_waiting()
     assert released == ["other", "one"]
 
 
-def test_groups_do_not_wait_for_each_other(make, released):
+def test_groups_do_not_wait_for_each_other(make, released, queue):
     away, near = make("away"), make("near")
     away.here = False
-    lifetime.release(away)
-    lifetime.release(near)
-    lifetime.discard(make("late"))
-    lifetime.release_waiting()
+    queue.release(away)
+    queue.release(near)
+    queue.discard(make("late"))
+    queue.release_waiting()
     assert released == ["near", "late"]
     away.here = True
 
 
-def test_what_has_gone_with_its_context_is_forgotten(make):
+def test_what_has_gone_with_its_context_is_forgotten(make, queue):
     one = make("one")
     one.here = False
-    lifetime.release(one)
+    queue.release(one)
     one.is_gone = True
-    lifetime.release_waiting()
-    assert lifetime.waiting() == (0, 0)
+    queue.release_waiting()
+    assert queue.waiting() == (0, 0)
 
 
-def test_the_oldest_of_too_many_are_given_up(make, released):
+def test_the_oldest_of_too_many_are_given_up(make, released, queue):
     all_ = [make(k) for k in range(lifetime.MAX_UNREACHABLE + 3)]
     for one in all_:
         one.here = False
-        lifetime.release(one)
-    assert lifetime.waiting() == (0, lifetime.MAX_UNREACHABLE)
+        queue.release(one)
+    assert queue.waiting() == (0, lifetime.MAX_UNREACHABLE)
     for one in all_:
         one.here = True
-    lifetime.release_waiting()
+    queue.release_waiting()
     assert released == list(range(3, lifetime.MAX_UNREACHABLE + 3))
 
 
-def test_finalisers_may_discard_while_others_are_released(make, released):
+def test_finalisers_may_discard_while_others_are_released(make, released, queue):
     """As when the garbage collector runs meanwhile: there is no deadlock, and the new one waits its turn."""
     one = make("one")
-    one.release = lambda: lifetime.discard(make("new"))
-    lifetime.discard(one)
-    lifetime.release_waiting()
-    assert lifetime.waiting() == (1, 0)
-    lifetime.release_waiting()
+    one.release = lambda: queue.discard(make("new"))
+    queue.discard(one)
+    queue.release_waiting()
+    assert queue.waiting() == (1, 0)
+    queue.release_waiting()
     assert released == ["new"]
 
 
+def test_one_that_fails_does_not_keep_the_others_of_its_group(make, released, queue):
+    broken = make("broken")
+
+    def fail():
+        raise Error("the driver has gone")
+
+    broken.release = fail
+    with pytest.raises(Error, match="the driver has gone"):
+        queue.release(make("framebuffer"), broken, make("context"))
+    assert released == ["framebuffer", "context"] and queue.waiting() == (0, 0)
+
+
 def test_a_forked_process_leaves_its_parents_objects_alone(make, released):
-    lifetime.discard(make("mine"))
-    if (child := os.fork()) == 0:
-        os._exit(0 if lifetime.waiting() == (0, 0) else 1)
-    assert os.waitpid(child, 0)[1] == 0
-    assert lifetime.waiting() == (1, 0)
+    try:
+        lifetime.discard(make("mine"))
+        before = lifetime.waiting()
+        if (child := os.fork()) == 0:
+            os._exit(0 if lifetime.waiting() == (0, 0) else 1)
+        assert os.waitpid(child, 0)[1] == 0
+        assert lifetime.waiting() == before and before.discarded > 0
+    finally:
+        lifetime.release_waiting()
+    assert released == ["mine"]
 
 
-def test_a_context_in_use_in_another_thread_waits():
+def test_a_context_in_use_in_another_thread_waits(queue):
     context, other, done = gl.create_context(), threading.Event(), threading.Event()
 
     def use():
@@ -126,9 +141,9 @@ def test_a_context_in_use_in_another_thread_waits():
     thread = threading.Thread(target=use)
     thread.start()
     assert other.wait(30)
-    lifetime.release(context)
-    assert lifetime.waiting() == (0, 1)
+    queue.release(context)
+    assert queue.waiting() == (0, 1)
     done.set()
     thread.join()
-    lifetime.release_waiting()
-    assert lifetime.waiting() == (0, 0)
+    queue.release_waiting()
+    assert queue.waiting() == (0, 0)
