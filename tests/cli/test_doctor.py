@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import moderngl
+import glcontext
 import pytest
 from click.testing import CliRunner
 
@@ -18,6 +18,7 @@ from sonar_gl.cli.doctor import examine
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
 from sonar_gl.gl import context as gl
+from sonar_gl.gl import egl
 from sonar_gl.simulator import Simulator
 
 pytestmark = pytest.mark.timeout(600)  # the first test of all may have to compile everything
@@ -98,15 +99,25 @@ def test_optional_packages_may_be_missing(monkeypatch):
         assert ok is None and cure.startswith(f"only {what} need")
 
 
-def test_no_opengl_is_told_with_its_cure_and_status_1(monkeypatch):
+@pytest.fixture
+def no_egl(monkeypatch):
+    """A machine without libEGL, also to what has loaded it."""
+
     def none(*_args, **_more):
         raise Exception("libEGL.so not loaded")
 
     def no_library(name, *_args, **_more):
         raise OSError(f"{name}: cannot open shared object file")
 
-    monkeypatch.setattr(moderngl, "create_context", none)
-    monkeypatch.setattr(ctypes, "CDLL", no_library)
+    with monkeypatch.context() as patch:
+        patch.setattr(glcontext, "get_backend_by_name", none)
+        patch.setattr(ctypes, "CDLL", no_library)
+        egl.library.cache_clear()
+        yield
+    egl.library.cache_clear()
+
+
+def test_no_opengl_is_told_with_its_cure_and_status_1(monkeypatch, no_egl):
     monkeypatch.setattr(doctor, "PACKAGES", ())
     result = CliRunner().invoke(cli.main, ["doctor"])
     assert result.exit_code == 1
