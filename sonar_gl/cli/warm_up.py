@@ -158,29 +158,24 @@ def compile_everything(report: Callable[[str], None] | None = None, processes: i
     counter = _Counter(report, second.start if processes > 1 else lambda: None)
     with event.install_listener("numba:compile", counter), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # tiny pings are coarse
-        _compile_first_half()
+        _draw()
+        _work_without_opengl()
         names = second.wait()
-        _compile_second_half()
+        _receive()
     return Compilation(len(compiled_functions()), len(counter.names | names), time.perf_counter() - start)
 
 
-def _compile_first_half():
-    """Make pings with every profile, reducer and kind of multipath, in motion and in sequence; without labels."""
+def _draw():
+    """Draw a scene with every profile; make a ping in motion, whose sums the other process has compiled by then."""
     for simulator in _simulators():
         with simulator:
-            simulator.ping(POSE, velocity=VELOCITY, time_s=1.0)
-            for _ in simulator.pings([POSE] * 6):
-                pass
-    with Simulator(_scene(), SONAR, Acoustics.ideal(), FAST) as simulator:
-        demarco_image(simulator, POSE, height=40)
-    _embed()
+            simulator.gbuffers(POSE)
+    with Simulator(_scene(), SONAR, Acoustics.physical(multipath="none"), FAST) as simulator:
+        simulator.ping(POSE, velocity=VELOCITY, time_s=1.0)
 
 
-def _compile_second_half():
-    """Do all the rest, at first what needs no scene: the first half is compiling what every ping needs."""
-    _simplify()
-    if find_spec("embreex"):
-        reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
+def _work_without_opengl():
+    """Add every kind of noise to a ping; make images, boxes and files of it; simplify a mesh; cast rays."""
     ping = _labelled_ping()
     for noise in NOISES:
         add_noise(ping, noise, 0)
@@ -190,9 +185,22 @@ def _compile_second_half():
     boxes_of(replace(ping, body_id=ping.body_id.copy()), 40)
     if find_spec("pydantic"):
         cli.warm_up_batch.encode_layers(ping)
+    _simplify()
+    if find_spec("embreex"):
+        reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
+
+
+def _receive():
+    """Make pings of depth images, and then of a scene: in motion, with labels, and in sequence."""
+    _embed()
     for simulator in _simulators():
         with simulator:
+            simulator.ping(POSE, velocity=VELOCITY, time_s=1.0)
             simulator.ping(POSE, labels=True, background=["floor"])
+            for _ in simulator.pings([POSE] * 6):
+                pass
+    with Simulator(_scene(), SONAR, Acoustics.ideal(), FAST) as simulator:
+        demarco_image(simulator, POSE, height=40)
 
 
 def _labelled_ping() -> Ping:
@@ -255,12 +263,12 @@ def _simplify():
 
 
 def main():
-    """Compile the second half, and print the names of the functions that were not on disk."""
+    """Compile what `_receive` calls, and print the names of the functions that were not on disk."""
     announce_compilation(False)
     counter = _Counter(None, lambda: None)
     with event.install_listener("numba:compile", counter), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        _compile_second_half()
+        _receive()
     print(*counter.names, sep="\n")
 
 

@@ -8,7 +8,12 @@ from functools import cache
 from numba import njit
 from numba.core import event
 
-OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp"}}
+OPTIONS = {
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "nsz", "arcp"},
+}
 
 
 def compiled(function):
@@ -41,7 +46,7 @@ class _Announcement(event.Listener):
             return  # a function of the program that uses this package
         if self.is_wanted:
             print(
-                "sonar_gl: compiling numerical kernels, which takes up to a minute, once after each installation "
+                "sonar_gl: compiling numerical kernels, which takes about half a minute, once after each installation "
                 "('sonar-gl doctor' compiles all of them)",
                 file=sys.stderr,
             )

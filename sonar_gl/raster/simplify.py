@@ -177,7 +177,8 @@ def simplify(points, faces, locked, target):
                 continue
             touched[a] = touched[b] = True
             remap[a] = b
-            quadrics[b] += quadrics[a]
+            for k in range(11):  # Numba takes two seconds to compile `quadrics[b] += quadrics[a]`
+                quadrics[b, k] += quadrics[a, k]
             worst = max(worst, costs[n])
             done += 1
         if done == 0:
