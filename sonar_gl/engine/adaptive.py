@@ -90,8 +90,8 @@ class Sampler(Protocol):
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the samples to draw the ping with once more, or None if it is good."""
 
-    def is_due(self, setup: PingSetup) -> bool:
-        """Return whether the error is to be estimated at this ping; counts pings."""
+    def notice(self, setup: PingSetup) -> bool:
+        """Take note of a ping to come; return whether its error is to be estimated."""
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, by the sum of the echo."""
@@ -118,7 +118,7 @@ class FixedSampling:
     def review(self, received: ReceivedPing) -> None:
         """Return None: there are no others."""
 
-    def is_due(self, setup: PingSetup) -> bool:
+    def notice(self, setup: PingSetup) -> bool:
         """Return False."""
         return False
 
@@ -164,7 +164,7 @@ class AdaptiveSampling:
 
     def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
         """Return samples that keep the tolerance."""
-        check = self.is_due(setup) or check
+        check = self.notice(setup) or check
         if check and self.plan is None:
             self._choose(setup)
             self._warn_if_unmet()
@@ -216,10 +216,10 @@ class AdaptiveSampling:
             None if self._is_fixed and pose.tobytes() not in self._planned_poses else self.plan.error_estimate
         )
 
-    def is_due(self, setup: PingSetup) -> bool:
-        """Return whether to estimate the error at this ping."""
+    def notice(self, setup: PingSetup) -> bool:
+        """Take note of a ping to come; return whether its error is to be estimated."""
         return not self._is_fixed and (
-            self._trigger.is_due(setup.request.pose, setup.state) or self.plan is None
+            self._trigger.notice(setup.request.pose, setup.state) or self.plan is None
         )
 
     def _choose(self, setup: PingSetup) -> Plan:
@@ -332,8 +332,8 @@ class ReplanTrigger:
         """Return whether something came into view, or left."""
         return abs(total - self._total) > CHECK_CHANGE * self._total
 
-    def is_due(self, pose, state: SceneState) -> bool:
-        """Return whether sonar or bodies have moved far, or a little for long; counts pings."""
+    def notice(self, pose, state: SceneState) -> bool:
+        """Count a ping; return whether sonar or bodies have moved far since the last check, or a little for long."""
         self._since += 1
         if self._pose is None:
             return True

@@ -124,8 +124,9 @@ class ImageSources:
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
     def reset(self) -> None:
-        """Begin with the coarsest samples, as if no ping had been made before."""
-        self._halvings = self.COARSEST
+        """Begin with the coarsest samples, as if no ping had been made before, unless they are fixed."""
+        if not self._is_fixed:
+            self._halvings = self.COARSEST
 
     def fix(self, halvings: int) -> None:
         """Halve samples so often from now on."""
@@ -140,10 +141,8 @@ class ImageSources:
         """How often samples are halved, by the multipath of the last ping."""
         return self._halvings
 
-    def are_too_coarse(
-        self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho
-    ) -> bool:
-        """Return whether a ping's images should have been drawn finer; the next ones are."""
+    def review(self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho) -> bool:
+        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them."""
         if images is None:
             return False
         if not self._is_fixed:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import replace
+
+import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import Error
@@ -92,7 +95,7 @@ class Run:
         self._in_flight = future
 
     def set_up(self, request: PingRequest) -> PingSetup:
-        """Resolve a request in the scene.
+        """Resolve a request in the scene as it is now; not inside `drawing`.
 
         Raises
         ------
@@ -100,36 +103,53 @@ class Run:
             if it names bodies that the scene has not, or its water makes no sense.
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
-        state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
-        background = None if request.background is None else world.mask_of(request.background)
-        return self.instrument.set_up(request, state, len(world.scene.bodies), background)
+        with world.unchanged():
+            state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
+            background = None if request.background is None else world.mask_of(request.background)
+            return self.instrument.set_up(request, state, len(world.scene.bodies), background)
 
-    def draw_images(self, resolution: Resolution, views, poses, states) -> list:
+    def with_later_bodies(self, setup: PingSetup) -> PingSetup:
+        """Return a setup in a scene to which bodies may have been added since: they are absent."""
+        n_bodies = len(self.world.scene.bodies)
+        n = n_bodies - setup.n_bodies
+        if not n:
+            return setup
+        background = None if setup.background is None else np.append(setup.background, np.zeros(n, bool))
+        return replace(setup, state=setup.state.with_absent(n), n_bodies=n_bodies, background=background)
+
+    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
         """Draw the image sources of pings that were just drawn; None for each without multipath."""
         images = self.image_sources
         if images is None:
-            return [None] * len(poses)
+            return [None] * len(setups)
         images.use_scene(self.world.scene)
         if self.sampler.tolerance is None and not resolution.finer_images:
             images.reset()  # samples were given: no ping depends on those before
+        poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
         return images.draw(resolution.stage, views, poses, states)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return how to sample a ping once more, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
-        if resolution is None and self._are_images_too_coarse(received):
+        if resolution is None and self._review_images(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
     def is_outdated(self, received: ReceivedPing) -> bool:
         """Return whether a ping of a sequence has to be sampled once more, with a check."""
-        total = received.direct.total
-        return self.sampler.has_changed(total) or total <= 0 or self._are_images_too_coarse(received)
+        total, sampling = received.direct.total, received.drawn.resolution.stage.sampling
+        return (
+            sampling != self.sampler.resolution.stage.sampling  # chosen after this ping was drawn
+            or self.sampler.has_changed(total)
+            or total <= 0
+            or self._review_images(received)
+        )
 
-    def _are_images_too_coarse(self, received: ReceivedPing) -> bool:
+    def _review_images(self, received: ReceivedPing) -> bool:
+        """Return whether the image sources of a ping are to be drawn finer."""
         images = self.image_sources
         made_of = received.drawn.images, received.multipath, received.direct
-        return images is not None and images.are_too_coarse(*made_of)
+        return images is not None and images.review(*made_of)
 
     def source(self) -> Source:
         """Return what the pings' `meta` says of the scene."""

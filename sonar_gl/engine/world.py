@@ -77,14 +77,20 @@ class World:
             check_thread(self._host_thread)
 
     @contextmanager
-    def drawing(self):
-        """Have the context current for the time of the block, in one thread at a time."""
+    def unchanged(self):
+        """Have no other thread change the scene, or draw, for the time of the block."""
         if os.getpid() != self._process:
             raise Error("a Simulator must be used in the process that made it; make one in each process")
         self.check_thread()
         with self._lock:
             if self._context is None:
                 raise Error("this Simulator is closed; make a new one")
+            yield
+
+    @contextmanager
+    def drawing(self):
+        """Have the context current for the time of the block, in one thread at a time."""
+        with self.unchanged():
             lifetime.release_waiting()
             with self._context as context:
                 context.gc()
