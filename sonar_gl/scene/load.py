@@ -39,8 +39,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Parameters
     ----------
-    what : name of a bundled scene; path of an SDF file (.sdf .world) or a mesh (.glb .gltf .obj .stl .ply
-        .dae); trimesh.Trimesh; trimesh.Scene; pyrender.Scene
+    what : name of a bundled scene; path of an SDF file (.sdf .world), of a model's folder, or of a mesh
+        (.glb .gltf .obj .stl .ply .dae); trimesh.Trimesh; trimesh.Scene; pyrender.Scene
     resource_paths, skip_missing : for SDF files, as in `read_sdf`
 
     Raises
@@ -69,10 +69,12 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     path, bundled = Path(what), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
+    if (path / "model.sdf").is_file() or (path / "model.config").is_file():
+        return read_sdf(path, resource_paths, skip_missing)
     suffix = path.suffix.lower()
     if suffix in SDF_SUFFIXES or suffix in mesh_files.SUFFIXES:
         if path.is_dir():
-            raise Error(f"{path}: a scene must be a file, and this is a folder")
+            raise Error(f"{path}: a scene must be a file, or the folder of a model (it has no model.sdf)")
         if not path.is_file():
             raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
         if suffix in mesh_files.SUFFIXES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -125,7 +126,8 @@ def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
     Parameters
     ----------
     path : the file
-    submesh : name of the node or geometry to read; None reads all
+    submesh : name of the node or geometry to read, without regard to case and prefix if none has just
+        this name; None reads all
     center : whether to move the centre of the bounding box to the origin
 
     Raises
@@ -140,6 +142,11 @@ def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
     """
     parts = read_mesh_parts(path)
     chosen = [part.shape for part in parts if submesh in (None, part.node, part.geometry)]
+    if not chosen:  # exporters add prefixes such as "geom-", and change case
+        ending = re.compile(rf"(.*[^a-z0-9])?{re.escape(submesh)}", re.IGNORECASE)
+        chosen = [
+            part.shape for part in parts if ending.fullmatch(part.node) or ending.fullmatch(part.geometry)
+        ]
     if not chosen:
         known = ", ".join(sorted(part.node for part in parts))
         raise Error(f"{path}: there is no submesh {submesh!r} (it has {known})")

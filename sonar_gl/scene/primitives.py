@@ -114,6 +114,58 @@ def cylinder(radius: float, length: float) -> Shape:
     )
 
 
+def cone(radius: float, length: float) -> Shape:
+    """Return a cone along z, metres, its tip at +length/2; smooth side, flat base with a sharp edge."""
+    h, side = length / 2, np.hypot(radius, length)
+    n, (across, up) = facets_around(radius), (length / side, radius / side)
+    return _lathe(n, [(0, -h, 0, -1), (radius, -h, 0, -1)], [(radius, -h, across, up), (0, h, across, up)])
+
+
+def extrude(rings, height: float) -> Shape:
+    """Return a prism from z = 0 to `height`, metres, over polygons.
+
+    rings : (n, 2) corners of each polygon, in either sense; those inside of another are holes in it
+    """
+    from mapbox_earcut import triangulate_float64
+
+    rings = [ring if _area(ring) > 0 else ring[::-1] for ring in rings]
+    rings.sort(key=_area, reverse=True)
+    groups = []  # an outer polygon and the holes in it
+    for ring in rings:
+        outer = next((group for group in groups if _is_inside(ring[0], group[0])), None)
+        groups.append([ring]) if outer is None else outer.append(ring[::-1])
+    vertices, faces, count = [], [], 0
+    for group in groups:
+        corners = np.concatenate(group)
+        n, ends = len(corners), np.cumsum([len(ring) for ring in group])
+        top = triangulate_float64(corners, ends.astype(np.uint32)).reshape(-1, 3).astype(np.int64)
+        first = np.arange(n)
+        following = np.concatenate([np.roll(part, -1) for part in np.split(first, ends[:-1])])
+        a, b, c = corners[top[:, 0]], corners[top[:, 1]], corners[top[:, 2]]
+        turned = np.cross(b - a, c - a) < 0
+        top[turned] = top[turned][:, ::-1]
+        vertices += [np.column_stack([corners, np.full(n, z)]) for z in (0.0, height)]
+        side = [first, following, following + n], [first, following + n, first + n]
+        faces += [count + part for part in (top[:, ::-1], top + n, *(np.column_stack(s) for s in side))]
+        count += 2 * n
+    return make_shape(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _area(ring) -> float:
+    """Return the area of a polygon, negative if it runs clockwise."""
+    x, y = np.asarray(ring).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def _is_inside(point, ring) -> bool:
+    """Return whether a point lies in a polygon: a ray from it crosses the border an odd number of times."""
+    (x, y), (x0, y0), (x1, y1) = point, np.asarray(ring).T, np.roll(ring, -1, axis=0).T
+    crosses = (y0 > y) != (y1 > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
+    return bool((crosses & (at > x)).sum() % 2)
+
+
 def sphere(radius: float) -> Shape:
     """Return a sphere about the origin, metres; half as many facets from pole to pole as around."""
     n = facets_around(radius)

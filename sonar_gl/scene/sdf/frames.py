@@ -10,6 +10,8 @@ import numpy as np
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.poses import pose
 
+MAX_ANGLE_RAD = 2.5 * np.pi  # more is a mistake, nearly always degrees; a little over a turn occurs
+
 
 def read_numbers(element, location: str, count: int, positive: bool = False) -> np.ndarray:
     """Return the (count,) float64 numbers in the text of `element`.
@@ -53,9 +55,9 @@ def read_pose(element, location: str) -> np.ndarray:
     values = read_numbers(element, location, 6)
     if element.get("degrees", "false").strip() in ("true", "1"):
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
-    if np.abs(values[3:]).max() > 2 * np.pi + 1e-6:
+    if np.abs(values[3:]).max() > MAX_ANGLE_RAD:
         raise Error(
-            f"{location}: angles must be radians, within ±2π (got {element.text.strip()!r}; "
+            f"{location}: angles must be radians, within ±2.5π (got {element.text.strip()!r}; "
             'if they are degrees, write <pose degrees="true">)'
         )
     return pose(*values)

@@ -15,7 +15,7 @@ from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_s
 from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, find_sonar, links_of
 from sonar_gl.scene.sdf.resources import Resources
-from sonar_gl.scene.sdf.shapes import BodyReader, echoing_shapes
+from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
@@ -27,10 +27,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Parameters
     ----------
-    path : an .sdf or .world file
+    path : an .sdf or .world file, or the folder of a model
     resource_paths : folders in which `model://` is searched, before those of the environment variables
         GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH and the file's own folder; no file outside them is read
-    skip_missing : warn of missing models and meshes and leave them out, in place of an error
+    skip_missing : warn of missing models and meshes, and of unknown shapes, and leave them out, in place of an
+        error
 
     Raises
     ------
@@ -56,8 +57,12 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
-    path = Path(path)
-    resources = Resources(path, resource_paths)
+    path, name = Path(path), Path(path).stem
+    if path.is_dir():
+        resources, name = Resources(path / "model.sdf", resource_paths), path.resolve().name
+        path = resources.file_of_model(path)
+    else:
+        resources = Resources(path, resource_paths)
     top, scope = _read_root(resources, path)
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
@@ -65,25 +70,41 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     TreeReader(resources).fill(scope, top, (path.resolve(),))
     links = list(links_of(scope, np.eye(4)))
     carrier, sonar_pose = find_sonar(links)
-    bodies, unspecified = _read_bodies(links, carrier, resources)
-    if missing := resources.missing(path):
+    bodies, unspecified, saturated = _read_bodies(links, carrier, resources)
+    if resources.recovered:
+        files = ", ".join(
+            f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
+        )
+        warnings.warn(f"{path}: broken XML, read as Gazebo reads it: {files}", stacklevel=2)
+    missing, unsupported = resources.missing(path), resources.unsupported()
+    if missing or unsupported:
+        message = "\n".join(filter(None, (missing, unsupported)))
         if not skip_missing:
+            folders = "Give the folders that hold them (--resource-path, resource_paths=), or carry"
             raise Error(
-                f"{missing}\nGive the folders that hold them (--resource-path, resource_paths=), "
-                "or carry on without them (--skip-missing, skip_missing=True)."
+                f"{message}\n{folders if missing else 'Carry'} on without them (--skip-missing, skip_missing=True)."
             )
-        warnings.warn(f"{missing}\nThe scene is read without them.", stacklevel=2)
+        warnings.warn(f"{message}\nThe scene is read without them.", stacklevel=2)
     if unspecified:
-        names, more = unspecified[:MAX_NAMES_IN_WARNING], len(unspecified) - MAX_NAMES_IN_WARNING
         warnings.warn(
-            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies "
-            f"({', '.join(names)}{f' and {more} more' if more > 0 else ''}); "
+            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({_some_of(unspecified)}); "
             f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
+            stacklevel=2,
+        )
+    if saturated:
+        warnings.warn(
+            f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
+            f"({_some_of(saturated)}); their reflectivity is taken as 1",
             stacklevel=2,
         )
     plumes = _read_plumes(links)
     with errors_at(str(path)):
-        return Scene([*bodies, *plumes], sonar_pose, path.stem, **surface)
+        return Scene([*bodies, *plumes], sonar_pose, name, **surface)
+
+
+def _some_of(names: list[str]) -> str:
+    more = len(names) - MAX_NAMES_IN_WARNING
+    return f"{', '.join(names[:MAX_NAMES_IN_WARNING])}{f' and {more} more' if more > 0 else ''}"
 
 
 def _read_root(resources: Resources, path: Path):
@@ -92,7 +113,7 @@ def _read_root(resources: Resources, path: Path):
     if root.tag not in ("sdf", "gazebo"):
         raise Error(f"{path}: the root element must be <sdf> (got <{root.tag}>)")
     world = root.find("world")
-    if world is None and root.find("model") is None:
+    if world is None and all(root.find(tag) is None for tag in ("model", "include", "light", "actor")):
         raise Error(f"{path}: must hold a <world> or a <model>")
     scope = Scope(f"{path}: " + ("" if world is None else "world"), path.parent, is_world=True)
     return root if world is None else world, scope
@@ -100,8 +121,8 @@ def _read_root(resources: Resources, path: Path):
 
 def _read_bodies(
     links: list[Link], carrier: Link | None, resources: Resources
-) -> tuple[list[Body], list[str]]:
-    """Return the bodies of all links but the sonar's, and the names of those of unspecified reflectivity."""
+) -> tuple[list[Body], list[str], list[str]]:
+    """Return the bodies of all links but the sonar's, and names: of unspecified reflectivity, and of too large."""
     reader = BodyReader(resources)
     n_with_geometry = Counter(link.model for link in links if echoing_shapes(link))
     bodies, unspecified = [], []
@@ -113,7 +134,7 @@ def _read_bodies(
         bodies += found
         if not complete:
             unspecified.append(name)
-    return bodies, unspecified
+    return bodies, unspecified, reader.saturated
 
 
 def _read_plumes(links: list[Link]) -> list[Bubbles]:

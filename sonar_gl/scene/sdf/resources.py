@@ -4,22 +4,44 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from pathlib import Path
+from urllib.parse import unquote
 from xml.parsers import expat
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.extensions import declare_namespace
 
 MAX_XML_BYTES = 50_000_000
+# What Gazebo's parser, tinyxml2, accepts against the rules of XML, by libxml2's numbers: a declaration that is not
+# first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
+TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
+TOLERATED[202] = TOLERATED[201]
 BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
     "model://sun": "<sdf><light/></sdf>",
     "model://ground_plane": "<sdf><model name='ground_plane'><link name='link'><collision name='collision'>"
     "<geometry><plane/></geometry></collision></link></model></sdf>",
 }
 
+FUEL_URI = r"https?://([^/]+)/(?:[0-9.]+/)?([^/]+)/models/([^/]+)(?:/([0-9]+|tip))?(?:/files/(.+))?/?"
+FUEL_CACHES = {  # environment variable: where the cache is without it
+    "GZ_FUEL_CACHE_PATH": "~/.gz/fuel",
+    "IGN_FUEL_CACHE_PATH": "~/.ignition/fuel",
+}
+
+
+def fuel_caches() -> list[Path]:
+    """Return the folders in which Gazebo keeps the models that it has downloaded."""
+    return [Path(os.environ.get(key) or usual).expanduser() for key, usual in FUEL_CACHES.items()]
+
 
 class Resources:
     """The resource paths of one scene, the files parsed so far, and a list of missing files.
+
+    Attributes
+    ----------
+    roots : folders that may be read
+    recovered : file -> why, of files that are no proper XML, and were read as Gazebo reads them
 
     Parameters
     ----------
@@ -43,7 +65,7 @@ class Resources:
             roots += [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
         self.roots = list(dict.fromkeys(root.resolve() for root in [*roots, scene_path.parent]))
         self._missing: dict[str, tuple[list, list]] = {}  # uri -> locations that name it, paths searched
-        self._parsed = {}
+        self._parsed, self.recovered, self._unsupported = {}, {}, []
 
     def parse(self, path: Path):
         """Return the root element of an XML file; document types, entities and huge files are refused.
@@ -63,12 +85,13 @@ class Resources:
         try:
             if path.stat().st_size > MAX_XML_BYTES:
                 raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
-            root = parse(io.BytesIO(declare_namespace(path.read_bytes())), forbid_dtd=True).getroot()
+            xml = declare_namespace(path.read_bytes())
+            root = parse(io.BytesIO(xml), forbid_dtd=True).getroot()
         except ParseError as why:
-            (line, column), text = why.position, expat.ErrorString(why.code)
-            if text == "unbound prefix":
-                text += '; declare it, as in <sdf xmlns:gz="http://gazebosim.org/schema">'
-            raise Error(f"{path}: line {line}, column {column + 1}: broken XML ({text})") from None
+            root = self._recover(xml, path)
+            if root is None:
+                (line, column), text = why.position, expat.ErrorString(why.code)
+                raise Error(f"{path}: line {line}, column {column + 1}: broken XML ({text})") from None
         except DefusedXmlException:
             raise Error(f"{path}: a document type or entities must not be declared (refused)") from None
         except OSError as why:
@@ -78,6 +101,27 @@ class Resources:
         except (LookupError, ValueError) as why:  # an unknown encoding
             raise Error(f"{path}: broken XML ({why})") from None
         self._parsed[path] = root
+        return root
+
+    def _recover(self, xml: bytes, path: Path):
+        """Return the root element of a file that Gazebo reads though it is no proper XML; None if it does not."""
+        from lxml import etree
+
+        parser = etree.XMLParser(
+            recover=True,
+            resolve_entities=False,
+            load_dtd=False,
+            no_network=True,
+            remove_comments=True,
+            remove_pis=True,
+        )
+        root = etree.fromstring(xml, parser)
+        if root is None or any(found.type not in TOLERATED for found in parser.error_log):
+            return None
+        if root.getroottree().docinfo.doctype or any(True for _ in root.iter(etree.Entity)):
+            raise Error(f"{path}: a document type or entities must not be declared (refused)")
+        first = parser.error_log[0] if len(parser.error_log) else None
+        self.recovered[path] = "" if first is None else f"line {first.line}: {TOLERATED[first.type]}"
         return root
 
     def find(self, uri: str, base: Path, location: str) -> Path | None:
@@ -100,9 +144,13 @@ class Resources:
         scheme, _, rest = uri.rpartition("://")
         if not rest.strip("/."):
             raise Error(f"{location}: must name a file or a model (got {uri!r})")
+        if scheme in ("http", "https"):
+            return self._find_on_fuel(uri, location)
         if scheme not in ("", "model", "package", "file"):
             self._note(uri, location, [])
             return None
+        if scheme in ("model", "package"):
+            rest = rest.lstrip("/")
         candidates = [base / rest] if scheme == "" or rest.startswith("/") else []
         if not rest.startswith("/"):
             candidates += [root / rest for root in self.roots]
@@ -126,6 +174,47 @@ class Resources:
             self._note(uri, location, inside)
         return found
 
+    def _find_on_fuel(self, uri: str, location: str) -> Path | None:
+        """Return the file or folder of a URI of Gazebo Fuel, from Gazebo's caches or the resource paths.
+
+        .../OWNER/models/NAME, /NAME/VERSION, or /NAME/VERSION/files/FILE. Gazebo keeps what it has downloaded as
+        SERVER/OWNER/models/NAME/VERSION, with OWNER and NAME in lower case. In a resource path the folder has the
+        model's name.
+        """
+        found = re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE)
+        if found is None:
+            self._note(uri, location, [])
+            return None
+        server, owner, name, version, file = found.groups()
+        searched = []
+        for cache in fuel_caches():
+            folder = cache / server.lower() / owner.lower() / "models" / name.lower()
+            searched.append(folder)
+            try:
+                kept = [one for one in folder.iterdir() if one.name.isdigit() and one.is_dir()]
+            except OSError:
+                continue
+            wanted = [one for one in kept if one.name == version] or kept
+            if wanted:
+                newest = max(wanted, key=lambda one: int(one.name))
+                self.roots.append(newest.resolve())
+                return self._existing(newest / file if file else newest, uri, location)
+        names = dict.fromkeys([name, name.replace(" ", "_"), name.lower(), name.lower().replace(" ", "_")])
+        for root in self.roots:
+            for folder in [root / one for one in names] + [root] * (root.name in names):
+                searched.append(folder)
+                if folder.is_dir() and self._is_inside(folder):
+                    return self._existing(folder / file if file else folder, uri, location)
+        self._note(uri, location, searched)
+        return None
+
+    def _existing(self, path: Path, uri: str, location: str) -> Path | None:
+        """Return a path that exists and may be read; None, noted as missing, if there is none."""
+        if path.exists() and self._is_inside(path):
+            return path
+        self._note(uri, location, [path])
+        return None
+
     def find_model(self, uri: str, base: Path, location: str) -> Path | str | None:
         """Return the SDF file of an `<include>`; None if it is missing; the URI itself if it is in BUILT_IN.
 
@@ -138,27 +227,45 @@ class Resources:
             return uri if uri in BUILT_IN else None
         if found.is_file():
             return found
-        chosen = found / "model.sdf"
-        if (found / "model.config").is_file() and self._is_inside(found / "model.config"):
-            names = self.parse(found / "model.config").findall("sdf")
-            names = [(_version(e.get("version", "")), (e.text or "").strip()) for e in names]
-            chosen = found / (max(names, key=lambda n: n[0])[1] if names else "model.sdf")
-        if not self._is_inside(chosen):
-            raise Error(f"{found / 'model.config'}: sdf must name a file beside it (got {str(chosen)!r})")
+        chosen = self.file_of_model(found)
         if not chosen.is_file():
             self._note(uri, location, [chosen])
             return None
         return chosen
 
+    def file_of_model(self, folder: Path) -> Path:
+        """Return the SDF file of a model's folder: the newest version in `model.config`, else `model.sdf`."""
+        chosen = folder / "model.sdf"
+        if (folder / "model.config").is_file() and self._is_inside(folder / "model.config"):
+            names = self.parse(folder / "model.config").findall("sdf")
+            names = [(_version(e.get("version", "")), (e.text or "").strip()) for e in names]
+            chosen = folder / (max(names, key=lambda n: n[0])[1] if names else "model.sdf")
+        if not self._is_inside(chosen):
+            raise Error(f"{folder / 'model.config'}: sdf must name a file beside it (got {str(chosen)!r})")
+        return chosen
+
     def missing(self, scene_path) -> str:
-        """Return a message: missing files, the elements that name them, the paths searched; "" if none is."""
+        """Return what is missing: files, the elements that name them, and the paths searched; "" if nothing is."""
         lines = [f"{scene_path}: models or files are missing:"] if self._missing else []
         for uri, (locations, searched) in self._missing.items():
             lines += [f"  {uri}", *(f"    named by {location}" for location in locations)]
             lines += [f"    not at {path}" for path in searched]
-            if not searched:
-                lines.append("    not fetched: download it, and put its folder into the resource paths")
+            if found := re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE):
+                lines.append(
+                    f"    'gz fuel download -u \"{uri}\"' downloads it to where it is found; or put the model's folder, "
+                    f"named {found[3]!r}, into a folder of the resource paths"
+                )
+            elif not searched:
+                lines.append("    not fetched: download it, and let the scene name the file")
         return "\n".join(lines)
+
+    def unsupported(self) -> str:
+        """Return which shapes cannot be read, a line each."""
+        return "\n".join(self._unsupported)
+
+    def note_unsupported(self, message: str) -> None:
+        """Note a shape that cannot be read; the message names file and element."""
+        self._unsupported.append(message)
 
     def _note(self, uri, location, searched):
         self._missing.setdefault(uri, ([], [str(c) for c in searched]))[0].append(location)

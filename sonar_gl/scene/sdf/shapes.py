@@ -18,7 +18,8 @@ from sonar_gl.scene.sdf.frames import read_numbers
 from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
 
-GEOMETRIES = "box, capsule, cylinder, ellipsoid, heightmap, mesh, plane, sphere"
+GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
+MAX_RETRO = 255  # of laser_retro, which has no upper limit: what is more reflects all
 EXTENSIONS = ("material", "reflectivity_map", "roughness", "specular")  # of a shape, in namespace sonar_gl
 
 
@@ -81,8 +82,10 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
     if named is not None:
         with errors_at(f"{location}/sonar_gl:material"):
             found = material((named.text or "").strip())
-    retro = number(element.find("laser_retro"), "laser_retro", 0, 255)
-    reflectivity = retro / 255 if retro is not None else found.reflectivity if found else DEFAULT_REFLECTIVITY
+    retro = number(element.find("laser_retro"), "laser_retro", 0, np.inf)
+    reflectivity = found.reflectivity if found else DEFAULT_REFLECTIVITY
+    if retro is not None:
+        reflectivity = min(retro / MAX_RETRO, 1.0)
     specular = number(find_extension(element, "specular"), "sonar_gl:specular", 0, 1)
     if specular is None:
         specular = found.specular if found else 0.0
@@ -101,10 +104,15 @@ class BodyReader:
     Parameters
     ----------
     resources : finds the files that geometry names
+
+    Attributes
+    ----------
+    saturated : names of bodies whose laser_retro is more than MAX_RETRO
     """
 
     def __init__(self, resources: Resources):
         self.resources = resources
+        self.saturated = []
         self._meshes = {}
 
     def read(self, link: Link, name: str) -> tuple[list[Body], bool]:
@@ -125,7 +133,10 @@ class BodyReader:
             if image is not None:
                 location = f"{location}/sonar_gl:reflectivity_map"
                 shape, reflectivity = self._apply_map(link, element, shape, reflectivity, location)
-            specified = element.find("laser_retro"), find_extension(element, "material"), image
+            retro = element.find("laser_retro")
+            if retro is not None and float(retro.text) > MAX_RETRO and name not in self.saturated:
+                self.saturated.append(name)
+            specified = retro, find_extension(element, "material"), image
             complete &= any(child is not None for child in specified)
             lobe = surface.specular, surface.roughness_rad
             names.setdefault(lobe, f"{name}::{element.get('name')}" if groups else name)
@@ -152,10 +163,14 @@ class BodyReader:
             return textured_from_above(shape, path)
 
     def _read_geometry(self, link: Link, element, location: str) -> Shape | None:
-        """Return the shape of a collision or visual; None if its file is missing (`resources` notes it)."""
+        """Return the shape of a collision or visual; None if `resources` notes that it cannot be had.
+
+        What an element leaves out is SDF's default.
+        """
         geometry = element.find("geometry")
         if geometry is None or len(geometry) == 0:
-            raise Error(f"{location}: must hold a <geometry> with a shape in it")
+            self.resources.note_unsupported(f"{location}: must hold a <geometry> with a shape in it")
+            return None
         shape = geometry[0]
         location = f"{location}/geometry/{shape.tag}"
 
@@ -166,13 +181,16 @@ class BodyReader:
             return out if count > 1 else out[0]
 
         if shape.tag == "box":
-            return primitives.box(get("size", 3))
-        if shape.tag in ("cylinder", "capsule"):
-            return getattr(primitives, shape.tag)(get("radius"), get("length"))
+            return primitives.box(get("size", 3, (1.0, 1.0, 1.0)))
+        if shape.tag in ("cylinder", "capsule", "cone"):
+            radius_m = 1.0 if shape.tag == "cylinder" else 0.5
+            return getattr(primitives, shape.tag)(get("radius", 1, radius_m), get("length", 1, 1.0))
         if shape.tag == "sphere":
-            return primitives.sphere(get("radius"))
+            return primitives.sphere(get("radius", 1, 1.0))
         if shape.tag == "ellipsoid":
-            return primitives.ellipsoid(get("radii", 3))
+            return primitives.ellipsoid(get("radii", 3, (1.0, 1.0, 1.0)))
+        if shape.tag == "polyline":
+            return _read_polylines(geometry.findall("polyline"), location, get("height", 1, 1.0))
         if shape.tag == "plane":
             normal = get("normal", 3, (0.0, 0.0, 1.0), positive=False)
             if not np.any(normal):
@@ -183,7 +201,10 @@ class BodyReader:
                 primitives.plane(normal) if infinite else primitives.plane(normal, get("size", 2, (1.0, 1.0)))
             )
         if shape.tag not in ("mesh", "heightmap"):
-            raise Error(f"{location}: unknown geometry (known are {GEOMETRIES}; anything can be a mesh)")
+            self.resources.note_unsupported(
+                f"{location}: unknown geometry (known are {GEOMETRIES}; anything can be a mesh)"
+            )
+            return None
         uri = (shape.findtext("uri") or shape.findtext("filename") or "").strip()
         path = self.resources.find(uri, link.scope.folder, f"{location}/uri")
         if path is None:
@@ -200,6 +221,20 @@ class BodyReader:
             if key not in self._meshes:
                 self._meshes[key] = mesh_files.read_mesh(path, key[1], key[2] in ("true", "1"))
             return primitives.transform(self._meshes[key], np.diag([*scale, 1.0]))
+
+
+def _read_polylines(elements, location: str, height_m: float) -> Shape:
+    """Return the prism over all polylines of a geometry."""
+    rings = []
+    for element in elements:
+        points = [read_numbers(point, f"{location}/point", 2) for point in element.findall("point")]
+        ring = [
+            point for k, point in enumerate(points) if np.any(point != points[k - 1])
+        ]  # the last may be the first
+        if len(ring) < 3:
+            raise Error(f"{location}: must have three different points or more (got {len(ring)})")
+        rings.append(np.array(ring))
+    return primitives.extrude(rings, height_m)
 
 
 def _join(name: str, group: list[ShapeOfLink], pose, lobe: tuple) -> Body:
