@@ -471,10 +471,45 @@ def weigh_columns(column_sums, spans, first, weights, gain, out):
 HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT = range(4)
 CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4, 8)
 CELL, MOMENTS = 8, 4  # the last four are what a run holds
-BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(
-    5
-)  # of a run: one body in one column; PLACE: where in the pool
+BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(5)  # of a run: one body in one column; PLACE: in the pool
 RUN = 5
+
+
+class ElevationTables(NamedTuple):
+    """Tables at even sines across the aperture.
+
+    pattern : (n,) two-way beam pattern, or of no length
+    weighted_elevation : (n,) elevation, radians, times the pattern
+    """
+
+    pattern: np.ndarray
+    weighted_elevation: np.ndarray
+
+
+class ColumnBodies(NamedTuple):
+    """The bodies of one column, each in a slot.
+
+    slots : (n, 3) int64, body, its first bin and past its last; the first `n_slots` are in use
+    cells : (n, K, CELL) float64, zeros of slots that are not in use
+    """
+
+    slots: np.ndarray
+    n_slots: int
+    cells: np.ndarray
+
+
+class RunStore(NamedTuple):
+    """Where runs are stored, and how much of it is in use.
+
+    runs : (n, RUN) int64, BODY .. PLACE
+    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
+        and range less `middle_m`
+    """
+
+    runs: np.ndarray
+    n_runs: int
+    pool: np.ndarray
+    n_pool: int
 
 
 @compiled
@@ -490,10 +525,11 @@ def acos(c):
 
 
 @inlined
-def _find_angles(work, strip, weighted_elevation, elevation_pattern):
+def _find_angles(work, strip, tables):
     """Find elevation and incidence of a strip's samples."""
     rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
     first, last, uc, v_limit = strip.first, strip.last, strip.u, strip.v_limit
+    elevation_pattern, weighted_elevation = tables.pattern, tables.weighted_elevation
     for m in range(uint64(first), uint64(last)):
         x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
         size = math.sqrt(x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m])
@@ -511,13 +547,14 @@ def _find_angles(work, strip, weighted_elevation, elevation_pattern):
 
 
 @inlined
-def _slot_of(body, slots, n_slots, cells):
-    """Return the slot of a body's cells in a column, a new one at first; and slots and cells, grown if full."""
+def _slot_of(body, bodies):
+    """Return the slot of a body, a new one at first; and ColumnBodies, grown if full."""
+    slots, n_slots, cells = bodies
     slot = 0
     while slot < n_slots and slots[slot, 0] != body:
         slot += 1
     if slot < n_slots:
-        return slot, slots, n_slots, cells
+        return slot, bodies
     if n_slots == slots.shape[0]:
         more_cells = np.zeros((2 * n_slots, cells.shape[1], CELL))
         more_slots = np.empty((2 * n_slots, 3), np.int64)
@@ -529,7 +566,7 @@ def _slot_of(body, slots, n_slots, cells):
                 more_slots[old, n] = slots[old, n]
         cells, slots = more_cells, more_slots
     slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
-    return slot, slots, n_slots + 1, cells
+    return slot, ColumnBodies(slots, n_slots + 1, cells)
 
 
 @inlined
@@ -553,8 +590,10 @@ def _store_run(cells, slot, first, past, density, pool, place):
 
 
 @inlined
-def _store_runs(cells, slots, n_slots, column, density, runs, pool, n_runs, used):
-    """Write a column's cells to runs and pool; return both, grown if full, and how much of them is used."""
+def _store_runs(bodies, column, density, store):
+    """Write the cells of a column's bodies to a RunStore; return it, grown if full."""
+    slots, n_slots, cells = bodies
+    runs, n_runs, pool, used = store
     for slot in range(n_slots):
         first, past = slots[slot, 1], slots[slot, 2]
         if first >= past:
@@ -575,7 +614,7 @@ def _store_runs(cells, slots, n_slots, column, density, runs, pool, n_runs, used
         runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
         runs[n_runs, FIRST_BIN], runs[n_runs, PAST_BIN], runs[n_runs, PLACE] = first, past, used
         n_runs, used = n_runs + 1, wanted
-    return runs, pool, n_runs, used
+    return RunStore(runs, n_runs, pool, used)
 
 
 @compiled
@@ -689,44 +728,33 @@ def _bin_moments(work, start, stop, cells, u, strip, bins):
 
 
 @compiled
-def sum_bodies(
-    plane_echo, body_id, lattice, strips, bins, spread, elevation_pattern, weighted_elevation, cells, runs,
-    pool, used,
-):  # fmt: skip
+def sum_bodies(plane_echo, body_id, lattice, strips, bins, spread, tables, cells, store):
     """Sum some of one sector's samples into columns and bins, for each body by itself.
 
     Parameters
     ----------
-    plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    plane_echo, lattice, strips, bins, spread : as in `sum_footprints`
     body_id : (R, C) uint16
-    weighted_elevation : (n,) elevation, radians, times the two-way beam pattern, at even sines across the
-        aperture
-    cells : (slots, K, CELL) float64, zeros before and after
-    runs : (n, RUN) int64, BODY .. PLACE
-    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
-        and range less `middle_m`
-    used : (runs, numbers of the pool) that are in use
+    tables, store : tuples of ElevationTables and RunStore
+    cells : of ColumnBodies, zeros before and after
 
     Returns
     -------
-    cells, runs, pool : or larger ones, where they were full
-    used
+    cells, store : or larger ones, where they were full; a plain tuple again
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
-    n_runs, n_pool = used
+    tables, store = ElevationTables(*tables), RunStore(*store)
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
-    slots, n_slots, column = np.empty((cells.shape[0], 3), np.int64), 0, -1
+    bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         if strip.first == strip.last:
             continue
         if strip.column != column:
-            runs, pool, n_runs, n_pool = _store_runs(
-                cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
-            )
-            n_slots, column = 0, strip.column
-        _find_footprints(work, strip, elevation_pattern)
-        _find_angles(work, strip, weighted_elevation, elevation_pattern)
+            store = _store_runs(bodies, column, bins.density, store)
+            bodies, column = ColumnBodies(bodies.slots, 0, bodies.cells), strip.column
+        _find_footprints(work, strip, tables.pattern)
+        _find_angles(work, strip, tables)
         start, last = strip.first, strip.last
         _find_intervals(work, start, last, bins)
         while start < last:  # consecutive samples of one body at a time
@@ -738,17 +766,16 @@ def sum_bodies(
                 if work[ENERGY, stop] > 0.0 and body_id[j, int(strip.nearest - strip.step * j)] != body:
                     break
                 stop += 1
-            slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
+            slot, bodies = _slot_of(body, bodies)
+            slots, cells = bodies.slots, bodies.cells
             if spread:
                 low, high = _spread_moments(work, start, stop, cells[slot], bins)
             else:
                 low, high = _bin_moments(work, start, stop, cells[slot], lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
-    runs, pool, n_runs, n_pool = _store_runs(
-        cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
-    )
-    return cells, runs, pool, (n_runs, n_pool)
+    runs, n_runs, pool, n_pool = _store_runs(bodies, column, bins.density, store)
+    return bodies.cells, (runs, n_runs, pool, n_pool)
 
 
 # ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
@@ -763,8 +790,8 @@ class Runs(NamedTuple):
     """Runs of all bodies, sorted by body and column.
 
     bodies : (m,) numbers, rising; begins : (m + 1,) where the runs of each begin and end
-    table : (n, RUN) of `sum_bodies`; owner : (n,) which of the two pools holds each
-    pools : two, of `sum_bodies`
+    table : (n, RUN) of RunStore; owner : (n,) which of the two pools holds each
+    pools : two, of RunStore
     """
 
     bodies: np.ndarray
