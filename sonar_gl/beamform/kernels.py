@@ -1029,12 +1029,22 @@ X, Y, Z, RANGE, SIDE, SINE, REFLECTED, BISTATIC = range(8)
 OTHER_LEG_ROWS = 8
 
 
+# One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of half the aperture.
+# Its lattice: u = u0 + ui i + uj j and v = v0 + vi i + vj j of column i and row j, and the inverse,
+# i = iu (u - u0) + iv (v - v0) and j likewise. Its window: first column in `plane_echo`, columns and rows.
+# These names are part of the array's type, by which Numba keeps machine code: other files may use them, too.
+SECTOR = np.dtype(
+    [(name, np.float64) for name in ("cos", "sin", "tan_half_width", "tan_elevation")]
+    + [(name, np.float64) for name in ("u0", "ui", "uj", "v0", "vi", "vj", "iu", "iv", "ju", "jv")]
+    + [(name, np.int64) for name in ("left", "columns", "rows")]
+)
+
+
 class ViewIndex(NamedTuple):
     """All samples of one view of the fan, to find what it sees in a direction.
 
     plane_echo : (H, W, 4) float32, the windows of sectors side by side
-    sectors : (n, 17) azimuth's cosine and sine, tangents of half the width and of the elevation, lattice u
-        and v, its inverse; then first column in `plane_echo`, columns and rows
+    sectors : (n,) SECTOR
     """
 
     plane_echo: np.ndarray
@@ -1049,8 +1059,8 @@ def view_index(view: ViewSamples) -> ViewIndex:
         inverse = np.linalg.inv(np.array([[u[1], u[2]], [v[1], v[2]]]))
         azimuth = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
         limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_elevation
-        rows.append([*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows])
-    return ViewIndex(view.plane_echo, np.array(rows, np.float64))
+        rows.append((*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows))
+    return ViewIndex(view.plane_echo, np.array(rows, SECTOR))
 
 
 class Reflection(NamedTuple):
@@ -1085,27 +1095,25 @@ def find_surface(x, y, z, view):
     The result is −1, 0 outside the fan. All are in the frame of a sector.
     """
     plane_echo, sectors = view
-    # number by number: a row taken out would be reference-counted by both threads
     for k in range(sectors.shape[0]):
-        c, s = sectors[k, 0], sectors[k, 1]
-        ahead, beside = c * x + s * y, c * y - s * x
-        if ahead <= 0.0 or abs(beside) > sectors[k, 2] * ahead:
+        t = sectors[k]
+        ahead, beside = t.cos * x + t.sin * y, t.cos * y - t.sin * x
+        if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
             continue
         u, v = -beside / ahead, z / ahead
-        if v * v > sectors[k, 3] * sectors[k, 3] * (1.0 + u * u):
+        if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
             return -1.0, 0.0
-        du, dv = u - sectors[k, 4], v - sectors[k, 7]
-        i = math.floor(sectors[k, 10] * du + sectors[k, 11] * dv + 0.5)
-        j = math.floor(sectors[k, 12] * du + sectors[k, 13] * dv + 0.5)
-        if not (0 <= i < sectors[k, 15] and 0 <= j < sectors[k, 16]):
+        du, dv = u - t.u0, v - t.v0
+        i = math.floor(t.iu * du + t.iv * dv + 0.5)
+        j = math.floor(t.ju * du + t.jv * dv + 0.5)
+        if not (0 <= i < t.columns and 0 <= j < t.rows):
             return 0.0, ahead  # no body is near
-        row, column = int(j), int(sectors[k, 14] + i)
+        row, column = int(j), int(t.left + i)
         q = float(plane_echo[row, column, 0])
         if q <= 0.0:
             return 0.0, ahead
         # from the sample's own ray to this direction, in the plane that it met
-        off_u = du - (sectors[k, 5] * i + sectors[k, 6] * j)
-        off_v = dv - (sectors[k, 8] * i + sectors[k, 9] * j)
+        off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
         return max(q + plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v, 0.0), ahead
     return -1.0, 0.0
 
@@ -1161,15 +1169,16 @@ def estimate_reflection(view, plane, is_body, loss, range_max_m):
         t = sectors[k]
         for row in range(GRID):
             for column in range(GRID):
-                u = t[2] * ((2 * column + 1) / GRID - 1)
-                v = t[3] * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
-                x, y, z = t[0] + t[1] * u, t[1] - t[0] * u, v
+                u = t.tan_half_width * ((2 * column + 1) / GRID - 1)
+                v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
+                x, y, z = t.cos + t.sin * u, t.sin - t.cos * u, v
                 seen, _ = find_surface(x, y, z, view)
                 length = math.sqrt(1.0 + u * u + v * v)
                 weight = 1.0 / length**3
                 if seen > 0.0 and length / seen < range_max_m:
-                    i, j = t[10] * (u - t[4]) + t[11] * (v - t[7]), t[12] * (u - t[4]) + t[13] * (v - t[7])
-                    at = plane_echo[int(j + 0.5), int(t[14] + math.floor(i + 0.5))]
+                    du, dv = u - t.u0, v - t.v0
+                    i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
+                    at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5))]
                     echo += weight * at[3] * seen / length
                 along = plane[0] * x + plane[1] * y + plane[2] * z
                 near = along > 0.0 and plane[3] * length / along < range_max_m

@@ -40,7 +40,7 @@ class Labeller:
     fan : Fan
     first, weights : of BeamWeights
     bins : tuple of kernels.BinTable
-    elevation_table, weighted_elevation : kernels.ElevationTables
+    elevation_table, weighted_elevation : of kernels.ElevationTables
     """
 
     def __init__(self, fan: Fan, first, weights, bins, elevation_table, weighted_elevation):
