@@ -11,6 +11,7 @@ import numpy as np
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cull import (
     BodyBoxes,
+    BodyPlaces,
     DetailLimits,
     PatchTree,
     choose_patches,
@@ -203,11 +204,9 @@ class SceneMeshes:
         n = choose_patches(
             self._tree,
             tuple(self.boxes),
+            tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.outside)),
             view.geometry,
             tuple(limits),
-            bodies.present,
-            bodies.matrices,
-            bodies.outside,
             self._chosen,
             extent,
         )
