@@ -30,7 +30,13 @@ from sonar_gl.raster.draw_list import (
     window_about,
 )
 from sonar_gl.raster.level_of_detail import Levels, prepare
-from sonar_gl.raster.small_triangles import PatchFaces, PlacedBodies, Vertices, rasterize_small_triangles
+from sonar_gl.raster.small_triangles import (
+    DrawnTriangles,
+    PatchFaces,
+    PlacedBodies,
+    Vertices,
+    rasterize_small_triangles,
+)
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M
 
@@ -236,6 +242,12 @@ class SceneMeshes:
 
         def work(which):
             part = slice(half, None) if which else slice(0, half)
+            drawn = DrawnTriangles(
+                draws=draws[part],
+                indices=indices[3 * starts[which] :],
+                first_index=out.indices.used,
+                first_row=row,
+            )
             return rasterize_small_triangles(
                 chosen[part],
                 self._faces,
@@ -243,10 +255,7 @@ class SceneMeshes:
                 tuple(placed),
                 view.geometry,
                 NEAR_M,
-                row,
-                out.indices.used,
-                indices[3 * starts[which] :],
-                draws[part],
+                tuple(drawn),
                 tuple(array[which * n_samples :][:n_samples] for array in samples),
             )
 
