@@ -6,13 +6,21 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import lifetime
+from sonar_gl.gl.enums import (
+    DEPTH_TEST,
+    DRAW_FRAMEBUFFER_BINDING,
+    FLOAT,
+    PACK_ALIGNMENT,
+    RED_INTEGER,
+    RENDERBUFFER,
+    RGBA,
+)
 from sonar_gl.gl.host import HostContext
 from sonar_gl.sonar.sector import Sector
 
-FRAMEBUFFER, RENDERBUFFER, COMPLETE, DEPTH_TEST, DRAW_BINDING = 0x8D40, 0x8D41, 0x8CD5, 0x0B71, 0x8CA6
+FRAMEBUFFER, FRAMEBUFFER_COMPLETE, UNSIGNED_SHORT = 0x8D40, 0x8CD5, 0x1403
 MAX_RENDERBUFFER_SIZE = 0x84E8
 COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
-RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT, PACK_ALIGNMENT = 0x1908, 0x8D94, 0x1406, 0x1403, 0x0D05
 RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
 
 
@@ -44,7 +52,7 @@ class Framebuffer:
 
     def is_bound(self) -> bool:
         """Return whether it is the framebuffer that is drawn into now."""
-        return self.host.gl.integer(DRAW_BINDING) == self._name
+        return self.host.gl.integer(DRAW_FRAMEBUFFER_BINDING) == self._name
 
     def _make(self, gl):
         name, buffers = np.zeros(1, np.uint32), np.zeros(3, np.uint32)
@@ -61,7 +69,7 @@ class Framebuffer:
         outputs = np.array([COLOR_0, COLOR_1], np.uint32)
         gl.glDrawBuffers(2, outputs.ctypes.data)
         status, errors = gl.glCheckFramebufferStatus(FRAMEBUFFER), gl.take_errors()
-        if status != COMPLETE or errors:
+        if status != FRAMEBUFFER_COMPLETE or errors:
             self._delete()
             why = f"status 0x{status:04x}" + "".join(f", error 0x{error:04x}" for error in errors)
             raise Error(

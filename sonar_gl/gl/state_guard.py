@@ -10,6 +10,14 @@ import ctypes
 import math
 from typing import NamedTuple
 
+from sonar_gl.gl.enums import (
+    CLIP_DISTANCE0,
+    DEPTH_TEST,
+    DRAW_FRAMEBUFFER,
+    DRAW_FRAMEBUFFER_BINDING,
+    RENDERBUFFER,
+    TEXTURE_2D,
+)
 from sonar_gl.gl.functions import Functions
 
 # The version of OpenGL that includes each extension. Drivers list many of them in older contexts, too.
@@ -64,13 +72,13 @@ VALUES = [
     Value(0x8F36, "glBindBuffer", (0x8F36,)),  # COPY_READ_BUFFER
     Value(0x8F37, "glBindBuffer", (0x8F37,)),  # COPY_WRITE_BUFFER
     Value(0x8F43, "glBindBuffer", (0x8F3F,), extension="ARB_draw_indirect"),  # DRAW_INDIRECT_BUFFER
-    Value(0x8CA6, "glBindFramebuffer", (0x8CA9,)),  # DRAW_FRAMEBUFFER
+    Value(DRAW_FRAMEBUFFER_BINDING, "glBindFramebuffer", (DRAW_FRAMEBUFFER,)),
     Value(0x8CAA, "glBindFramebuffer", (0x8CA8,)),  # READ_FRAMEBUFFER
-    Value(0x8CA7, "glBindRenderbuffer", (0x8D41,)),  # RENDERBUFFER
+    Value(0x8CA7, "glBindRenderbuffer", (RENDERBUFFER,)),
     Value(0x85B5, "glBindVertexArray"),
     Value(0x8B8D, "glUseProgram"),
     Value(0x84E0, "glActiveTexture"),
-    Value(0x8069, "glBindTexture", (0x0DE1,)),  # TEXTURE_2D of the active unit
+    Value(0x8069, "glBindTexture", (TEXTURE_2D,)),  # of the active unit
     # how pixels lie in memory
     *(Value(name, "glPixelStorei", (name,), 4 if name in ALIGNMENT else 0) for name in UNPACK),
     Value(0x806D, "glPixelStorei", (0x806D,), 0),  # UNPACK_SKIP_IMAGES
@@ -98,14 +106,14 @@ EXISTS = {
     "glUseProgram": "glIsProgram",
 }
 SWITCHES = [  # all are off by default, except for MULTISAMPLE and DITHER
-    Switches((0x0B44, 0x0B71, 0x0B90)),  # CULL_FACE, DEPTH_TEST, STENCIL_TEST
+    Switches((0x0B44, DEPTH_TEST, 0x0B90)),  # CULL_FACE, STENCIL_TEST
     Switches((0x0BF2, 0x0B20, 0x0B41)),  # COLOR_LOGIC_OP, LINE_SMOOTH, POLYGON_SMOOTH
     Switches((0x2A01, 0x2A02, 0x8037)),  # POLYGON_OFFSET_POINT, _LINE, _FILL
     Switches((0x8C89, 0x8642, 0x864F)),  # RASTERIZER_DISCARD, PROGRAM_POINT_SIZE, DEPTH_CLAMP
     Switches((MULTISAMPLE, 0x809E, 0x809F)),  # SAMPLE_ALPHA_TO_COVERAGE, SAMPLE_ALPHA_TO_ONE
     Switches((0x80A0, 0x8E51, DITHER)),  # SAMPLE_COVERAGE, SAMPLE_MASK
     Switches((0x8DB9, 0x8F9D, 0x884F)),  # FRAMEBUFFER_SRGB, PRIMITIVE_RESTART, TEXTURE_CUBE_MAP_SEAMLESS
-    Switches(tuple(range(0x3000, 0x3008))),  # CLIP_DISTANCE0 to 7
+    Switches(tuple(range(CLIP_DISTANCE0, CLIP_DISTANCE0 + 8))),
     Switches((0x8C36,), "ARB_sample_shading"),  # SAMPLE_SHADING
     Switches((0x8D69,), "ARB_ES3_compatibility"),  # PRIMITIVE_RESTART_FIXED_INDEX
     Switches((0x8890,), "EXT_depth_bounds_test"),  # DEPTH_BOUNDS_TEST
