@@ -28,6 +28,7 @@ from sonar_gl.sonar.sampling import (
     LEVELS_PER_HALF,
     WORST_BODY,
     Sampling,
+    ToleranceWarning,
     check_tolerance,
     half_of,
     sampling_at,
@@ -313,7 +314,8 @@ class AdaptiveSampling:
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
             f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
             f"{plan.worst_body_estimate:.2g} for the worst body{name}; go nearer, narrow the fan, or ask "
-            "for a larger tolerance"
+            "for a larger tolerance",
+            ToleranceWarning,
         )
 
 
