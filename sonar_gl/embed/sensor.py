@@ -19,13 +19,12 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.embed.camera_rig import CameraRig
 from sonar_gl.embed.depth_images import (
-    DEFAULT_REFLECTIVITY,
     MAX_BODY_ID,
     check_body_names,
     check_images,
@@ -46,6 +45,7 @@ from sonar_gl.gl import lifetime
 from sonar_gl.gl.host import CurrentContext, HostContext
 from sonar_gl.gl.shaders import load_shader
 from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
 from sonar_gl.sonar.fan import NEAR_M
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sampling import Sampling, check_tolerance, sampling_at, typical_level
@@ -232,9 +232,9 @@ class Sensor:
     def _check_open(self) -> None:
         """Raise an `Error` in another process, and after `close`."""
         if os.getpid() != self._process:  # a forked process lacks the threads
-            raise Error("a Sensor must be used in the process that made it; make one in each process")
+            raise other_process_error("Sensor")
         if self._is_closed:
-            raise Error("this Sensor is closed; make a new one")
+            raise closed_error("Sensor")
 
     def _stage(self, sampling: Sampling) -> Stage:
         """Return the sonar's stage of this sampling."""

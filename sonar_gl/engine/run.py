@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import closed_error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
@@ -20,8 +20,6 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
-
-CLOSED = "this Simulator is closed; make a new one"
 
 
 class Run:
@@ -66,7 +64,7 @@ class Run:
     def check_open(self) -> None:
         """Raise an Error once the run is closed."""
         if self._world is None:
-            raise Error(CLOSED)
+            raise closed_error("Simulator")
 
     @property
     def world(self) -> World:
@@ -84,7 +82,7 @@ class Run:
             if self._in_flight is not None and self._in_flight is not beside:
                 wait([self._in_flight])
             if self._world is None:  # closed while this one waited
-                raise Error(CLOSED)
+                raise closed_error("Simulator")
             yield context
 
     def receiving(self, future: Future) -> None:
