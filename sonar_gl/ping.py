@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from sonar_gl.acoustics.acoustics import Acoustics
-    from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.sonar.sonar import Sonar
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajec
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.noise.noise import Noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar, load_sonar

@@ -11,7 +11,8 @@ from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
-from sonar_gl.noise.noise import Noise, check_seed
+from sonar_gl.noise.random_streams import check_seed
+from sonar_gl.noise.settings import Noise
 
 
 @dataclass(frozen=True, eq=False)
