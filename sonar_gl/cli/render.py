@@ -20,7 +20,7 @@ from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progr
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
-from sonar_gl.imaging.film import DemarcoStyle, FanStyle
+from sonar_gl.imaging.styles import DemarcoStyle, FanStyle
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene

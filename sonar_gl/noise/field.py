@@ -11,7 +11,7 @@ from sonar_gl.acoustics.beam_pattern import taper_series
 from sonar_gl.acoustics.pulse import field_weights
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.k_distribution import multiply_by_texture
-from sonar_gl.noise.place_speckle import place_locked_field
+from sonar_gl.noise.place_locked_speckle import place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference
 from sonar_gl.noise.settings import Noise

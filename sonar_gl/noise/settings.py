@@ -46,7 +46,7 @@ class Noise:
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
-        the sonar's pose; `place_speckle.place_locked_field` states which motion changes it
+        the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
     electronic_db, ambient_db : mean power of the receiver's self-noise and of ambient noise before the TVG,
         dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None for none.
         The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
