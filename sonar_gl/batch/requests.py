@@ -70,7 +70,7 @@ class BatchRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TrajectoryRun:
     """Consecutive pings along one trajectory in one scene.
 
     Attributes
@@ -211,14 +211,14 @@ def _draw(random, value) -> float:
     return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
 
 
-def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[Run]:
+def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[TrajectoryRun]:
     """Return the runs of a job. Each begins GAP_S after the one before has ended."""
     runs, first, delay_s, last_s = [], 0, 0.0, None
     for trajectory in trajectories:
         for scene in range(n_scenes):
             if last_s is not None:
                 delay_s = last_s + GAP_S - trajectory[0][0]
-            runs.append(Run(scene, trajectory, range(first, first + len(trajectory)), delay_s))
+            runs.append(TrajectoryRun(scene, trajectory, range(first, first + len(trajectory)), delay_s))
             first += len(trajectory)
             last_s = trajectory[len(trajectory) - 1][0] + delay_s
     return runs
