@@ -14,7 +14,7 @@ from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
@@ -41,7 +41,7 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.users += 1
-        self._world, self._source, self._described, self._in_flight = world, None, None, None
+        self._world, self._origin, self._described, self._in_flight = world, None, None, None
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -129,19 +129,19 @@ class Run:
         made_of = received.drawn.images, received.multipath, received.direct
         return images is not None and images.are_too_coarse(*made_of)
 
-    def source(self) -> Source:
+    def sample_origin(self) -> SampleOrigin:
         """Return what the pings' `meta` says of the scene."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
             self._described = scene
-            self._source = Source(
+            self._origin = SampleOrigin(
                 scene.name,
                 tuple(body.name for body in scene.bodies),
                 tuple(plume.name for plume in scene.plumes),
                 self.sampler.tolerance,
                 self.world.gl_info["renderer"],
             )
-        return self._source
+        return self._origin
 
     def warn_if_no_echo(self, received: ReceivedPing) -> None:
         """Warn if a ping has no echo; the message names the nearest surface and why it returned none."""
