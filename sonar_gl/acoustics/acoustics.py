@@ -219,7 +219,7 @@ class Acoustics:
         """
         keys = [item.partition("=")[0].strip() for item in text.split(",")]
         if "needed" in keys:
-            raise Error(f"acoustics {text!r}: needed must stand alone: it chooses the terms itself")
+            raise Error(f"acoustics {text!r}: needed takes no other settings: it chooses the terms itself")
         if "" in keys:
             got = "a comma or nothing where a key must be"
             raise Error(f"acoustics {text!r}: must be key=value, ... (got {got})")

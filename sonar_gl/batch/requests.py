@@ -274,8 +274,8 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
             build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(
-            f"{where}: vary.water must stand without acoustics.sonar_sound_speed_m_s "
-            "(got both; ranges would differ from ping to ping)"
+            f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "
+            "would differ from ping to ping; leave one out)"
         )
 
 

@@ -233,7 +233,7 @@ SIX = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
         (["tank.sdf", "--pose", "1 2 3"], f"{SIX} (got 3: '1 2 3')"),
         (
             ["tank.sdf", "--pose", "0 0 0 0 0 0", "--poses", "dive.csv"],
-            "--pose and --poses must not stand together (the file of --poses holds every pose)",
+            "--pose and --poses exclude each other (the file of --poses has all poses; leave one out)",
         ),
         (
             ["tank.sdf", "--poses", "none.csv"],
