@@ -1,4 +1,4 @@
-"""One run: a sonar in a world, and what makes its pings."""
+"""A run: one sonar in a world, with its samplers and stages."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from sonar_gl.sonar.sonar import Sonar
 
 
 class Run:
-    """A sonar in a world, and what makes its pings.
+    """One sonar in a world, with the objects that make its pings.
 
     Parameters
     ----------
-    world : World, of which this is one more user
+    world : World; the run counts as one of its users
     sonar, acoustics, sampling, tolerance : as for `Simulator`
 
     Attributes
     ----------
     instrument : Instrument
-    sampler : what chooses the samples
+    sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
     """
 
@@ -74,9 +74,9 @@ class Run:
 
     @contextmanager
     def drawing(self, beside: Future | None = None):
-        """Have the OpenGL context current for the time of the block, in one thread at a time.
+        """Make the OpenGL context current inside a `with` block, in one thread at a time.
 
-        Pings of a sequence that are summed in another thread are waited for, except `beside`.
+        The block waits for the pings that another thread still sums, except for those of `beside`.
         """
         with self.world.drawing() as context:
             if self._in_flight is not None and self._in_flight is not beside:
@@ -86,7 +86,7 @@ class Run:
             yield context
 
     def receiving(self, future: Future) -> None:
-        """Take note of pings that are summed in another thread, with the arrays of this run."""
+        """Remember the pings that another thread sums into arrays of this run, so that `drawing` waits for them."""
         self._in_flight = future
 
     def set_up(self, request: PingRequest) -> PingSetup:
@@ -95,7 +95,7 @@ class Run:
         Raises
         ------
         Error
-            if it names bodies that the scene has not, or its water makes no sense.
+            if it names a body that the scene lacks, or its water is invalid.
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
@@ -113,14 +113,14 @@ class Run:
         return images.draw(resolution.stage, views, poses, states)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return how to sample a ping once more, or None if its samples keep the tolerance."""
+        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
         if resolution is None and self._are_images_too_coarse(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
     def is_outdated(self, received: ReceivedPing) -> bool:
-        """Return whether a ping of a sequence has to be sampled once more, with a check."""
+        """Return whether a ping of a sequence must be sampled again, with a check of its error."""
         total = received.direct.total
         return self.sampler.has_changed(total) or total <= 0 or self._are_images_too_coarse(received)
 
@@ -130,7 +130,7 @@ class Run:
         return images is not None and images.are_too_coarse(*made_of)
 
     def sample_origin(self) -> SampleOrigin:
-        """Return what the pings' `meta` says of the scene."""
+        """Return what the `meta` of pings states about the scene and the driver."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
             self._described = scene
@@ -152,7 +152,7 @@ class Run:
             warn_caller(why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view))
 
     def close(self) -> None:
-        """Give back all that it holds, and the OpenGL context if no other run uses it; a second call does nothing."""
+        """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing."""
         world = self._world
         if world is not None:
             world.check_thread()
@@ -165,6 +165,6 @@ class Run:
         self.stages = self.sampler = self.image_sources = self._in_flight = None
 
     def forget(self) -> None:
-        """Take note that nobody can use this run any more, without closing it: for finalisers."""
+        """Count this run as unused without closing it, since finalisers must not call OpenGL."""
         if self._world is not None:
             self._world.forget()

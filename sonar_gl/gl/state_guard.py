@@ -1,7 +1,7 @@
 """A guard that saves the OpenGL state of a host's context, sets OpenGL's defaults, and restores the state.
 
-The tables list the state that bears on drawing and on reading pixels: how each part is read, what sets it,
-and its default.
+The tables list the state that affects drawing and reading pixels: how each part is read, which function sets
+it, and its default.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Value(NamedTuple):
     name : enum that `glGetIntegerv` takes
     setter : function that sets it
     target : the setter's arguments before the value
-    default : value inside the block; None leaves the host's, which does not bear on what we draw
+    default : value inside the block; None leaves the host's, which does not affect drawing
     extension : key of CORE_SINCE that it came with, "" for OpenGL 3.3
     """
 
@@ -199,16 +199,17 @@ class Block(NamedTuple):
 class StateGuard:
     """Saves the state of the current context at the start of a `with` block, and restores it at the end.
 
-    Inside the block all state that bears on drawing and on reading pixels is as in a new context. Bindings
-    that do not bear on it stay the host's. Errors that were pending before the block are pending again after
-    it, and those of the block are cleared. A debug callback is told of neither. Blocks may be nested.
+    Inside the block, all state that affects drawing and reading pixels has OpenGL's defaults. Other bindings
+    stay the host's. After the block, the errors that were pending before it are pending again, and errors of
+    the block are cleared. The host's debug callback receives neither. Blocks may be nested.
 
-    The guard restores what it sets itself and what drawing with moderngl changes. It leaves the rest alone:
-    stencil functions, textures of other units and targets, samplers, images, buffers bound by index, hints.
+    The guard restores the state that it sets itself and the state that drawing with moderngl changes. It does
+    not touch the rest: stencil functions, textures of other units and targets, samplers, images, buffers bound
+    by index, hints.
 
-    OpenGL cannot be asked for all of its state: queries and transform feedback in progress are not saved.
-    Objects that no longer exist are not bound again. They were deleted in the block, or before it, like a
-    program that was still in use, which OpenGL deletes as soon as another one is used.
+    OpenGL has no queries for some of its state: running queries and transform feedback are not saved. Objects
+    that no longer exist are not bound again. The block deleted them, or the host did before: OpenGL deletes a
+    program in use as soon as another program is used.
     """
 
     def __init__(self, gl: Functions):

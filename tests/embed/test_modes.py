@@ -382,8 +382,8 @@ def test_invalid_shader_outputs_raise_errors():
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
         for kind, lattice, message in (
-            ("nan", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
-            ("loud", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
+            ("nan", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
+            ("loud", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
             ("sonar", np.zeros((3, 3)), "must be finite .* set the uniform sonar_gl_lattice"),
         ):
             with pytest.raises(sg.Error, match=message), sector:
