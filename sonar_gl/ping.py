@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.sonar.sonar import Sonar
+if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list things would wait
+    from sonar_gl.acoustics.acoustics import Acoustics
+    from sonar_gl.sonar.sonar import Sonar
 
 
 @dataclass(frozen=True, eq=False)

@@ -455,7 +455,10 @@ def test_more_samples_than_the_driver_supports(monkeypatch):
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
         for _ in range(3):  # every time, and never a read of uninitialized memory
-            with pytest.raises(sg.Error, match=r"for which it makes no framebuffer: .*error 0x0500"), sector:
+            with (
+                pytest.raises(sg.Error, match=r"for which it creates no framebuffer: .*error 0x0500"),
+                sector,
+            ):
                 pass
             assert host_state.snapshot(plain) == state
         with pytest.raises(sg.Error, match="got 0 of 1"):
