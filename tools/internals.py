@@ -10,9 +10,11 @@ from __future__ import annotations
 from contextlib import contextmanager
 from time import perf_counter
 
+from sonar_gl.engine.adaptive import CHECK_EVERY
 from sonar_gl.engine.pipeline import draw
 from sonar_gl.engine.request import PingRequest
 
+PINGS_PER_REVIEW = CHECK_EVERY  # of a tolerance, while the sonar moves slowly
 STAGES = ("render", "reduce", "beams")  # draw and read back; samples to columns; columns to beams
 
 

@@ -1,7 +1,8 @@
-"""Image sources: multipath echoes by way of planar reflectors, drawn from the sonar's images behind them.
+"""Multipath echoes by way of planar reflectors, computed from image sources.
 
-The sonar's image behind a plane sees through it what the sonar sees in it. So an echo that meets the plane twice
-is a ping of the image, and a single-bounce echo goes straight one way and by the image's ray the other.
+An image source is the mirror image of the sonar in a planar reflector. A ray of the sonar that the plane reflects
+continues as a straight ray of the image source. Double-bounce echoes therefore form a ping of the image source. In a
+single-bounce echo, sound travels one way along a direct ray and the other way along a ray of the image source.
 """
 
 from __future__ import annotations
@@ -124,8 +125,9 @@ class ImageSources:
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
 
     def reset(self) -> None:
-        """Begin with the coarsest samples, as if no ping had been made before."""
-        self._halvings = self.COARSEST
+        """Begin with the coarsest samples, as if no ping had been made before, unless they are fixed."""
+        if not self._is_fixed:
+            self._halvings = self.COARSEST
 
     def fix(self, halvings: int) -> None:
         """Halve samples so often from now on."""
@@ -140,10 +142,8 @@ class ImageSources:
         """How often samples are halved, by the multipath of the last ping."""
         return self._halvings
 
-    def are_too_coarse(
-        self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho
-    ) -> bool:
-        """Return whether a ping's images should have been drawn finer; the next ones are."""
+    def review(self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho) -> bool:
+        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them."""
         if images is None:
             return False
         if not self._is_fixed:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from sonar_gl.acoustics.pulse import matched_filter
+from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
 from sonar_gl.engine.flow import DrawnPing, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import receive_images
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
@@ -20,17 +21,24 @@ from sonar_gl.ping import Ping
 
 def make_ping(run: Run, request: PingRequest) -> Ping:
     """Return one transmission and what it brings back: the whole simulator on one screen."""
+    setup = run.set_up(request)
     with run.drawing():
-        received = sample(run, run.set_up(request))
+        received = sample(run, setup)
     return finish(run, received)
 
 
 def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Needs the OpenGL context."""
-    resolution = run.sampler.resolution_for(setup, check)
+    setup = run.with_later_bodies(setup)
+    resolution, received = run.sampler.resolution_for(setup, check), None
     while resolution is not None:
-        (drawn,) = draw(run, [setup], resolution)
-        received = receive(drawn)
+        if resolution.finer_images and received is not None:
+            (images,) = run.draw_images(resolution, [received.drawn.view], [setup])
+            drawn = replace(received.drawn, resolution=resolution, images=images)
+            received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
+        else:
+            (drawn,) = draw(run, [setup], resolution)
+            received = receive(drawn)
         resolution = run.review(received)  # a body came into view, or multipath is too coarse
     return received
 
@@ -48,7 +56,7 @@ def draw(
         with_bodies=resolution.check or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
-    images = run.draw_images(resolution, views[:n], poses, states)
+    images = run.draw_images(resolution, views[:n], setups)
     backgrounds = iter(views[n:])
     return [
         DrawnPing(setup, resolution, *both, None if setup.background is None else next(backgrounds))
@@ -60,8 +68,14 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
     """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
     direct = beamformer.sum_view(drawn.view, setup.gain)  # with transmission loss both ways, and TVG
-    multipath = None if drawn.images is None else receive_images(drawn.images, setup.gain)
-    return ReceivedPing(drawn, direct, multipath, label(drawn) if setup.request.labels else None)
+    return ReceivedPing(
+        drawn, direct, receive_multipath(drawn), label(drawn) if setup.request.labels else None
+    )
+
+
+def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the image sources of a ping, if it has any."""
+    return None if drawn.images is None else receive_images(drawn.images, drawn.setup.gain)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -77,11 +91,11 @@ def finish(run: Run, received: ReceivedPing) -> Ping:
     """Assemble a ping of a scene; warn if it has no echo."""
     run.warn_if_no_echo(received)
     estimate = run.sampler.error_estimate(received.drawn.setup.request.pose)
-    return assemble(run.instrument, received, run.source(), estimate)
+    return assemble(run.instrument, received, run.sample_origin(), estimate)
 
 
 def assemble(
-    instrument: Instrument, received: ReceivedPing, source: Source, error_estimate: float | None = None
+    instrument: Instrument, received: ReceivedPing, origin: SampleOrigin, error_estimate: float | None = None
 ) -> Ping:
     """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
     setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
@@ -92,7 +106,7 @@ def assemble(
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
     meta = instrument.provenance.meta(
-        source,
+        origin,
         setup.acoustics,
         sampling=asdict(received.drawn.resolution.stage.sampling),
         seed=request.seed,

@@ -1,41 +1,42 @@
-"""One run: a sonar in a world, and what makes its pings."""
+"""A run: one sonar in a world, with its samplers and stages."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import replace
 
+import numpy as np
+
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import closed_error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
-CLOSED = "this Simulator is closed; make a new one"
-
 
 class Run:
-    """A sonar in a world, and what makes its pings.
+    """One sonar in a world, with the objects that make its pings.
 
     Parameters
     ----------
-    world : World, of which this is one more user
+    world : World; the run counts as one of its users
     sonar, acoustics, sampling, tolerance : as for `Simulator`
 
     Attributes
     ----------
     instrument : Instrument
-    sampler : what chooses the samples
+    sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
     """
 
@@ -43,7 +44,7 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.users += 1
-        self._world, self._source, self._described, self._in_flight = world, None, None, None
+        self._world, self._origin, self._described, self._in_flight = world, None, None, None
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -66,7 +67,7 @@ class Run:
     def check_open(self) -> None:
         """Raise an Error once the run is closed."""
         if self._world is None:
-            raise Error(CLOSED)
+            raise closed_error("Simulator")
 
     @property
     def world(self) -> World:
@@ -76,74 +77,91 @@ class Run:
 
     @contextmanager
     def drawing(self, beside: Future | None = None):
-        """Have the OpenGL context current for the time of the block, in one thread at a time.
+        """Make the OpenGL context current inside a `with` block, in one thread at a time.
 
-        Pings of a sequence that are summed in another thread are waited for, except `beside`.
+        The block waits for the pings that another thread still sums, except for those of `beside`.
         """
         with self.world.drawing() as context:
             if self._in_flight is not None and self._in_flight is not beside:
                 wait([self._in_flight])
             if self._world is None:  # closed while this one waited
-                raise Error(CLOSED)
+                raise closed_error("Simulator")
             yield context
 
     def receiving(self, future: Future) -> None:
-        """Take note of pings that are summed in another thread, with the arrays of this run."""
+        """Remember the pings that another thread sums into arrays of this run, so that `drawing` waits for them."""
         self._in_flight = future
 
     def set_up(self, request: PingRequest) -> PingSetup:
-        """Resolve a request in the scene.
+        """Resolve a request in the scene as it is now; not inside `drawing`.
 
         Raises
         ------
         Error
-            if it names bodies that the scene has not, or its water makes no sense.
+            if it names a body that the scene lacks, or its water is invalid.
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
-        state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
-        background = None if request.background is None else world.mask_of(request.background)
-        return self.instrument.set_up(request, state, len(world.scene.bodies), background)
+        with world.unchanged():
+            state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
+            background = None if request.background is None else world.mask_of(request.background)
+            return self.instrument.set_up(request, state, len(world.scene.bodies), background)
 
-    def draw_images(self, resolution: Resolution, views, poses, states) -> list:
+    def with_later_bodies(self, setup: PingSetup) -> PingSetup:
+        """Return a setup in a scene to which bodies may have been added since: they are absent."""
+        n_bodies = len(self.world.scene.bodies)
+        n = n_bodies - setup.n_bodies
+        if not n:
+            return setup
+        background = None if setup.background is None else np.append(setup.background, np.zeros(n, bool))
+        return replace(setup, state=setup.state.with_absent(n), n_bodies=n_bodies, background=background)
+
+    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
         """Draw the image sources of pings that were just drawn; None for each without multipath."""
         images = self.image_sources
         if images is None:
-            return [None] * len(poses)
+            return [None] * len(setups)
         images.use_scene(self.world.scene)
         if self.sampler.tolerance is None and not resolution.finer_images:
             images.reset()  # samples were given: no ping depends on those before
+        poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
         return images.draw(resolution.stage, views, poses, states)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return how to sample a ping once more, or None if its samples keep the tolerance."""
+        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
-        if resolution is None and self._are_images_too_coarse(received):
+        if resolution is None and self._review_images(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
     def is_outdated(self, received: ReceivedPing) -> bool:
-        """Return whether a ping of a sequence has to be sampled once more, with a check."""
-        total = received.direct.total
-        return self.sampler.has_changed(total) or total <= 0 or self._are_images_too_coarse(received)
+        """Return whether a ping of a sequence must be sampled again, with a check of its error."""
+        total, sampling = received.direct.total, received.drawn.resolution.stage.sampling
+        return (
+            sampling != self.sampler.resolution.stage.sampling  # chosen after this ping was drawn
+            or self.sampler.has_changed(total)
+            or total <= 0
+            or self._review_images(received)
+        )
 
-    def _are_images_too_coarse(self, received: ReceivedPing) -> bool:
+    def _review_images(self, received: ReceivedPing) -> bool:
+        """Return whether the image sources of a ping are to be drawn finer."""
         images = self.image_sources
         made_of = received.drawn.images, received.multipath, received.direct
-        return images is not None and images.are_too_coarse(*made_of)
+        return images is not None and images.review(*made_of)
 
-    def source(self) -> Source:
-        """Return what the pings' `meta` says of the scene."""
+    def sample_origin(self) -> SampleOrigin:
+        """Return what the `meta` of pings states about the scene and the driver."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
             self._described = scene
-            self._source = Source(
+            self._origin = SampleOrigin(
                 scene.name,
                 tuple(body.name for body in scene.bodies),
                 tuple(plume.name for plume in scene.plumes),
                 self.sampler.tolerance,
                 self.world.gl_info["renderer"],
             )
-        return self._source
+        return self._origin
 
     def warn_if_no_echo(self, received: ReceivedPing) -> None:
         """Warn if a ping has no echo; the message names the nearest surface and why it returned none."""
@@ -154,7 +172,7 @@ class Run:
             warn_caller(why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view))
 
     def close(self) -> None:
-        """Give back all that it holds, and the OpenGL context if no other run uses it; a second call does nothing."""
+        """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing."""
         world = self._world
         if world is not None:
             world.check_thread()
@@ -167,6 +185,6 @@ class Run:
         self.stages = self.sampler = self.image_sources = self._in_flight = None
 
     def forget(self) -> None:
-        """Take note that nobody can use this run any more, without closing it: for finalisers."""
+        """Count this run as unused without closing it, since finalisers must not call OpenGL."""
         if self._world is not None:
             self._world.forget()

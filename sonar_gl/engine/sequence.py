@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from itertools import count, repeat
 
 import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.engine.adaptive import Plan
-from sonar_gl.engine.flow import PingSetup, ReceivedPing
+from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
@@ -64,8 +64,9 @@ def _per_ping(values, name: str, poses) -> Iterable:
 
 def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
     """Choose the samples for all of these pings, and stay with them."""
+    setups = [run.set_up(request) for request in requests]
     with run.drawing():
-        setups = [run.set_up(request) for request in requests]
+        setups = [run.with_later_bodies(setup) for setup in setups]
         chosen = run.sampler.fix(setups)
         if (images := run.image_sources) is not None:
             images.release()
@@ -78,81 +79,79 @@ def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
     return chosen
 
 
-@dataclass
-class _Batch:
-    """Pings that can be drawn at once, and what comes after them.
+class _Upcoming:
+    """Pings to come.
+
+    Parameters
+    ----------
+    requests : may come from a user's generator, which may use the simulator itself
 
     Attributes
     ----------
-    setups : PingSetup of each
-    to_check : the ping after them whose error is to be estimated; or None
     failure : why there are no more; or None
-    is_last : whether there are no more
     """
 
-    setups: list[PingSetup] = field(default_factory=list)
-    to_check: PingSetup | None = None
-    failure: Exception | None = None
-    is_last: bool = False
+    def __init__(self, run: Run, requests: Iterator[PingRequest]):
+        self._run, self._requests = run, requests
+        self._setups: deque[PingSetup] = deque()
+        self._is_over, self.failure = False, None
+
+    def fill(self) -> bool:
+        """Set up pings until one batch is there; return whether any is. Not inside `drawing`."""
+        while len(self._setups) < BATCH and not self._is_over:
+            try:
+                self._setups.append(self._run.set_up(next(self._requests)))
+            except StopIteration:
+                self._is_over = True
+            except Exception as why:  # of this request: the pings before it come first
+                self.failure, self._is_over = why, True
+        return bool(self._setups)
+
+    def next_batch(self) -> tuple[list[PingSetup], PingSetup | None]:
+        """Return pings that can be drawn at once, and the one after them if its error is to be estimated."""
+        batch = []
+        while self._setups:
+            setup = self._run.with_later_bodies(self._setups.popleft())
+            if self._run.sampler.notice(setup):
+                return batch, setup
+            batch.append(setup)
+        return batch, None
 
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
     """Yield pings: while one batch is drawn, the one before is received in another thread."""
     in_flight: Future | None = None
+    upcoming = _Upcoming(run, requests)
     with ThreadPoolExecutor(1, "sonar_gl receiver") as thread:
-        batch = _Batch()
-        while not batch.is_last:
+        while upcoming.fill():
             with run.drawing(beside=in_flight):
-                batch = _next_batch(run, requests)
-                upcoming = None
-                if batch.setups:
-                    drawn = draw(run, batch.setups, run.sampler.resolution, keep_last=True)
-                    upcoming = thread.submit(lambda drawn=drawn: [receive(one) for one in drawn])
-                    run.receiving(upcoming)
+                batch, to_check = upcoming.next_batch()
+                drawn_now = None
+                if batch:
+                    drawn = draw(run, batch, run.sampler.resolution, keep_last=True)
+                    drawn_now = thread.submit(lambda drawn=drawn: [receive(one) for one in drawn])
+                    run.receiving(drawn_now)
             if in_flight is not None:
                 yield from _finished(run, in_flight)
-            in_flight = upcoming
-            if batch.to_check is not None:
+            in_flight = drawn_now
+            if to_check is not None:
                 if in_flight is not None:
                     yield from _finished(run, in_flight)
                     in_flight = None
                 with run.drawing():
-                    received = sample(run, batch.to_check, check=True)
+                    received = sample(run, to_check, check=True)
                 yield finish(run, received)
         if in_flight is not None:
             yield from _finished(run, in_flight)
-    if batch.failure is not None:
-        raise batch.failure
-
-
-def _next_batch(run: Run, requests: Iterator[PingRequest]) -> _Batch:
-    batch = _Batch()
-    while len(batch.setups) < BATCH:
-        try:
-            setup = run.set_up(next(requests))
-        except StopIteration:
-            batch.is_last = True
-            break
-        except Exception as why:  # of this request: the pings before it come first
-            batch.failure, batch.is_last = why, True
-            break
-        if run.sampler.is_due(setup):
-            batch.to_check = setup
-            break
-        batch.setups.append(setup)
-    return batch
+    if upcoming.failure is not None:
+        raise upcoming.failure
 
 
 def _finished(run: Run, in_flight: Future) -> Iterator[Ping]:
     """Yield the pings of a batch that was drawn before."""
     for received in in_flight.result():
-        yield finish(run, _up_to_date(run, received))
-
-
-def _up_to_date(run: Run, received: ReceivedPing) -> ReceivedPing:
-    """Return a ping, sampled once more if its samples were chosen for another sight."""
-    run.check_open()
-    if not run.is_outdated(received):
-        return received
-    with run.drawing():
-        return sample(run, received.drawn.setup, check=True)
+        run.check_open()
+        if run.is_outdated(received):
+            with run.drawing():
+                received = sample(run, received.drawn.setup, check=True)
+        yield finish(run, received)

@@ -29,7 +29,7 @@ from sonar_gl.raster.draw_list import (
     distance_before_plane,
     window_about,
 )
-from sonar_gl.raster.level_of_detail import Levels, prepare
+from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
 from sonar_gl.raster.small_triangles import (
     DrawnTriangles,
     PatchFaces,
@@ -87,7 +87,7 @@ class SceneMeshes:
             np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32)
         )
         self._tree = self._faces = ()
-        self._prepared = {}
+        self._meshes = {}
         self._chosen = np.empty((0, 2), np.int32)
 
     @property
@@ -100,20 +100,20 @@ class SceneMeshes:
 
         Returns
         -------
-        the new meshes, `Prepared`, in the order of their vertices
+        the new meshes, `MeshWithLevels`, in the order of their vertices
         """
         made, added, rows = [], [], []
         n_patches = len(self.levels.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             key = id(body.surface), id(body.normals), id(body.reflectivity) if by_face else None
-            if key not in self._prepared:
-                one = prepare(body)
+            if key not in self._meshes:
+                one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                self._prepared[key] = one.centre, one.bounds, one.closed, (n_patches, end)
+                self._meshes[key] = one.centre, one.bounds, one.closed, (n_patches, end)
                 n_patches = end
                 made.append(one)
-            added.append(self._prepared[key])
+            added.append(self._meshes[key])
             mu = 1.0 if by_face else body.reflectivity
             rows.append([0.0] * 12 + [mu, number, body.specular, body.roughness_rad])
         self._append_levels(made)

@@ -32,6 +32,14 @@ class SceneState:
         """Return this state without the bodies for which the (n,) mask is False."""
         return replace(self, present=self.present & mask)
 
+    def with_absent(self, n: int) -> SceneState:
+        """Return this state with n more bodies, which are absent."""
+        poses = np.concatenate([self.poses, np.tile(np.eye(4), (n, 1, 1))])
+        mu = self.reflectivity
+        if mu is not None:
+            mu = np.append(mu, np.ones(n, mu.dtype))
+        return replace(self, poses=poses, present=np.append(self.present, np.zeros(n, bool)), reflectivity=mu)
+
     def without_bubbles(self) -> SceneState:
         """Return this state without bubbles."""
         return replace(self, bubbles=None)

@@ -109,7 +109,7 @@ def test_the_part_of_a_dead_worker_is_made_by_another(address, tmp_path):
             os.kill(int(victims[0]), signal.SIGKILL)
 
     driver = Driver(kill_worker_of_part_5)
-    driver.run(address, partial(cluster_parts.count, tmp_path), parts())
+    driver.run(address, partial(cluster_parts.wait_to_be_killed, tmp_path), parts())
     assert driver.done == dict.fromkeys(range(40), 1) and not driver.killed
     by_part = tries(tmp_path)
     first, second = by_part.pop(5)

@@ -54,8 +54,9 @@ def parts(tmp_path_factory):
     return [folder / "a", folder / "b"]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def joined(parts):
+    """A COCO of its own for each test: COCOeval writes into the annotations."""
     path = parts[0].with_name("instances.json")
     join(parts, path, CATEGORIES, {"description": "made"})
     return COCO(str(path))

@@ -374,6 +374,18 @@ def test_with_fixed_samples_a_ping_does_not_depend_on_earlier_ones(perfect):
             np.testing.assert_array_equal(ping.intensity, alone)
 
 
+def test_a_plan_holds_for_image_sources_with_fixed_samples(perfect):
+    """They stayed with the coarsest samples, however strong the multipath was."""
+    perfect("floor")
+    scene, strong, _ = SCENES["floor, rolled and pitched"]
+    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(2, 80)) as simulator:
+        reviewed = simulator.ping(strong).intensity
+        assert simulator.run.image_sources.halvings < multipath.ImageSources.COARSEST
+        simulator.plan([strong])
+        np.testing.assert_array_equal(simulator.ping(strong).intensity, reviewed)
+        np.testing.assert_array_equal(next(simulator.pings([strong])).intensity, reviewed)
+
+
 def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
     slope = np.linspace(0.0, 1.0, N_SINES)  # the sine of the grazing angle itself
     floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)

@@ -329,6 +329,57 @@ def test_a_body_added_during_a_sequence_is_in_later_pings():
         np.testing.assert_array_equal(ping.body_id, expected.body_id)
 
 
+def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
+    """Each ping has the scene as it was when its pose came. The naive way holds the lock meanwhile, and hangs."""
+    bodies = [{"box": sg.pose(6, 2 - 0.3 * k)} for k in range(11)]
+    expected = [it.ping(pose, bodies=moved, labels=True) for pose, moved in zip(POSES, bodies, strict=True)]
+
+    def poses():
+        for pose, moved in zip(POSES, bodies, strict=True):
+            it.place(moved)
+            assert it.ping(pose).intensity.any()
+            yield pose
+
+    for ping, single in zip(it.pings(poses(), labels=True), expected, strict=True):
+        check_same(ping, single)
+
+
+def test_a_generator_of_poses_may_add_bodies():
+    """A body is absent from the pings whose poses came before it was added."""
+    with simulator(bodies=BODIES[:2]) as it:
+        before = [it.ping(pose, labels=True, background=["wall"]) for pose in POSES[:6]]
+
+        def poses():
+            yield from POSES[:6]
+            it.add(BODIES[2])
+            yield from POSES[6:]
+
+        together = list(
+            it.pings(poses(), labels=True, background=["wall"], reflectivities=[{"box": 0.8}] * 11)
+        )
+        after = [it.ping(pose, labels=True, background=["wall"]) for pose in POSES[6:]]
+    assert len(together) == len(POSES)
+    for ping, single in zip(together, before + after, strict=True):
+        for name in ("intensity", "body_id", "shadow"):
+            np.testing.assert_array_equal(getattr(ping, name), getattr(single, name))
+
+
+@pytest.mark.parametrize("step_rad", [0.01, 0.02])
+def test_samples_do_not_flicker_where_they_change_within_a_batch(step_rad):
+    """Pings that were drawn ahead, before the samples changed, are drawn once more: 58 rows, then 41, never back."""
+    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
+    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
+    poses = [sg.pose(yaw=step_rad * k) for k in range(24)]
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        single = [it.ping(pose) for pose in poses]
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        together = list(it.pings(poses))
+    rows = [ping.meta["sampling"]["rows"] for ping in together]
+    assert rows == sorted(rows, reverse=True) and rows[0] > rows[-1]
+    for one, other in zip(together, single, strict=True):
+        np.testing.assert_array_equal(one.intensity, other.intensity)
+
+
 @pytest.mark.slow
 def test_memory_does_not_grow():
     with simulator() as it:

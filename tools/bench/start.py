@@ -34,7 +34,7 @@ with sg.Simulator(scene, sg.load_sonar("p900-45")) as simulator:
 FIRST = "sonar-gl render pylon, the very first"
 KINDS = {  # name: (code, seconds aimed at, MB aimed at)
     "python": ("pass", None, None),
-    "import sonar_gl": ("import sonar_gl", 0.3, None),
+    "import sonar_gl": ("import sonar_gl", 0.05, None),
     "the same, and all its names": ("from sonar_gl import *", None, None),
     "sonar-gl render pylon": (RENDER, 2.5, 300),
     "20 pings of pylon, p900-45": (PING, None, 300),
