@@ -36,8 +36,8 @@ def rendered(simulator, pose):
 def count_image_sources(simulator, pose) -> int:
     """Return the number of image sources that are drawn from a pose."""
     run = simulator.run
+    setup = run.set_up(PingRequest(pose))
     with run.drawing():
-        setup = run.set_up(PingRequest(pose))
         (drawn,) = draw(run, [setup], run.sampler.resolution_for(setup))
     return 0 if drawn.images is None else len(drawn.images.sources)
 

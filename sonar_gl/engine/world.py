@@ -47,6 +47,7 @@ class World:
             raise Error(f"context must be 'current' without a device, or None (got {got})")
         joins = context is not None
         self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
+        self._owner = None  # the thread that holds the lock
         self._host_thread = threading.current_thread() if joins else None
         self.scene, self.users, self.thread = scene, 0, SecondThread()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
@@ -76,10 +77,18 @@ class World:
         if os.getpid() != self._process:
             raise other_process_error("Simulator")
         self.check_thread()
+        if self._owner == threading.get_ident():  # the lock would wait for itself
+            raise Error(
+                "a Simulator must not be used while it makes a ping (got a call from a signal handler or callback)"
+            )
         with self._lock:
             if self._context is None:
                 raise closed_error("Simulator")
-            yield
+            self._owner = threading.get_ident()
+            try:
+                yield
+            finally:
+                self._owner = None
 
     @contextmanager
     def drawing(self):
