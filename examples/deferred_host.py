@@ -107,14 +107,14 @@ def main(out="out"):
     sonar, place = sg.load_sonar("p900-45").with_range(12.0), sg.pose(0, 0, 1.6, pitch=0.2)
     names = [name for name, *_ in BODIES]
     reflectivity = {number: mu for number, (*_, mu) in enumerate(BODIES, 1)}
-    (camera,) = sg.Camera.covering(sonar, pixel_deg=0.05)  # at the sonar's place, and sees all that it hears
+    (camera,) = sg.Camera.covering(sonar, pixel_deg=0.05)  # at the sonar's position; it sees the whole fan
     projection = camera.projection(near_m=0.1, far_m=60.0)
 
     gl = moderngl.create_context(standalone=True, backend="egl")
     renderer = Renderer(gl, (camera.width, camera.height))
     renderer.draw(np.linalg.inv(camera.pose_gl(place)), projection)
 
-    # Door 3: the sonar reads the textures that are there already, by their OpenGL names.
+    # Embedding mode 3: the sonar reads the textures that the renderer has, by their OpenGL names.
     with embed.Sensor(sonar) as sensor:
         texture_ping = sensor.ping_from_textures(
             renderer.depth.glo, projection, place, normals=renderer.normals.glo,

@@ -135,7 +135,7 @@ def draw_picture(program, *what):
 
 
 def draw_ping(sensor, place, program, arrays, poses):
-    """What a sonar hears, sector by sector; OpenGL's state afterwards is what it was before."""
+    """Return the ping of what is drawn for each sector; OpenGL's state afterwards is what it was before."""
     for sector in sensor.sectors(place):
         with sector:
             GL.glUseProgram(program)
@@ -159,7 +159,7 @@ def main(out="out"):
     camera = sg.Camera.of_fov(width, height, fov_y_rad=0.75)
     clip_from_world = camera.projection(0.1, 50.0) @ np.linalg.inv(camera.pose_gl(place))
 
-    # Door 1: the sonar joins the context that is current, and is told where bodies are, ping by ping.
+    # Embedding mode 1: the sonar joins the current context; each ping says where the bodies are.
     scene = sg.Scene([sg.Body(name, mesh, reflectivity=REFLECTIVITY[name]) for name, mesh in MESHES.items()])
     with sg.Simulator(scene, sonar, context="current") as simulator:
         for x in (6.5, 7.5):
@@ -169,7 +169,7 @@ def main(out="out"):
             echoes = zip(MESHES, ping.body_echo[1:], strict=True)
             print(f"block at x = {x} m: " + ", ".join(f"{name} {echo:.3g}" for name, echo in echoes))
 
-    # Door 2: this program draws for the sonar, here with as many samples as door 1 took.
+    # Embedding mode 2: this program draws for the sonar, here with as many samples as mode 1 took.
     with embed.Sensor(sonar, sampling=sg.Sampling(**ping.meta["sampling"])) as sensor:
         drawn_ping = draw_ping(sensor, place, sonar_program, arrays, poses)
 

@@ -57,7 +57,7 @@ def main(out="out"):
     with sg.Simulator(sg.Scene(bodies), sonar, context="current") as simulator:
         ping = simulator.ping(place, labels=True)
 
-    # or the sonar hears depth and numbers of bodies, which pyrender draws of all that its fan sees
+    # or pyrender draws depth and numbers of bodies in the fan, and the sonar makes a ping of them
     focal, middle = camera.intrinsics[[0, 1], [0, 1]], (camera.width / 2, camera.height / 2)
     scene.add(pyrender.IntrinsicsCamera(*focal, *middle, znear=0.1, zfar=50.0), pose=camera.pose_gl(place))
     renderer.viewport_width, renderer.viewport_height = camera.width, camera.height

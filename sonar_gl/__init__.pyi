@@ -12,7 +12,7 @@ from .imaging.axes import draw_axes
 from .imaging.demarco2015 import demarco_image
 from .imaging.fan_image import colorize, fan_image
 from .imaging.files import load_npz, save_animation, save_npz, save_png
-from .noise.noise import Noise
+from .noise.settings import Noise
 from .ping import GBuffer, Ping
 from .scene.load import bundled_scenes, load_scene
 from .scene.plume import Bubbles

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list things would wait
     from sonar_gl.acoustics.acoustics import Acoustics
     from sonar_gl.sonar.sonar import Sonar
 

@@ -140,8 +140,9 @@ class Simulator:
         Warns
         -----
         UserWarning
-            if the ping has no echo; the message names the nearest surface and why it returned none. If the
-            tolerance cannot be met.
+            if the ping has no echo; the message names the nearest surface and why it returned none.
+        sonar_gl.sonar.sampling.ToleranceWarning
+            if the tolerance cannot be met; a UserWarning, too.
         """
         request = PingRequest(
             pose=pose,

@@ -594,7 +594,7 @@ MOVED = [
     None if k == 2 else {"ball": sg.pose(6, 2 - 0.5 * k, -1.5), "faces": None if k % 2 else POSE @ sg.pose(8)}
     for k in range(len(PATH))
 ]
-DOORS = {
+EMBEDDED = {
     "current": joined,
     "current, labels": partial(joined, **LABELS),
     "current, far": partial(joined, "far"),
@@ -703,7 +703,7 @@ def cases() -> Iterator[tuple[str, Callable]]:
     yield "seen/180 degrees", partial(seen, FANS["180 degrees"])
     yield "seen/360 degrees", partial(seen, circle)
     yield "seen/ocean_floor", partial(seen, scene="ocean_floor")
-    for name, function in DOORS.items():
+    for name, function in EMBEDDED.items():
         yield f"embed/{name}", function
 
     yield "picture/dB", picture

@@ -10,9 +10,11 @@ from __future__ import annotations
 from contextlib import contextmanager
 from time import perf_counter
 
+from sonar_gl.engine.adaptive import CHECK_EVERY
 from sonar_gl.engine.pipeline import draw
 from sonar_gl.engine.request import PingRequest
 
+PINGS_PER_REVIEW = CHECK_EVERY  # of a tolerance, while the sonar moves slowly
 STAGES = ("render", "reduce", "beams")  # draw and read back; samples to columns; columns to beams
 
 
@@ -34,8 +36,8 @@ def rendered(simulator, pose):
 def count_image_sources(simulator, pose) -> int:
     """Return the number of image sources that are drawn from a pose."""
     run = simulator.run
+    setup = run.set_up(PingRequest(pose))
     with run.drawing():
-        setup = run.set_up(PingRequest(pose))
         (drawn,) = draw(run, [setup], run.sampler.resolution_for(setup))
     return 0 if drawn.images is None else len(drawn.images.sources)
 

@@ -57,7 +57,13 @@ MULTIPATH = ("test_multipath",)
 TRIANGLES = ("test_small_triangles|test_sift", "test_specular")
 CULLING = ("test_cull|test_culling", "test_level_of_detail|test_detail", "test_window")
 ADAPTIVE = ("test_adaptive|test_plan", "test_moving_bodies|test_moving", "test_sequence")
-NOISE = ("test_noise", "test_speckle")
+NOISE = (
+    "test_noise",
+    "test_speckle",
+    "test_receiver|test_speckle",
+    "test_k_distribution|test_speckle",
+    "test_place_speckle|test_speckle",
+)
 STORE = ("test_batch", "test_runs|test_batch_runs")
 GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
 SDF = ("test_sdf",)
@@ -539,7 +545,7 @@ def test_files(mutation: Mutation, root: Path) -> list[str]:
         if not found:
             raise SystemExit(f"{mutation.name}: there is no test module {names} in {root / 'tests'}")
         out.append(found[0].relative_to(root).as_posix())
-    return out
+    return list(dict.fromkeys(out))
 
 
 def edits_of(mutation: Mutation, root: Path) -> list[tuple[Path, int, int, str]]:

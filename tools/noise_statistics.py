@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import aperture_width
 from sonar_gl.ping import Ping
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.beam_pattern import TAPERS, ArrayPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import PULSE_TAPERS, bin_weights
+from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 from sonar_gl.core.checks import check_choice, check_kind, check_number
 from sonar_gl.core.errors import Error, nearest_names
@@ -56,8 +57,6 @@ BOUNDS = (  # field, least and greatest value, hint for messages
 # Fields that describe the water, and that a ping may change.
 WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "sound_speed_m_s"
 
-MIN_SPREADING_RANGE_M = 1e-3  # shorter ranges spread as this one, so that r^-2 is finite at r = 0
-MAX_DECADES = 30.0  # gains stay within 10^±30, so that float32 echoes are finite
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
@@ -220,7 +219,7 @@ class Acoustics:
         """
         keys = [item.partition("=")[0].strip() for item in text.split(",")]
         if "needed" in keys:
-            raise Error(f"acoustics {text!r}: needed must stand alone: it chooses the terms itself")
+            raise Error(f"acoustics {text!r}: needed takes no other settings: it chooses the terms itself")
         if "" in keys:
             got = "a comma or nothing where a key must be"
             raise Error(f"acoustics {text!r}: must be key=value, ... (got {got})")
@@ -323,15 +322,10 @@ class Acoustics:
             return np.ones_like(r)
         if self.range_law == "printed":
             return (r / sonar.range_max_m) ** 2
-        r = np.maximum(r, MIN_SPREADING_RANGE_M)
-        scale = self.shown_per_true()
         if self.range_law == "inverse":
-            return np.minimum(1.0, (r / scale) ** -2)
-        absorption, assumed = self._true_and_assumed_absorption(sonar)
-        # one exponent: where TVG and loss cancel they do so exactly, and 10^(-αr) cannot underflow on its own
-        decades = (self.tvg_k / 10 - 2) * np.log10(r) + 2 * math.log10(scale)
-        decades += 2 * (assumed - absorption / scale) * r / 10
-        return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+            return inverse_square_gain(r, self.shown_per_true())
+        absorption = self._true_and_assumed_absorption(sonar)
+        return sonar_equation_gain(r, self.tvg_k, *absorption, self.shown_per_true())
 
     def tvg(self, range_m, sonar) -> np.ndarray:
         """Return the TVG without the transmission loss; 1 for range laws other than "sonar_equation".
@@ -354,9 +348,8 @@ class Acoustics:
         r = np.asarray(range_m, np.float64)
         if self.range_law != "sonar_equation":
             return np.ones_like(r)
-        r = np.maximum(r, MIN_SPREADING_RANGE_M)
-        decades = (self.tvg_k * np.log10(r) + 2 * self._true_and_assumed_absorption(sonar)[1] * r) / 10
-        return 10.0 ** np.clip(decades, -MAX_DECADES, MAX_DECADES)
+        _, assumed = self._true_and_assumed_absorption(sonar)
+        return time_varied_gain(r, self.tvg_k, assumed)
 
     def _true_and_assumed_absorption(self, sonar) -> tuple[float, float]:
         """Return α of the water and α of the TVG, dB per metre, one way."""

@@ -29,7 +29,7 @@ from sonar_gl.analysis.rays import (
 from sonar_gl.core.checks import check_kind, check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
-from sonar_gl.noise.noise import check_seed
+from sonar_gl.noise.random_streams import check_seed
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import NEAR_M

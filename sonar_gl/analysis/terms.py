@@ -15,18 +15,18 @@ from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.sequence import several_poses
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
-from sonar_gl.sonar.sampling import check_tolerance
+from sonar_gl.sonar.sampling import ToleranceWarning, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_POSES = 5  # of a sequence, at which terms are judged
 # Changes are judged with coarser samples than the tolerance needs: times the tolerance, and these bounds of it.
 COARSER, MIN_COARSE, MAX_COARSE = 5.0, 0.05, 0.5
-TURNS = 7  # of timing
-UNMET = "tolerance .* cannot be met"  # the warning is for callers that make pings
+TURNS = 7  # pings of which a time is the median
 SEED = 0  # of the noise: the same with and without a term
 
 
@@ -356,7 +356,7 @@ def price(
     """
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
     with ExitStack() as stack, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", UNMET)
+        warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
         coarse = _Comparison(stack, case, _coarser(tolerance))
         prices = coarse.judge()
         fine = _Comparison(stack, replace(case, scene=coarse.planner), tolerance)
@@ -385,7 +385,7 @@ def needed_acoustics(scene, sonar, tolerance: float = 0.01, pose=None) -> Acoust
     poses = [pose] if pose is not None and np.ndim(pose) == 2 else pose
     case = _make_case(scene, sonar, tolerance, poses)
     with ExitStack() as stack, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", UNMET)
+        warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
         prices = _Comparison(stack, case, _coarser(tolerance)).judge()
     off = [term for term, found in zip(TERMS, prices, strict=True) if not found.on and not term.of_noise]
     return without(case.acoustics, case.noise, off)[0]

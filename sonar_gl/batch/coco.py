@@ -14,7 +14,7 @@ from pycocotools import mask
 
 from sonar_gl.core.errors import Error
 
-MAX_BODIES = 1 << 16  # the id of an annotation is image_id · MAX_BODIES + body_id
+IDS_PER_IMAGE = 1 << 16  # the id of an annotation is image_id · IDS_PER_IMAGE + body_id
 PREFIXES = {"images": b'["image", ', "annotations": b'["annotation", '}  # of lines in the files of parts
 END = b"]\n"
 
@@ -62,7 +62,7 @@ def coco_records(
     annotations = []
     for body, area, box, one in zip(found, mask.area(packed), mask.toBbox(packed), packed, strict=True):
         annotation = {
-            "id": int(image_id) * MAX_BODIES + body,
+            "id": int(image_id) * IDS_PER_IMAGE + body,
             "image_id": int(image_id),
             "category_id": int(classes[body]),
             "bbox": [int(edge) for edge in box],

@@ -276,7 +276,7 @@ def read_job(path) -> Job:
     except ValidationError as why:
         raise job_error(why, Job, str(path)) from None
     if job.coco is not None and job.labels is None:
-        raise Error(f"{path}: coco must stand with labels (got none; add a line [labels])")
+        raise Error(f"{path}: coco needs labels (got none; add a line [labels])")
     return job
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import Camera
 from sonar_gl.gl import context as gl
@@ -98,7 +98,7 @@ class OpticalCamera:
             if a pose is invalid, or a name is unknown.
         """
         if self.context is None:
-            raise Error("this OpticalCamera is closed; make a new one")
+            raise closed_error("OpticalCamera")
         camera_from_world = np.linalg.inv(self.camera.pose_gl(pose))
         poses = self._poses(bodies)
         for name, (_, node) in self._bodies.items():

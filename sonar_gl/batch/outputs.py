@@ -22,7 +22,7 @@ from sonar_gl.embed.camera import Camera
 from sonar_gl.imaging.boxes import body_map, boxes_of
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
-from sonar_gl.imaging.film import FanStyle
+from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.ping import Ping
 
 MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded

@@ -14,7 +14,7 @@ from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajec
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.noise.noise import Noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar, load_sonar
@@ -70,7 +70,7 @@ class BatchRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TrajectoryRun:
     """Consecutive pings along one trajectory in one scene.
 
     Attributes
@@ -211,14 +211,14 @@ def _draw(random, value) -> float:
     return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
 
 
-def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[Run]:
+def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[TrajectoryRun]:
     """Return the runs of a job. Each begins GAP_S after the one before has ended."""
     runs, first, delay_s, last_s = [], 0, 0.0, None
     for trajectory in trajectories:
         for scene in range(n_scenes):
             if last_s is not None:
                 delay_s = last_s + GAP_S - trajectory[0][0]
-            runs.append(Run(scene, trajectory, range(first, first + len(trajectory)), delay_s))
+            runs.append(TrajectoryRun(scene, trajectory, range(first, first + len(trajectory)), delay_s))
             first += len(trajectory)
             last_s = trajectory[len(trajectory) - 1][0] + delay_s
     return runs
@@ -274,8 +274,8 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
             build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(
-            f"{where}: vary.water must stand without acoustics.sonar_sound_speed_m_s "
-            "(got both; ranges would differ from ping to ping)"
+            f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "
+            "would differ from ping to ping; leave one out)"
         )
 
 

@@ -269,7 +269,7 @@ class _PartWriter:
         time_ns = nanoseconds(record.time_s)
         if time_ns < self.time_ns:
             got = f"got {record.time_s:g} s after {self.time_ns / 1e9:g} s"
-            raise Error(f"records of a part must come in the order of their times ({got})")
+            raise Error(f"records of a part must be in the order of their times ({got})")
         if time_ns > self.time_ns:
             self.time_ns, self._placed = time_ns, set()
         (self._add_ping if isinstance(record, PingRecord) else self._add_camera)(record)

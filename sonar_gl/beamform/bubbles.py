@@ -87,19 +87,19 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
     for k in range(sectors.shape[0]):
         t = sectors[k]
         # the middle of the grid, from the sector's axis
-        beside = grid[0] + half + middle - math.atan2(t[1], t[0])
+        beside = grid[0] + half + middle - math.atan2(t.sin, t.cos)
         beside -= 2 * math.pi * math.floor(beside / (2 * math.pi) + 0.5)
         low_u = -math.tan(min(beside + half, MAX_HALF_RAD))
         high_u = -math.tan(max(beside - half, -MAX_HALF_RAD))
-        for row in range(int(t[16])):
-            start = t[4] + t[6] * row
-            first = max(math.ceil((low_u - start) / t[5]), 0.0)
-            end = min(math.floor((high_u - start) / t[5]) + 1.0, t[15])
+        for row in range(t.rows):
+            start = t.u0 + t.uj * row
+            first = max(math.ceil((low_u - start) / t.ui), 0.0)
+            end = min(math.floor((high_u - start) / t.ui) + 1.0, t.columns)
             for column in range(int(first), int(end)):
-                at = plane_echo[row, int(t[14]) + column]
+                at = plane_echo[row, t.left + column]
                 if at[0] <= 0.0:
                     continue
-                u, v = start + t[5] * column, t[7] + t[8] * column + t[9] * row
+                u, v = start + t.ui * column, t.v0 + t.vi * column + t.vj * row
                 length = math.sqrt(1.0 + u * u + v * v)
                 if grid[1] * length < v < last * length and length > at[0] * grid[2]:
                     azimuth = grid[0] + half - beside - math.atan(u)

@@ -6,7 +6,8 @@ because Numba keeps machine code by the file of a function alone: a function tha
 would run with what that one was before its file changed.
 
 Entry functions take plain tuples where inner ones take the NamedTuples below, and name them on their first
-line: Numba finds the type of a plain tuple in 0.1 µs, that of a NamedTuple in 9 µs.
+line: Numba finds the type of a plain tuple in 0.1 µs, that of a NamedTuple in 9 µs. Loops over samples pass
+none on: each call would count references to all of its arrays, which takes as long as all the rest.
 
 Loops over a strip's samples have no branches, so that the compiler can vectorise them. Indices are unsigned:
 an index that may be negative prevents vectorisation.
@@ -57,6 +58,7 @@ class BinTable(NamedTuple):
         height 1 that covers the bin; in float64 and float32
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
+    first_m, per_metre : where the first bin begins, and bins per metre
     """
 
     edges_m: np.ndarray
@@ -65,6 +67,8 @@ class BinTable(NamedTuple):
     density32: np.ndarray
     middle_m: np.ndarray
     q_unseen: float
+    first_m: float
+    per_metre: float
 
 
 class Strip(NamedTuple):
@@ -104,7 +108,10 @@ def bin_table(bin_edges_m: np.ndarray) -> BinTable:
     s = 1.0 / np.maximum(bin_edges_m, 1e-6)
     density = (s[:-1] ** 2 - s[1:] ** 2) / 2
     middle_m, q_unseen = 2.0 / (s[:-1] + s[1:]), float(1.0 / (FAR_FACTOR * bin_edges_m[-1]))
-    return BinTable(bin_edges_m, s, density, density.astype(np.float32), middle_m, q_unseen)
+    first_m, last_m = float(bin_edges_m[0]), float(bin_edges_m[-1])
+    per_metre = len(density) / (last_m - first_m)
+    density32 = density.astype(np.float32)
+    return BinTable(bin_edges_m, s, density, density32, middle_m, q_unseen, first_m, per_metre)
 
 
 # ---- strips ------------------------------------------------------------------------------------------
@@ -127,17 +134,16 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
     lattice, strips : Lattice and StripTable
     q_unseen : of BinTable
     """
-    u, v, tan_elevation, columns = lattice
-    R, uc = plane_echo.shape[0], strips.u[p]
-    v_limit = tan_elevation * math.sqrt(1.0 + uc * uc)
+    u, v, R, uc = lattice.u, lattice.v, plane_echo.shape[0], strips.u[p]
+    v_limit = lattice.tan_elevation * math.sqrt(1.0 + uc * uc)
     nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
     last_row, bottom_row, first, last = nearest - step * R, 0, 0, -1
-    if max(nearest, last_row) > -1.0 and min(nearest, last_row) < columns:  # not beside the window
+    if max(nearest, last_row) > -1.0 and min(nearest, last_row) < lattice.columns:  # not beside the window
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
         bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
         n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
-        first, last = _gather_samples(work, plane_echo, columns, u, v, uc, nearest, step, bottom_row, n)
+        first, last = _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
         if first <= last:
             work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
             _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_limit)
@@ -146,10 +152,11 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
 
 
 @compiled
-def _gather_samples(work, plane_echo, columns, u, v, uc, nearest, step, bottom_row, n):
+def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n):
     """Gather the samples of a strip from row `bottom_row` on; return the first and the last with an echo."""
     q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
     v_ray, echo = work[V_RAY], work[ECHO]
+    u, v, columns = lattice.u, lattice.v, lattice.columns
     lowest, highest = 0, -1
     for m in range(n):
         j = bottom_row + m
@@ -211,12 +218,13 @@ def _clear_rows(columns, sums, spans):
 
 
 @compiled
-def _find_footprints(work, first, last, uc, width, v_limit, elevation_pattern):
-    """Find energy, centre and half-widths of a strip's footprints, from `first` to before `last`.
+def _find_footprints(work, strip, elevation_pattern):
+    """Find energy, centre and half-widths of a strip's footprints.
 
     elevation_pattern : (n,) two-way beam pattern at even sines across the aperture, or of no length
     """
     rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
+    first, last, uc, width, v_limit = strip.first, strip.last, strip.u, strip.width, strip.v_limit
     u2 = 1.0 + uc * uc
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
@@ -253,7 +261,7 @@ def _below(s, middle, wide, thin):
 
 
 @compiled
-def _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin):
+def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin):
     """Add a footprint with ramps of more than a fraction of a bin to a row of bins; return first and last
     bin.
     """
@@ -266,8 +274,8 @@ def _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin
         s < wide + thin
     ):  # a plane beyond its horizon: the energy of the middle is spread over the part in view
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    row, first = uint64(c), uint64(int((1.0 / high - r_first) * per_metre))
-    last = uint64(min(int((1.0 / low - r_first) * per_metre), K - 1))
+    row, first = uint64(c), uint64(int((1.0 / high - first_m) * per_metre))
+    last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer = _below(high, s, wide, thin)
     for k in range(first, last):
         further = _below(bins_s[uint64(k + 1)], s, wide, thin)
@@ -278,9 +286,10 @@ def _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin
 
 
 @compiled
-def _find_intervals(work, first, last, s_first, s_last, r_first, per_metre):
+def _find_intervals(work, first, last, bins):
     """Find both ends of footprints, their heights and bins, ramps neglected, from `first` to before `last`."""
     energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
+    s_first, s_last, first_m, per_metre = bins.s[0], bins.s[-1], bins.first_m, bins.per_metre
     for m in range(uint64(first), uint64(last)):
         wide = max(a[m], b[m], 1e-9 * s[m])
         near, far = s[m] + wide, s[m] - wide
@@ -289,12 +298,12 @@ def _find_intervals(work, first, last, s_first, s_last, r_first, per_metre):
         near, far = min(near, s_first), max(far, s_last)
         inverse = 1.0 / (near * far)  # one division for both ranges
         work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m] = near, far, half_height
-        work[NEAR_BIN, m] = (far * inverse - r_first) * per_metre
-        work[FAR_BIN, m] = (near * inverse - r_first) * per_metre
+        work[NEAR_BIN, m] = (far * inverse - first_m) * per_metre
+        work[FAR_BIN, m] = (near * inverse - first_m) * per_metre
 
 
 @compiled
-def spread_footprints(work, start, stop, sums, spans, c, bins_s, density32, r_first, per_metre):
+def spread_footprints(work, start, stop, sums, spans, c, bins):
     """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
 
     On a plane the cosine of incidence is proportional to s, and so is the energy's density.
@@ -303,9 +312,11 @@ def spread_footprints(work, start, stop, sums, spans, c, bins_s, density32, r_fi
     ----------
     work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A and B, from `start` to before `stop`, are read
     spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
+    bins : BinTable
     """
-    K = sums.shape[1]
-    _find_intervals(work, start, stop, bins_s[0], bins_s[K], r_first, per_metre)
+    K, bins_s, density32 = sums.shape[1], bins.s, bins.density32
+    first_m, per_metre = bins.first_m, bins.per_metre
+    _find_intervals(work, start, stop, bins)
     row, lowest, highest = uint64(c), uint64(K), uint64(0)
     for m in range(uint64(start), uint64(stop)):
         energy, s = work[ENERGY, m], work[S, m]
@@ -314,7 +325,7 @@ def spread_footprints(work, start, stop, sums, spans, c, bins_s, density32, r_fi
         wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
         # short ramps are neglected: those of neighbouring samples overlap and add up to the same
         if 8 * thin * per_metre >= s * s:
-            first, last = _spread_trapezoid(sums, c, bins_s, r_first, per_metre, energy, s, wide, thin)
+            first, last = _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin)
             lowest, highest = min(lowest, first), max(highest, last)
             continue
         near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
@@ -336,14 +347,14 @@ def spread_footprints(work, start, stop, sums, spans, c, bins_s, density32, r_fi
 
 
 @inlined
-def _bin_points(work, sums, spans, u, strip, r_first, per_metre):
+def _bin_points(work, sums, spans, u, strip, bins):
     """Add each of a strip's samples to the one bin that holds the range of its ray."""
     c = strip.column
     for m in range(strip.first, strip.last):
         j = strip.bottom_row + m
         u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
-        k = (1.0 / s - r_first) * per_metre
+        k = (1.0 / s - bins.first_m) * bins.per_metre
         if 0.0 <= k < sums.shape[1]:
             sums[c, int(k)] += work[ENERGY, m] * s
             spans[c, 0], spans[c, 1] = min(spans[c, 0], int(k)), max(spans[c, 1], int(k) + 1)
@@ -367,22 +378,17 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
     spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; overwritten
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
-    K = sums.shape[1]
-    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
-    per_metre = K / (r_last - r_first)
     _clear_rows(strips.column, sums, spans)
     work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
-        first, last = strip.first, strip.last
-        if first == last:
+        if strip.first == strip.last:
             continue
-        _find_footprints(work, first, last, strip.u, strip.width, strip.v_limit, elevation_pattern)
+        _find_footprints(work, strip, elevation_pattern)
         if spread:
-            c = strip.column
-            spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)
+            spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins)
         else:
-            _bin_points(work, sums, spans, lattice.u, strip, r_first, per_metre)
+            _bin_points(work, sums, spans, lattice.u, strip, bins)
 
 
 @compiled
@@ -465,10 +471,45 @@ def weigh_columns(column_sums, spans, first, weights, gain, out):
 HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT = range(4)
 CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4, 8)
 CELL, MOMENTS = 8, 4  # the last four are what a run holds
-BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(
-    5
-)  # of a run: one body in one column; PLACE: where in the pool
+BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(5)  # of a run: one body in one column; PLACE: in the pool
 RUN = 5
+
+
+class ElevationTables(NamedTuple):
+    """Tables at even sines across the aperture.
+
+    pattern : (n,) two-way beam pattern, or of no length
+    weighted_elevation : (n,) elevation, radians, times the pattern
+    """
+
+    pattern: np.ndarray
+    weighted_elevation: np.ndarray
+
+
+class ColumnBodies(NamedTuple):
+    """The bodies of one column, each in a slot.
+
+    slots : (n, 3) int64, body, its first bin and past its last; the first `n_slots` are in use
+    cells : (n, K, CELL) float64, zeros of slots that are not in use
+    """
+
+    slots: np.ndarray
+    n_slots: int
+    cells: np.ndarray
+
+
+class RunStore(NamedTuple):
+    """Where runs are stored, and how much of it is in use.
+
+    runs : (n, RUN) int64, BODY .. PLACE
+    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
+        and range less `middle_m`
+    """
+
+    runs: np.ndarray
+    n_runs: int
+    pool: np.ndarray
+    n_pool: int
 
 
 @compiled
@@ -484,9 +525,11 @@ def acos(c):
 
 
 @inlined
-def _find_angles(work, first, last, uc, v_limit, weighted_elevation, elevation_pattern):
-    """Find elevation and incidence of a strip's samples from `first` to before `last`."""
+def _find_angles(work, strip, tables):
+    """Find elevation and incidence of a strip's samples."""
     rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
+    first, last, uc, v_limit = strip.first, strip.last, strip.u, strip.v_limit
+    elevation_pattern, weighted_elevation = tables.pattern, tables.weighted_elevation
     for m in range(uint64(first), uint64(last)):
         x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
         size = math.sqrt(x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m])
@@ -504,13 +547,14 @@ def _find_angles(work, first, last, uc, v_limit, weighted_elevation, elevation_p
 
 
 @inlined
-def _slot_of(body, slots, n_slots, cells):
-    """Return the slot of a body's cells in a column, a new one at first; and slots and cells, grown if full."""
+def _slot_of(body, bodies):
+    """Return the slot of a body, a new one at first; and ColumnBodies, grown if full."""
+    slots, n_slots, cells = bodies
     slot = 0
     while slot < n_slots and slots[slot, 0] != body:
         slot += 1
     if slot < n_slots:
-        return slot, slots, n_slots, cells
+        return slot, bodies
     if n_slots == slots.shape[0]:
         more_cells = np.zeros((2 * n_slots, cells.shape[1], CELL))
         more_slots = np.empty((2 * n_slots, 3), np.int64)
@@ -522,7 +566,7 @@ def _slot_of(body, slots, n_slots, cells):
                 more_slots[old, n] = slots[old, n]
         cells, slots = more_cells, more_slots
     slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
-    return slot, slots, n_slots + 1, cells
+    return slot, ColumnBodies(slots, n_slots + 1, cells)
 
 
 @inlined
@@ -546,8 +590,10 @@ def _store_run(cells, slot, first, past, density, pool, place):
 
 
 @inlined
-def _store_runs(cells, slots, n_slots, column, density, runs, pool, n_runs, used):
-    """Write a column's cells to runs and pool; return both, grown if full, and how much of them is used."""
+def _store_runs(bodies, column, density, store):
+    """Write the cells of a column's bodies to a RunStore; return it, grown if full."""
+    slots, n_slots, cells = bodies
+    runs, n_runs, pool, used = store
     for slot in range(n_slots):
         first, past = slots[slot, 1], slots[slot, 2]
         if first >= past:
@@ -568,7 +614,7 @@ def _store_runs(cells, slots, n_slots, column, density, runs, pool, n_runs, used
         runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
         runs[n_runs, FIRST_BIN], runs[n_runs, PAST_BIN], runs[n_runs, PLACE] = first, past, used
         n_runs, used = n_runs + 1, wanted
-    return runs, pool, n_runs, used
+    return RunStore(runs, n_runs, pool, used)
 
 
 @compiled
@@ -586,7 +632,7 @@ def _below_range(s, middle, wide, thin):
 
 
 @inlined
-def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_metre):
+def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, first_m, per_metre):
     """As `_spread_trapezoid`, with moments; return the first bin and past the last."""
     K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
     wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
@@ -596,7 +642,7 @@ def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_met
     scale = energy / (4 * wide * thin)
     if s < wide + thin:
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    first, last = int((1.0 / high - r_first) * per_metre), int((1.0 / low - r_first) * per_metre)
+    first, last = int((1.0 / high - first_m) * per_metre), int((1.0 / low - first_m) * per_metre)
     last = min(last, K - 1)
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
     for k in range(uint64(first), uint64(last + 1)):
@@ -612,8 +658,9 @@ def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_met
 
 
 @inlined
-def _spread_moments(work, start, stop, cells, bins_s, middle_m, r_first, per_metre):
+def _spread_moments(work, start, stop, cells, bins):
     """As `spread_footprints`, into one body's cells; return the first bin and past the last."""
+    bins_s, middle_m, first_m, per_metre = bins.s, bins.middle_m, bins.first_m, bins.per_metre
     K = middle_m.shape[0]
     lowest, highest = K, 0
     for m in range(uint64(start), uint64(stop)):
@@ -621,7 +668,7 @@ def _spread_moments(work, start, stop, cells, bins_s, middle_m, r_first, per_met
         if energy == 0.0 or s <= 0.0:
             continue
         if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
-            first, past = _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, r_first, per_metre)
+            first, past = _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, first_m, per_metre)
             lowest, highest = min(lowest, first), max(highest, past)
             continue
         near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
@@ -660,15 +707,16 @@ def _spread_moments(work, start, stop, cells, bins_s, middle_m, r_first, per_met
 
 
 @inlined
-def _bin_moments(work, start, stop, cells, middle_m, u, strip, r_first, per_metre):
+def _bin_moments(work, start, stop, cells, u, strip, bins):
     """As `_bin_points`, into one body's cells; return the first bin and past the last."""
+    middle_m = bins.middle_m
     K = middle_m.shape[0]
     lowest, highest = K, 0
     for m in range(start, stop):
         j = strip.bottom_row + m
         u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
-        k = (1.0 / s - r_first) * per_metre
+        k = (1.0 / s - bins.first_m) * bins.per_metre
         if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
             cell, echo = cells[int(k)], work[ENERGY, m] * s
             cell[CELL_ECHO] += echo
@@ -680,50 +728,35 @@ def _bin_moments(work, start, stop, cells, middle_m, u, strip, r_first, per_metr
 
 
 @compiled
-def sum_bodies(
-    plane_echo, body_id, lattice, strips, bins, spread, elevation_pattern, weighted_elevation, cells, runs,
-    pool, used,
-):  # fmt: skip
+def sum_bodies(plane_echo, body_id, lattice, strips, bins, spread, tables, cells, store):
     """Sum some of one sector's samples into columns and bins, for each body by itself.
 
     Parameters
     ----------
-    plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    plane_echo, lattice, strips, bins, spread : as in `sum_footprints`
     body_id : (R, C) uint16
-    weighted_elevation : (n,) elevation, radians, times the two-way beam pattern, at even sines across the
-        aperture
-    cells : (slots, K, CELL) float64, zeros before and after
-    runs : (n, RUN) int64, BODY .. PLACE
-    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
-        and range less `middle_m`
-    used : (runs, numbers of the pool) that are in use
+    tables, store : tuples of ElevationTables and RunStore
+    cells : of ColumnBodies, zeros before and after
 
     Returns
     -------
-    cells, runs, pool : or larger ones, where they were full
-    used
+    cells, store : or larger ones, where they were full; a plain tuple again
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
-    n_runs, n_pool = used
-    K = bins.edges_m.shape[0] - 1
-    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
-    per_metre = K / (r_last - r_first)
+    tables, store = ElevationTables(*tables), RunStore(*store)
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
-    slots, n_slots, column = np.empty((cells.shape[0], 3), np.int64), 0, -1
+    bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         if strip.first == strip.last:
             continue
         if strip.column != column:
-            runs, pool, n_runs, n_pool = _store_runs(
-                cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
-            )
-            n_slots, column = 0, strip.column
-        first, last, uc, v_limit = strip.first, strip.last, strip.u, strip.v_limit
-        _find_footprints(work, first, last, uc, strip.width, v_limit, elevation_pattern)
-        _find_angles(work, first, last, uc, v_limit, weighted_elevation, elevation_pattern)
-        _find_intervals(work, first, last, bins.s[0], bins.s[K], r_first, per_metre)
-        start = first
+            store = _store_runs(bodies, column, bins.density, store)
+            bodies, column = ColumnBodies(bodies.slots, 0, bodies.cells), strip.column
+        _find_footprints(work, strip, tables.pattern)
+        _find_angles(work, strip, tables)
+        start, last = strip.first, strip.last
+        _find_intervals(work, start, last, bins)
         while start < last:  # consecutive samples of one body at a time
             j = strip.bottom_row + start
             body = body_id[j, int(strip.nearest - strip.step * j)]
@@ -733,21 +766,16 @@ def sum_bodies(
                 if work[ENERGY, stop] > 0.0 and body_id[j, int(strip.nearest - strip.step * j)] != body:
                     break
                 stop += 1
-            slot, slots, n_slots, cells = _slot_of(body, slots, n_slots, cells)
+            slot, bodies = _slot_of(body, bodies)
+            slots, cells = bodies.slots, bodies.cells
             if spread:
-                low, high = _spread_moments(
-                    work, start, stop, cells[slot], bins.s, bins.middle_m, r_first, per_metre
-                )
+                low, high = _spread_moments(work, start, stop, cells[slot], bins)
             else:
-                low, high = _bin_moments(
-                    work, start, stop, cells[slot], bins.middle_m, lattice.u, strip, r_first, per_metre
-                )
+                low, high = _bin_moments(work, start, stop, cells[slot], lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
-    runs, pool, n_runs, n_pool = _store_runs(
-        cells, slots, n_slots, column, bins.density, runs, pool, n_runs, n_pool
-    )
-    return cells, runs, pool, (n_runs, n_pool)
+    runs, n_runs, pool, n_pool = _store_runs(bodies, column, bins.density, store)
+    return bodies.cells, (runs, n_runs, pool, n_pool)
 
 
 # ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
@@ -762,8 +790,8 @@ class Runs(NamedTuple):
     """Runs of all bodies, sorted by body and column.
 
     bodies : (m,) numbers, rising; begins : (m + 1,) where the runs of each begin and end
-    table : (n, RUN) of `sum_bodies`; owner : (n,) which of the two pools holds each
-    pools : two, of `sum_bodies`
+    table : (n, RUN) of RunStore; owner : (n,) which of the two pools holds each
+    pools : two, of RunStore
     """
 
     bodies: np.ndarray
@@ -1001,12 +1029,22 @@ X, Y, Z, RANGE, SIDE, SINE, REFLECTED, BISTATIC = range(8)
 OTHER_LEG_ROWS = 8
 
 
+# One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of half the aperture.
+# Its lattice: u = u0 + ui i + uj j and v = v0 + vi i + vj j of column i and row j, and the inverse,
+# i = iu (u - u0) + iv (v - v0) and j likewise. Its window: first column in `plane_echo`, columns and rows.
+# These names are part of the array's type, by which Numba keeps machine code: other files may use them, too.
+SECTOR = np.dtype(
+    [(name, np.float64) for name in ("cos", "sin", "tan_half_width", "tan_elevation")]
+    + [(name, np.float64) for name in ("u0", "ui", "uj", "v0", "vi", "vj", "iu", "iv", "ju", "jv")]
+    + [(name, np.int64) for name in ("left", "columns", "rows")]
+)
+
+
 class ViewIndex(NamedTuple):
     """All samples of one view of the fan, to find what it sees in a direction.
 
     plane_echo : (H, W, 4) float32, the windows of sectors side by side
-    sectors : (n, 17) azimuth's cosine and sine, tangents of half the width and of the elevation, lattice u
-        and v, its inverse; then first column in `plane_echo`, columns and rows
+    sectors : (n,) SECTOR
     """
 
     plane_echo: np.ndarray
@@ -1021,8 +1059,8 @@ def view_index(view: ViewSamples) -> ViewIndex:
         inverse = np.linalg.inv(np.array([[u[1], u[2]], [v[1], v[2]]]))
         azimuth = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
         limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_elevation
-        rows.append([*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows])
-    return ViewIndex(view.plane_echo, np.array(rows, np.float64))
+        rows.append((*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows))
+    return ViewIndex(view.plane_echo, np.array(rows, SECTOR))
 
 
 class Reflection(NamedTuple):
@@ -1057,27 +1095,25 @@ def find_surface(x, y, z, view):
     The result is −1, 0 outside the fan. All are in the frame of a sector.
     """
     plane_echo, sectors = view
-    # number by number: a row taken out would be reference-counted by both threads
     for k in range(sectors.shape[0]):
-        c, s = sectors[k, 0], sectors[k, 1]
-        ahead, beside = c * x + s * y, c * y - s * x
-        if ahead <= 0.0 or abs(beside) > sectors[k, 2] * ahead:
+        t = sectors[k]
+        ahead, beside = t.cos * x + t.sin * y, t.cos * y - t.sin * x
+        if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
             continue
         u, v = -beside / ahead, z / ahead
-        if v * v > sectors[k, 3] * sectors[k, 3] * (1.0 + u * u):
+        if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
             return -1.0, 0.0
-        du, dv = u - sectors[k, 4], v - sectors[k, 7]
-        i = math.floor(sectors[k, 10] * du + sectors[k, 11] * dv + 0.5)
-        j = math.floor(sectors[k, 12] * du + sectors[k, 13] * dv + 0.5)
-        if not (0 <= i < sectors[k, 15] and 0 <= j < sectors[k, 16]):
+        du, dv = u - t.u0, v - t.v0
+        i = math.floor(t.iu * du + t.iv * dv + 0.5)
+        j = math.floor(t.ju * du + t.jv * dv + 0.5)
+        if not (0 <= i < t.columns and 0 <= j < t.rows):
             return 0.0, ahead  # no body is near
-        row, column = int(j), int(sectors[k, 14] + i)
+        row, column = int(j), int(t.left + i)
         q = float(plane_echo[row, column, 0])
         if q <= 0.0:
             return 0.0, ahead
         # from the sample's own ray to this direction, in the plane that it met
-        off_u = du - (sectors[k, 5] * i + sectors[k, 6] * j)
-        off_v = dv - (sectors[k, 8] * i + sectors[k, 9] * j)
+        off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
         return max(q + plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v, 0.0), ahead
     return -1.0, 0.0
 
@@ -1133,15 +1169,16 @@ def estimate_reflection(view, plane, is_body, loss, range_max_m):
         t = sectors[k]
         for row in range(GRID):
             for column in range(GRID):
-                u = t[2] * ((2 * column + 1) / GRID - 1)
-                v = t[3] * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
-                x, y, z = t[0] + t[1] * u, t[1] - t[0] * u, v
+                u = t.tan_half_width * ((2 * column + 1) / GRID - 1)
+                v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
+                x, y, z = t.cos + t.sin * u, t.sin - t.cos * u, v
                 seen, _ = find_surface(x, y, z, view)
                 length = math.sqrt(1.0 + u * u + v * v)
                 weight = 1.0 / length**3
                 if seen > 0.0 and length / seen < range_max_m:
-                    i, j = t[10] * (u - t[4]) + t[11] * (v - t[7]), t[12] * (u - t[4]) + t[13] * (v - t[7])
-                    at = plane_echo[int(j + 0.5), int(t[14] + math.floor(i + 0.5))]
+                    du, dv = u - t.u0, v - t.v0
+                    i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
+                    at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5))]
                     echo += weight * at[3] * seen / length
                 along = plane[0] * x + plane[1] * y + plane[2] * z
                 near = along > 0.0 and plane[3] * length / along < range_max_m
@@ -1159,9 +1196,10 @@ def _pattern_at(elevation_pattern, top, sine):
 
 
 @inlined
-def _find_other_leg(work, other_leg, first, last, uc, reflection):
+def _find_other_leg(work, other_leg, strip, reflection):
     """Find where a strip's samples lie for the other of S and S', their range, side and grazing angle."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
+    first, last, uc = strip.first, strip.last, strip.u
     own, other, plane = reflection.own, reflection.other, reflection.plane
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     # position of the other one, in the frame of this sector
@@ -1188,11 +1226,11 @@ def _find_other_leg(work, other_leg, first, last, uc, reflection):
 
 
 @inlined
-def _find_reflected(work, other_leg, first, last, uc, elevation_pattern, top, reflection, view, other_view):
+def _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view):
     """Find the reflected intensity of a strip's samples, and their bistatic echo per steradian."""
     own, plane, ceiling = reflection.own, reflection.plane, reflection.ceiling
-    from_image, is_body, loss = reflection.from_image, reflection.is_body, reflection.loss
-    for m in range(first, last):
+    from_image, is_body, loss, uc = reflection.from_image, reflection.is_body, reflection.loss, strip.u
+    for m in range(strip.first, strip.last):
         other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
         side = other_leg[SIDE, m]
         if side <= 0.0 and not from_image:  # the other one looks at the surface from behind
@@ -1235,14 +1273,14 @@ def _find_reflected(work, other_leg, first, last, uc, elevation_pattern, top, re
 
 
 @inlined
-def _find_single_bounce(work, other_leg, first, last, uc, width, reflection):
+def _find_single_bounce(work, other_leg, strip, reflection):
     """Find the footprints of echoes that go one way straight and the other by way of the reflector."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
-    other, single_bounce = reflection.other, reflection.single_bounce
+    other, single_bounce, uc, width = reflection.other, reflection.single_bounce, strip.u, strip.width
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
     u2 = 1.0 + uc * uc
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(strip.first), uint64(strip.last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
         q = max(rest[m] + along_v[m] * vc, HORIZON)
@@ -1293,9 +1331,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, is_fi
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     reflection = Reflection(*reflection)
     view, other_view = ViewIndex(*reflection.index), ViewIndex(*reflection.other_index)
-    K, tan_elevation = sums.shape[1], lattice.tan_elevation
-    r_first, r_last = bins.edges_m[0], bins.edges_m[K]
-    per_metre = K / (r_last - r_first)
+    tan_elevation = lattice.tan_elevation
     if is_first:
         _clear_rows(strips.column, sums, spans)
     R = plane_echo.shape[0]
@@ -1303,17 +1339,15 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, is_fi
     top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
-        c, first, last, uc = strip.column, strip.first, strip.last, strip.u
+        c, first, last = strip.column, strip.first, strip.last
         if first == last:
             continue
-        _find_other_leg(work, other_leg, first, last, uc, reflection)
-        _find_reflected(
-            work, other_leg, first, last, uc, elevation_pattern, top, reflection, view, other_view
-        )
+        _find_other_leg(work, other_leg, strip, reflection)
+        _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view)
         if reflection.from_image:
-            _find_footprints(work, first, last, uc, strip.width, strip.v_limit, elevation_pattern)
+            _find_footprints(work, strip, elevation_pattern)
             for m in range(first, last):
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
-            spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)
-        _find_single_bounce(work, other_leg, first, last, uc, strip.width, reflection)
-        spread_footprints(work, first, last, sums, spans, c, bins.s, bins.density32, r_first, per_metre)
+            spread_footprints(work, first, last, sums, spans, c, bins)
+        _find_single_bounce(work, other_leg, strip, reflection)
+        spread_footprints(work, first, last, sums, spans, c, bins)

@@ -40,7 +40,7 @@ class Labeller:
     fan : Fan
     first, weights : of BeamWeights
     bins : tuple of kernels.BinTable
-    elevation_table, weighted_elevation : of kernels.sum_bodies
+    elevation_table, weighted_elevation : of kernels.ElevationTables
     """
 
     def __init__(self, fan: Fan, first, weights, bins, elevation_table, weighted_elevation):
@@ -53,12 +53,9 @@ class Labeller:
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._floats, self._numbers = ArrayPool(shape), ArrayPool(shape, np.uint16)
         self._means = ArrayPool((3, *shape))
-        self._room = [
-            (
-                np.zeros((SLOTS, shape[1], kernels.CELL)),
-                np.empty((RUNS, kernels.RUN), np.int64),
-                np.empty(POOL, np.float32),
-            )
+        self._cells = [np.zeros((SLOTS, shape[1], kernels.CELL)) for _ in range(2)]
+        self._stores = [
+            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
             for _ in range(2)
         ]
 
@@ -84,17 +81,17 @@ class Labeller:
         unshadowed : (B, K) echo of the background alone, without the gain
         """
         spread = self._fan.sampling.reducer == "footprint"
-        used = [(0, 0), (0, 0)]
 
         def sum_up(half):
+            cells, store = self._cells[half], tuple(self._stores[half]._replace(n_runs=0, n_pool=0))
             for one, mine in zip(samples, strips[half], strict=True):
                 arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
-                tables = self._bins, spread, *self._tables
-                *room, used[half] = kernels.sum_bodies(*arrays, mine, *tables, *self._room[half], used[half])
-                self._room[half] = tuple(room)
+                tables = self._bins, spread, self._tables
+                cells, store = kernels.sum_bodies(*arrays, mine, *tables, cells, store)
+            self._cells[half], self._stores[half] = cells, kernels.RunStore(*store)
 
         run(sum_up)
-        runs = self._sorted_runs([n for n, _ in used])
+        runs = self._sorted_runs()
         strongest = kernels.StrongestEcho(
             echo=self._floats.empty(),
             share=self._floats.empty(),
@@ -133,12 +130,12 @@ class Labeller:
             shadow=shadow,
         )
 
-    def _sorted_runs(self, counts) -> kernels.Runs:
+    def _sorted_runs(self) -> kernels.Runs:
         """Return the runs of both halves, by body and column."""
-        table = np.concatenate([room[1][:n] for room, n in zip(self._room, counts, strict=True)])
-        owner = np.repeat([0, 1], counts)
+        table = np.concatenate([store.runs[: store.n_runs] for store in self._stores])
+        owner = np.repeat([0, 1], [store.n_runs for store in self._stores])
         order = np.lexsort((table[:, kernels.COLUMN], table[:, kernels.BODY]))
         table, owner = table[order], owner[order]
         bodies, begins = np.unique(table[:, kernels.BODY], return_index=True)
-        pools = tuple(room[2] for room in self._room)
+        pools = tuple(store.pool for store in self._stores)
         return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)

@@ -24,7 +24,7 @@ def batch(options) -> int:
     """Run, check or try the batch that the options describe, and return the exit status."""
     load_numba()
     if options.mend and not options.resume:
-        raise Error("--mend must stand with --resume (it mends what is in the folder)")
+        raise Error("--mend needs --resume (it mends what is in the folder)")
     if (options.job is None) == (options.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command

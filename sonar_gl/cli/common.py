@@ -28,7 +28,7 @@ def acoustics_from(options, profile: str) -> Acoustics | None:
     """Return the acoustics of --acoustics, which changes `profile`; None for `--acoustics needed`."""
     if options.acoustics == "needed":
         if profile != "physical":
-            raise Error(f"--acoustics needed must stand with --profile physical (got --profile {profile})")
+            raise Error(f"--acoustics needed needs --profile physical (got --profile {profile})")
         return None
     if options.acoustics is None:
         return Acoustics(profile)
@@ -41,7 +41,9 @@ def acoustics_from(options, profile: str) -> Acoustics | None:
 def poses_from(options, scene: Scene) -> tuple[np.ndarray | None, list | np.ndarray]:
     """Return the times (None for a single ping) and poses of --poses, --pose or the scene."""
     if options.pose is not None and options.poses is not None:
-        raise Error("--pose and --poses must not stand together (the file of --poses holds every pose)")
+        raise Error(
+            "--pose and --poses exclude each other (the file of --poses has all poses; leave one out)"
+        )
     if options.poses is not None:
         return read_poses(options.poses)
     if options.pose is not None:

@@ -10,7 +10,7 @@ from dataclasses import asdict
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.analysis.terms import needed_acoustics, price
+from sonar_gl.analysis.terms import TURNS, needed_acoustics, price
 from sonar_gl.cli.common import acoustics_from, poses_from, sonar_from
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
@@ -19,10 +19,9 @@ from sonar_gl.engine.adaptive import Plan
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
-from sonar_gl.sonar.sampling import WORST_BODY, check_tolerance
+from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
-TURNS = 7  # timed pings of each plan
 # Two sampling levels change an estimate by no more than this factor. A largest estimate that is a smaller share of the
 # tolerance leaves room for coarser samples: then something else forbids them.
 TWO_LEVELS = 0.59
@@ -50,7 +49,7 @@ def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, toler
     check_tolerance(tolerance)
     simulators, plans, times_ms, has_echo = {}, {}, {}, False
     with ExitStack() as stack, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "tolerance .* cannot be met")  # the report says so
+        warnings.simplefilter("ignore", ToleranceWarning)  # the report says so
         for name, factor in (("chosen", 1), ("halved", 0.5), ("doubled", 2)):
             try:
                 wanted = check_tolerance(factor * tolerance)

@@ -20,8 +20,8 @@ from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progr
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
-from sonar_gl.imaging.film import DemarcoStyle, FanStyle
-from sonar_gl.noise.noise import Noise
+from sonar_gl.imaging.styles import DemarcoStyle, FanStyle
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene
 from sonar_gl.simulator import Simulator
@@ -46,7 +46,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     in_demarco = options.style == "demarco2015"
     profile = options.profile or ("demarco2015" if in_demarco else "physical")
     if options.range_law is not None and profile != "demarco2015":
-        raise Error(f"--range-law must stand with --profile demarco2015 (got --profile {profile})")
+        raise Error(f"--range-law needs --profile demarco2015 (got --profile {profile})")
     acoustics = acoustics_from(options, profile)
     if options.range_law is not None:
         acoustics = replace(acoustics, range_law=options.range_law)
@@ -89,12 +89,12 @@ def _check_combination(options, given: set[str]):
         for name in names:
             if name in given and options.style != style:
                 option = "--" + name.replace("_", "-")
-                raise Error(f"{option} must stand with --style {style} (got --style {options.style})")
+                raise Error(f"{option} needs --style {style} (got --style {options.style})")
     films = [film for film in FILMS if film in options.formats]
     if films and options.poses is None:
-        raise Error(f"--format {films[0]} must stand with --poses (a film needs a sequence of poses)")
+        raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")
     if "fps" in given and not films:
-        raise Error("--fps must stand with --format gif or --format mp4 (nothing else has frames)")
+        raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
 
 
 class BackgroundCalls:

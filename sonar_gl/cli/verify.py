@@ -19,7 +19,7 @@ from sonar_gl.imaging.files import output_folder, save_png
 from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene
 
-MAX_BODIES = 12  # a report lists the bodies of scenes with no more
+MAX_LISTED_BODIES = 12  # a report lists the bodies of scenes with no more
 
 
 def verify(scene_name: str, options) -> dict:
@@ -103,7 +103,7 @@ def verify_text(found: dict) -> str:
         ("picture", found["picture"]),
     ]
     text = facts_text(found, rows)
-    if not found["has_echo"] or not 1 < len(found["bodies"]) <= MAX_BODIES:
+    if not found["has_echo"] or not 1 < len(found["bodies"]) <= MAX_LISTED_BODIES:
         return text
     bodies = [
         (body["name"], percent(body["echo"]), "-" if body["error"] is None else percent(body["error"]))

@@ -33,7 +33,8 @@ from sonar_gl.embed.textures import metres_ahead
 from sonar_gl.imaging.boxes import boxes_of
 from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import fan_image
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.raster.simplify import simplify
 from sonar_gl.scene.plume import Bubbles

@@ -30,6 +30,20 @@ def errors_at(location: str) -> Iterator[None]:
         raise Error(f"{location}: {why}") from None
 
 
+def closed_error(kind: str) -> Error:
+    """Return the error for the use of an object after it was closed.
+
+    >>> str(closed_error("Simulator"))
+    'this Simulator is closed; make a new one'
+    """
+    return Error(f"this {kind} is closed; make a new one")
+
+
+def other_process_error(kind: str) -> Error:
+    """Return the error for the use of an object in a fork of the process that made it."""
+    return Error(f"a {kind} must be used in the process that made it; make one in each process")
+
+
 def nearest_names(name: str, known: Iterable[str]) -> str:
     """Return the hint about an unknown name: the most similar known names, or all of them if none is similar.
 

@@ -6,9 +6,9 @@ import sys
 import warnings
 
 
-def warn_caller(message: str) -> None:
-    """Issue a UserWarning for the nearest stack frame outside of sonar_gl."""
+def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
+    """Issue a warning for the nearest stack frame outside of sonar_gl."""
     level, frame = 1, sys._getframe(0)
     while frame.f_back is not None and frame.f_globals["__name__"].startswith("sonar_gl."):
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level)

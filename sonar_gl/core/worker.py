@@ -7,7 +7,7 @@ from contextlib import suppress
 from queue import SimpleQueue
 from threading import Lock, Thread
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import closed_error
 
 CALLER, THREAD = "caller", "thread"
 
@@ -70,7 +70,7 @@ class SecondThread:
             after `close`. Exceptions of either half are raised again.
         """
         if self._is_closed:
-            raise Error("the second thread must be open (got one that was closed)")
+            raise closed_error("SecondThread")
         if self._started.acquire(blocking=False):
             try:
                 Thread(target=_serve, args=(self._queue,), name="sonar_gl second half", daemon=True).start()

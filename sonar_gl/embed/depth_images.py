@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import Camera
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
 
-DEFAULT_REFLECTIVITY = 0.5
 MAX_BODY_ID = 65534
 DEPTH_KINDS = "planar", "range"
 NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
@@ -118,7 +118,7 @@ def _pixel_reflectivity(value, body_id, shape) -> np.ndarray:
         if body_id is None:
             raise Error("reflectivity by numbers of bodies needs body_id (got none)")
         for number in value:
-            if not isinstance(number, (int, np.integer)) or not 0 <= number <= MAX_BODY_ID:
+            if not (is_whole_number(number) and 0 <= number <= MAX_BODY_ID):
                 raise Error(f"reflectivity must name numbers of bodies, 0..{MAX_BODY_ID} (got {number!r})")
         table = np.full(1 + max([int(body_id.max()), *value]), DEFAULT_REFLECTIVITY, np.float32)
         table[list(value)] = _check_reflectivity([*value.values()])

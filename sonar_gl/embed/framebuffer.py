@@ -1,4 +1,4 @@
-"""Framebuffers of ours in a host's context."""
+"""Framebuffers of a sonar in a host's context, into which the host draws the sectors."""
 
 from __future__ import annotations
 
@@ -6,23 +6,31 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import lifetime
+from sonar_gl.gl.enums import (
+    DEPTH_TEST,
+    DRAW_FRAMEBUFFER_BINDING,
+    FLOAT,
+    PACK_ALIGNMENT,
+    RED_INTEGER,
+    RENDERBUFFER,
+    RGBA,
+)
 from sonar_gl.gl.host import HostContext
 from sonar_gl.sonar.sector import Sector
 
-FRAMEBUFFER, RENDERBUFFER, COMPLETE, DEPTH_TEST, DRAW_BINDING = 0x8D40, 0x8D41, 0x8CD5, 0x0B71, 0x8CA6
+FRAMEBUFFER, FRAMEBUFFER_COMPLETE, UNSIGNED_SHORT = 0x8D40, 0x8CD5, 0x1403
 MAX_RENDERBUFFER_SIZE = 0x84E8
 COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
-RGBA, RED_INTEGER, FLOAT, UNSIGNED_SHORT, PACK_ALIGNMENT = 0x1908, 0x8D94, 0x1406, 0x1403, 0x0D05
 RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
 
 
 class Framebuffer:
-    """A framebuffer in a host's context for the samples of one sector, made when it is first bound.
+    """A framebuffer for the samples of one sector in a host's context, created at the first `bind`.
 
     Attributes
     ----------
-    is_being_drawn : whether the host draws into it now
-    is_released : whether it was released, or waits for that
+    is_being_drawn : whether the host is drawing into it
+    is_released : whether it was released, or is queued for release
     """
 
     def __init__(self, host: HostContext, sector: Sector):
@@ -43,8 +51,8 @@ class Framebuffer:
         gl.glEnable(DEPTH_TEST)
 
     def is_bound(self) -> bool:
-        """Return whether it is the framebuffer that is drawn into now."""
-        return self.host.gl.integer(DRAW_BINDING) == self._name
+        """Return whether this is the current draw framebuffer."""
+        return self.host.gl.integer(DRAW_FRAMEBUFFER_BINDING) == self._name
 
     def _make(self, gl):
         name, buffers = np.zeros(1, np.uint32), np.zeros(3, np.uint32)
@@ -61,16 +69,16 @@ class Framebuffer:
         outputs = np.array([COLOR_0, COLOR_1], np.uint32)
         gl.glDrawBuffers(2, outputs.ctypes.data)
         status, errors = gl.glCheckFramebufferStatus(FRAMEBUFFER), gl.take_errors()
-        if status != COMPLETE or errors:
+        if status != FRAMEBUFFER_COMPLETE or errors:
             self._delete()
             why = f"status 0x{status:04x}" + "".join(f", error 0x{error:04x}" for error in errors)
             raise Error(
-                f"samples must fit the driver (got {columns} columns by {rows} rows, for which it makes no "
-                f"framebuffer: {why}; ask for fewer)"
+                f"samples must fit the driver (got {columns} columns by {rows} rows, for which it creates no "
+                f"framebuffer: {why}; use a coarser sampling)"
             )
 
     def read(self):
-        """Read what the host drew, whichever framebuffer it has bound since.
+        """Read the samples that the host drew; another framebuffer may be bound.
 
         Returns
         -------
@@ -80,7 +88,7 @@ class Framebuffer:
         Raises
         ------
         Error
-            if the framebuffer is gone, or its values are not finite, or a reflectivity lay outside 0..1.
+            if the framebuffer was deleted, a value is not finite, or a reflectivity is outside 0..1.
         """
         gl, size = self.host.gl, (0, 0, self.sector.columns, self.sector.rows)
         plane_echo = np.zeros((self.sector.rows, self.sector.columns, 4), np.float32)
@@ -95,16 +103,18 @@ class Framebuffer:
         if errors := gl.take_errors():
             got = f"got OpenGL error 0x{errors[0]:04x}"
             raise Error(
-                f"what a host has drawn must be there to be read ({got}; was our framebuffer deleted?)"
+                f"the samples that the host drew must be readable ({got}; did the host delete the framebuffer?)"
             )
         # With infinity or NaN the loops over range bins would run past their ends.
         if not np.isfinite(plane_echo).all():
             raise Error(
-                "what a host writes for a sonar must be finite (got NaN or infinity; set the uniform "
-                "sonar_gl_lattice for each sector, and look at the normals)"
+                "the samples that the host writes must be finite (got NaN or infinity; set the uniform "
+                "sonar_gl_lattice for each sector, and check the normals)"
             )
         if plane_echo[..., 3].min() < 0:
-            raise Error("the reflectivity that a host writes must lie in 0..1 (got another; divide by 255?)")
+            raise Error(
+                "the reflectivity that the host writes must lie in 0..1 (got another value; divide by 255?)"
+            )
         return plane_echo, body_id
 
     @property
@@ -113,11 +123,11 @@ class Framebuffer:
         return self.host.is_gone
 
     def is_in_reach(self) -> bool:
-        """Return whether it can be deleted now: the host's context is current, and nobody draws into it."""
+        """Return whether it can be deleted now: the host's context is current, and the host is not drawing into it."""
         return not self.is_being_drawn and self.host.is_in_reach()
 
     def release(self):
-        """Delete the OpenGL objects, unless they are gone with their context."""
+        """Delete the OpenGL objects, unless their context was destroyed."""
         self.is_released = True
         if self._name is not None and not self.is_gone:
             self._delete()
@@ -130,7 +140,7 @@ class Framebuffer:
 
 
 def release_framebuffers(framebuffers) -> None:
-    """Release framebuffers of one host, now or when its context is in reach; none can be drawn into again."""
+    """Release framebuffers of one host, now or once its context is current; they cannot be drawn into again."""
     for framebuffer in framebuffers:
         framebuffer.is_released = True
     lifetime.release(*framebuffers)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from sonar_gl.core.checks import is_number
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import OPTICAL_FROM_OPENGL, SONAR_FROM_OPTICAL
 from sonar_gl.embed.framebuffer import MAX_RENDERBUFFER_SIZE, Framebuffer
@@ -88,8 +89,7 @@ class Drawing:
         half = max(sector.half_width_rad for sector in sectors)
         max_m = sonar.range_min_m * math.cos(half) * math.cos(math.radians(sonar.elevation_fov_deg) / 2)
         max_m = max(max_m, NEAR_M)
-        is_number = isinstance(near_m, (int, float, np.number)) and not isinstance(near_m, bool)
-        if not is_number or not 0 < near_m <= max_m:
+        if not (is_number(near_m) and 0 < near_m <= max_m):
             raise Error(
                 f"near_m must be metres above 0 and no more than {max_m:.3g}, to cut nothing in range "
                 f"(got {near_m!r})"

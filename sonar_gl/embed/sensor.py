@@ -19,13 +19,12 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.embed.camera_rig import CameraRig
 from sonar_gl.embed.depth_images import (
-    DEFAULT_REFLECTIVITY,
     MAX_BODY_ID,
     check_body_names,
     check_images,
@@ -39,13 +38,14 @@ from sonar_gl.engine.flow import DrawnPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.no_echo import why_view_has_no_echo
 from sonar_gl.engine.pipeline import assemble, receive
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import Stage
 from sonar_gl.gl import lifetime
 from sonar_gl.gl.host import CurrentContext, HostContext
 from sonar_gl.gl.shaders import load_shader
 from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
 from sonar_gl.sonar.fan import NEAR_M
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sampling import Sampling, check_tolerance, sampling_at, typical_level
@@ -146,9 +146,9 @@ class Sensor:
         drawing, (samples, pose) = self._drawing, self._drawing.samples()
         request = PingRequest(pose, noise, seed, ping_number, labels, velocity=velocity)
         tolerance = self.tolerance if self.sampling is None else None
-        source = Source("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
+        origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
         with self._lock:
-            return self._ping(request, drawing.stage, samples, source, drawing.advice())
+            return self._ping(request, drawing.stage, samples, origin, drawing.advice())
 
     def ping_from_textures(
         self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
@@ -181,9 +181,9 @@ class Sensor:
         host = self._current_host()
         images = read_images(host, depth, projection, holds, zero_to_one, rotation, normals, body_id)
         request = self._request(pose, noise, seed, ping_number, labels, velocity)
-        source = Source("host", tuple(check_body_names(bodies)), (), None, self._host.renderer)
+        origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, self._host.renderer)
         checked = check_images(*images, reflectivity)
-        return self._ping_of_images(request, *checked, holds != "range", source)
+        return self._ping_of_images(request, *checked, holds != "range", origin)
 
     def ping_from_depth(
         self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=DEFAULT_REFLECTIVITY,
@@ -226,15 +226,15 @@ class Sensor:
         planar = is_planar(holds)
         checked = check_images(camera, depth, normals, body_id, reflectivity)
         request = self._request(pose, noise, seed, ping_number, labels, velocity)
-        source = Source("host", tuple(check_body_names(bodies)), (), None, "none: depth image")
-        return self._ping_of_images(request, *checked, planar, source)
+        origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, "none: depth image")
+        return self._ping_of_images(request, *checked, planar, origin)
 
     def _check_open(self) -> None:
         """Raise an `Error` in another process, and after `close`."""
         if os.getpid() != self._process:  # a forked process lacks the threads
-            raise Error("a Sensor must be used in the process that made it; make one in each process")
+            raise other_process_error("Sensor")
         if self._is_closed:
-            raise Error("this Sensor is closed; make a new one")
+            raise closed_error("Sensor")
 
     def _stage(self, sampling: Sampling) -> Stage:
         """Return the sonar's stage of this sampling."""
@@ -245,12 +245,14 @@ class Sensor:
         pose = check_pose(np.eye(4) if pose is None else pose)
         return PingRequest(pose, noise, seed, number, labels, velocity=velocity)
 
-    def _ping_of_images(self, request: PingRequest, cameras, images, planar: bool, source: Source) -> Ping:
+    def _ping_of_images(
+        self, request: PingRequest, cameras, images, planar: bool, origin: SampleOrigin
+    ) -> Ping:
         """Return the ping of checked images."""
         self._check_open()
         with self._lock:
             rig = self._find_rig(cameras, images)
-            return self._ping(request, rig.stage, rig.samples(images, planar), source, IMAGES_ADVICE)
+            return self._ping(request, rig.stage, rig.samples(images, planar), origin, IMAGES_ADVICE)
 
     def _find_rig(self, cameras, images) -> CameraRig:
         """Return the rig of these cameras, from a cache of the `MAX_RIGS` that were used last."""
@@ -270,11 +272,11 @@ class Sensor:
         request: PingRequest,
         stage: Stage,
         samples: Sequence[SectorSamples],
-        source: Source,
+        origin: SampleOrigin,
         advice: str,
     ) -> Ping:
         """Return the ping of samples; `advice` ends the warning about a ping without an echo."""
-        highest = len(names := source.bodies)
+        highest = len(names := origin.bodies)
         if request.labels:
             highest = max([highest] + [int(one.body_id.max(initial=0)) for one in samples])
         if highest > MAX_BODY_ID:
@@ -288,8 +290,8 @@ class Sensor:
             warn_caller(why_view_has_no_echo(self.sonar, stage.fan.sonar, samples) or no_surface)
         if request.labels:
             unnamed = tuple(f"body {number}" for number in range(len(names) + 1, highest + 1))
-            source = replace(source, bodies=names + unnamed)
-        return assemble(self._instrument, received, source)
+            origin = replace(origin, bodies=names + unnamed)
+        return assemble(self._instrument, received, origin)
 
     def _current_host(self) -> HostContext:
         """Return the host whose context is current; raise an `Error` if it is another one than before."""

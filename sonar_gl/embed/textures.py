@@ -6,23 +6,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.checks import frozen_array
+from sonar_gl.core.checks import frozen_array, is_whole_number
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import Camera, check_projection
 from sonar_gl.embed.depth_images import DEPTH_KINDS
+from sonar_gl.gl.enums import FLOAT, RED_INTEGER, RGBA, TEXTURE_2D, UNSIGNED_INT
 from sonar_gl.gl.host import HostContext
 
-TEXTURE_2D, WIDTH, HEIGHT = 0x0DE1, 0x1000, 0x1001
+TEXTURE_WIDTH, TEXTURE_HEIGHT = 0x1000, 0x1001
 RED_TYPE, BLUE_TYPE, DEPTH_TYPE = 0x8C10, 0x8C12, 0x8C16
-FLOAT, SIGNED, UNSIGNED, INTEGER, UNSIGNED_INTEGER = 0x1406, 0x8F9C, 0x8C17, 0x1404, 0x1405
+SIGNED_NORMALIZED, UNSIGNED_NORMALIZED, INT = 0x8F9C, 0x8C17, 0x1404
+RED, DEPTH_COMPONENT = 0x1903, 0x1902
 TYPE_NAMES = {
     0: "nothing of the kind",
     FLOAT: "floats",
-    SIGNED: "signed fractions",
-    UNSIGNED: "unsigned fractions",
-    INTEGER: "integers",
-    UNSIGNED_INTEGER: "unsigned integers",
+    SIGNED_NORMALIZED: "signed fractions",
+    UNSIGNED_NORMALIZED: "unsigned fractions",
+    INT: "integers",
+    UNSIGNED_INT: "unsigned integers",
 }
 TEXTURE_DEPTH_KINDS = "z-buffer", *DEPTH_KINDS
 OPTICAL_SIGNS = np.float32([1, -1, -1])  # optical axes from OpenGL's: y and z change sign
@@ -50,14 +52,16 @@ class TextureFormat(NamedTuple):
 
 
 FORMATS = {
-    "z-buffer": TextureFormat("a z-buffer", DEPTH_TYPE, (FLOAT, UNSIGNED), 0x1902, FLOAT, np.float32),
-    "metres": TextureFormat("metres, as floats in red", RED_TYPE, (FLOAT,), 0x1903, FLOAT, np.float32),
+    "z-buffer": TextureFormat(
+        "a z-buffer", DEPTH_TYPE, (FLOAT, UNSIGNED_NORMALIZED), DEPTH_COMPONENT, FLOAT, np.float32
+    ),
+    "metres": TextureFormat("metres, as floats in red", RED_TYPE, (FLOAT,), RED, FLOAT, np.float32),
     # RGBA, which drivers need not convert
     "normals": TextureFormat(
-        "x y z of normals, signed", BLUE_TYPE, (FLOAT, SIGNED), 0x1908, FLOAT, np.float32, 4
+        "x y z of normals, signed", BLUE_TYPE, (FLOAT, SIGNED_NORMALIZED), RGBA, FLOAT, np.float32, 4
     ),
     "numbers": TextureFormat(
-        "whole numbers in red", RED_TYPE, (INTEGER, UNSIGNED_INTEGER), 0x8D94, 0x1405, np.uint32
+        "whole numbers in red", RED_TYPE, (INT, UNSIGNED_INT), RED_INTEGER, UNSIGNED_INT, np.uint32
     ),
 }
 
@@ -129,10 +133,10 @@ def read_textures(host: HostContext, requests) -> list:
 
 def _read_texture(gl, name, form: TextureFormat, argument: str) -> np.ndarray:
     """Return one texture as an array; `argument` is its name in error messages."""
-    is_number = isinstance(name, (int, np.integer)) and not isinstance(name, bool)
-    if not (is_number and 0 < name < 1 << 32 and gl.glIsTexture(int(name))):
+    is_whole = is_whole_number(name)
+    if not (is_whole and 0 < name < 1 << 32 and gl.glIsTexture(int(name))):
         cure = "; give its .glo" if hasattr(name, "glo") else ""
-        got = repr(name) if is_number or isinstance(name, str | None) else type(name).__name__
+        got = repr(name) if is_whole or isinstance(name, str | None) else type(name).__name__
         raise Error(f"{argument} must be the GL name of a texture in the host's context (got {got}{cure})")
     gl.glBindTexture(TEXTURE_2D, int(name))
     if gl.take_errors():
@@ -140,11 +144,11 @@ def _read_texture(gl, name, form: TextureFormat, argument: str) -> np.ndarray:
             f"{argument} must be a plain 2D texture (got texture {name} of another target; resolve samples first)"
         )
     properties = np.zeros(3, np.int32)
-    for k, parameter in enumerate((HEIGHT, WIDTH, form.type_query)):
+    for k, parameter in enumerate((TEXTURE_HEIGHT, TEXTURE_WIDTH, form.type_query)):
         gl.glGetTexLevelParameteriv(TEXTURE_2D, 0, parameter, properties[k:].ctypes.data)
     *size, channel_type = properties.tolist()
     if channel_type not in form.types or not all(size):
-        is_coded = channel_type == UNSIGNED and form is FORMATS["normals"]
+        is_coded = channel_type == UNSIGNED_NORMALIZED and form is FORMATS["normals"]
         cure = "; decode n * 2 - 1 into floats" if is_coded else ""
         got = TYPE_NAMES.get(channel_type, f"type 0x{channel_type:04x}") if all(size) else "no size"
         raise Error(f"{argument} must hold {form.description} (got texture {name} with {got} there{cure})")

@@ -1,10 +1,10 @@
-"""The promise of a tolerance: the cheapest samples that keep it, here and as the sonar moves.
+"""The sampling error model, and the choice of the cheapest samples that keep a tolerance as the sonar moves.
 
-A ping is compared with one of half the samples. The difference of the two falls as the error does, and ERROR
-times it is more than the error, nearly always. The relative error of a small body's echo is modelled as
-LUCK / n^0.75 for n samples, the law of stratified sampling in two dimensions, more where they are few, and at
-least what the two pings differ by.
-These constants, and the rates at which errors fall, are those of random worlds (`tools/promise.py`).
+A ping is compared with one of half the samples. The difference of the two decreases as the error does, and
+ERROR_FACTOR times the difference nearly always exceeds the error. The relative error of a small body's echo is
+modelled as BODY_ERROR_FACTOR / n^0.75 for n samples, the law of stratified sampling in two dimensions. It is larger
+where samples are few, and at least the difference of that body's echo between the two pings.
+These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from sonar_gl.sonar.sampling import (
     LEVELS_PER_HALF,
     WORST_BODY,
     Sampling,
+    ToleranceWarning,
     check_tolerance,
     half_of,
     sampling_at,
@@ -36,12 +37,13 @@ from sonar_gl.sonar.sampling import (
 from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
-ERROR = 1.0
-LUCK, LUCK_RATE = 1.8, 0.75
-COUNTS = 5e-4  # of the echo: bodies that return less are neglected; half of what is promised
-FEW = 8  # samples on a body, below which its echo is taken to be unknown
-APART = 0.7  # of the difference that two lattices make to a body's own echo
-SOME = 300  # samples on a body: of more, whole ones at the ends of range and aperture spoil the difference
+ERROR_FACTOR = 1.0  # of the difference between a ping and one of half the samples
+BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
+MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
+MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
+DIFFERENCE_FACTOR = 0.7  # of the difference between two lattices in a body's own echo
+# With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
+MAX_COMPARED_SAMPLES = 300
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
 MAX_POSES = 24  # of a sequence are tried
 
@@ -272,7 +274,7 @@ class AdaptiveSampling:
         _, other_echo = count_bodies(other_view.sectors, *counted)
         whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
         self._trigger.checked(pose, state, whole)
-        error = ERROR * float(difference / whole) if whole > 0 else 0.0
+        error = ERROR_FACTOR * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         if whole <= 0:
             steps = 0.0  # nothing to judge by, and coarser samples would tell no more
@@ -280,15 +282,21 @@ class AdaptiveSampling:
         # few met is not known: it counts if it could be strong, unless it is hidden.
         angle = self._extents.solid_angle(state, pose, self._true_range_sonar, self._reach_rad)
         strength = angle * self._extents.reflectivity
-        counts = echo > COUNTS * total
-        for body in np.flatnonzero(~counts & (hits < FEW) & (strength * self._gain.max() > COUNTS * total)):
+        counts = echo > MIN_ECHO_SHARE * total
+        for body in np.flatnonzero(
+            ~counts & (hits < MIN_BODY_SAMPLES) & (strength * self._gain.max() > MIN_ECHO_SHARE * total)
+        ):
             one = bodies[body - 1], state.poses[body - 1]
             counts[body] = is_unobstructed(view.sectors, *one, pose, self._true_range_sonar)
-        apart = np.where(hits < SOME, APART * np.abs(echo - other_echo) / np.maximum(echo, 1e-30), 0.0)
-        errors = np.maximum(_luck(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
+        apart = np.where(
+            hits < MAX_COMPARED_SAMPLES,
+            DIFFERENCE_FACTOR * np.abs(echo - other_echo) / np.maximum(echo, 1e-30),
+            0.0,
+        )
+        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
         worst = int(errors.argmax())
         if counts.any():
-            finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / LUCK_RATE)
+            finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
             steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
         steps = min(math.ceil(steps), MAX_STEPS)
         worst_error = float(errors[worst])
@@ -306,13 +314,14 @@ class AdaptiveSampling:
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
             f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
             f"{plan.worst_body_estimate:.2g} for the worst body{name}; go nearer, narrow the fan, or ask "
-            "for a larger tolerance"
+            "for a larger tolerance",
+            ToleranceWarning,
         )
 
 
-def _luck(hits):
+def _body_error(hits):
     """Return the relative error of a body's echo by its samples: few may all lie along a thin body, or beside it."""
-    return LUCK * (1 + FEW / hits) / hits**LUCK_RATE
+    return BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / hits) / hits**BODY_ERROR_RATE
 
 
 class ReplanTrigger:

@@ -1,7 +1,8 @@
-"""Image sources: multipath echoes by way of planar reflectors, drawn from the sonar's images behind them.
+"""Multipath echoes by way of planar reflectors, computed from image sources.
 
-The sonar's image behind a plane sees through it what the sonar sees in it. So an echo that meets the plane twice
-is a ping of the image, and a single-bounce echo goes straight one way and by the image's ray the other.
+An image source is the mirror image of the sonar in a planar reflector. A ray of the sonar that the plane reflects
+continues as a straight ray of the image source. Double-bounce echoes therefore form a ping of the image source. In a
+single-bounce echo, sound travels one way along a direct ray and the other way along a ray of the image source.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ def why_no_echo(
     if not scene.bodies:
         return "no echo came back: the scene has no bodies"
     if not state.present.any():
-        return "no echo came back: all bodies of the scene were taken away"
+        return "no echo came back: all bodies of the scene are absent"
     reason = why_view_has_no_echo(sonar, true_range, samples)
     if reason is not None:
         return reason
@@ -52,8 +52,8 @@ def why_view_has_no_echo(sonar: Sonar, true_range: Sonar, samples: Sequence[Sect
     if range_m < sonar.range_min_m:
         return f"no echo came back: {nearest}, nearer than range_min_m = {sonar.range_min_m:g}"
     if echo <= 0:
-        return f"no echo came back: {nearest}, of reflectivity 0 or seen edge-on"
-    return f"no echo came back: {nearest}, and its echo is too weak to be told from zero"
+        return f"no echo came back: {nearest}; its reflectivity is 0, or it is seen edge-on"
+    return f"no echo came back: {nearest}; its echo is too weak to differ from 0"
 
 
 def _nearest_in_view(samples):

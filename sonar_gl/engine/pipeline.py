@@ -12,7 +12,7 @@ from sonar_gl.engine.flow import DrawnPing, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import receive_images
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
@@ -91,11 +91,11 @@ def finish(run: Run, received: ReceivedPing) -> Ping:
     """Assemble a ping of a scene; warn if it has no echo."""
     run.warn_if_no_echo(received)
     estimate = run.sampler.error_estimate(received.drawn.setup.request.pose)
-    return assemble(run.instrument, received, run.source(), estimate)
+    return assemble(run.instrument, received, run.sample_origin(), estimate)
 
 
 def assemble(
-    instrument: Instrument, received: ReceivedPing, source: Source, error_estimate: float | None = None
+    instrument: Instrument, received: ReceivedPing, origin: SampleOrigin, error_estimate: float | None = None
 ) -> Ping:
     """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
     setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
@@ -106,7 +106,7 @@ def assemble(
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
     meta = instrument.provenance.meta(
-        source,
+        origin,
         setup.acoustics,
         sampling=asdict(received.drawn.resolution.stage.sampling),
         seed=request.seed,

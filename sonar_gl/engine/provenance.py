@@ -11,7 +11,7 @@ from sonar_gl.sonar.sonar import Sonar
 
 
 @dataclass(frozen=True)
-class Source:
+class SampleOrigin:
     """Where the samples of pings come from, as their `meta` tells it.
 
     Attributes
@@ -33,32 +33,32 @@ class Provenance:
     """Makes the `meta` of pings of one sonar."""
 
     def __init__(self, sonar: Sonar, acoustics: Acoustics):
-        self._sonar, self._acoustics, self._source, self._meta = sonar, acoustics, None, b""
+        self._sonar, self._acoustics, self._origin, self._meta = sonar, acoustics, None, b""
 
-    def meta(self, source: Source, acoustics: Acoustics, **own) -> dict:
+    def meta(self, origin: SampleOrigin, acoustics: Acoustics, **own) -> dict:
         """Return the meta of a ping; `own` is of this ping alone."""
-        if source is not self._source and source != self._source:
-            self._describe(source)
-        self._source = source
+        if origin is not self._origin and origin != self._origin:
+            self._describe(origin)
+        self._origin = origin
         meta = pickle.loads(self._meta)
         meta |= own
         if acoustics is not self._acoustics:
             meta |= self._water(acoustics)
         return meta
 
-    def _describe(self, source: Source) -> None:
+    def _describe(self, origin: SampleOrigin) -> None:
         sonar = self._sonar
         meta = {
             "sonar": asdict(sonar),
             **self._water(self._acoustics),
             "profile": self._acoustics.profile,
-            "tolerance": source.tolerance,
+            "tolerance": origin.tolerance,
             "bin_size_m": sonar.bin_size_m,
-            "scene": source.scene,
-            "bodies": list(source.bodies),
-            **({"plumes": list(source.plumes)} if source.plumes else {}),
+            "scene": origin.scene,
+            "bodies": list(origin.bodies),
+            **({"plumes": list(origin.plumes)} if origin.plumes else {}),
             "version": __version__,
-            "gl_renderer": source.gl_renderer,
+            "gl_renderer": origin.gl_renderer,
         }
         # each ping gets its own copy, ten times faster than by deepcopy
         self._meta = pickle.dumps(meta)

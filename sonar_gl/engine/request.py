@@ -1,4 +1,4 @@
-"""What is asked of one ping."""
+"""The request of one ping, with checked arguments."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
-from sonar_gl.noise.noise import Noise, check_seed
+from sonar_gl.noise.random_streams import check_seed
+from sonar_gl.noise.settings import Noise
 
 
 @dataclass(frozen=True, eq=False)
 class PingRequest:
-    """One ping: where the sonar is, what differs from the run's defaults, and what is wanted.
+    """One ping: the pose of the sonar, the outputs, and what differs from the defaults of the run.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ class PingRequest:
     Raises
     ------
     Error
-        if one of these makes no sense whatever the scene is.
+        if an argument is invalid in every scene.
     """
 
     pose: np.ndarray
@@ -61,7 +62,7 @@ class PingRequest:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.background is not None and not self.labels:
-            raise Error("background must come with labels=True (got labels=False; shadows are labels)")
+            raise Error("background needs labels=True (got labels=False; shadows are labels)")
 
 
 def _names(background) -> tuple[str, ...] | None:

@@ -1,4 +1,4 @@
-"""One run: a sonar in a world, and what makes its pings."""
+"""A run: one sonar in a world, with its samplers and stages."""
 
 from __future__ import annotations
 
@@ -10,35 +10,33 @@ from dataclasses import replace
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import closed_error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
-from sonar_gl.engine.provenance import Source
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
-CLOSED = "this Simulator is closed; make a new one"
-
 
 class Run:
-    """A sonar in a world, and what makes its pings.
+    """One sonar in a world, with the objects that make its pings.
 
     Parameters
     ----------
-    world : World, of which this is one more user
+    world : World; the run counts as one of its users
     sonar, acoustics, sampling, tolerance : as for `Simulator`
 
     Attributes
     ----------
     instrument : Instrument
-    sampler : what chooses the samples
+    sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
     """
 
@@ -46,7 +44,7 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.users += 1
-        self._world, self._source, self._described, self._in_flight = world, None, None, None
+        self._world, self._origin, self._described, self._in_flight = world, None, None, None
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -69,7 +67,7 @@ class Run:
     def check_open(self) -> None:
         """Raise an Error once the run is closed."""
         if self._world is None:
-            raise Error(CLOSED)
+            raise closed_error("Simulator")
 
     @property
     def world(self) -> World:
@@ -79,19 +77,19 @@ class Run:
 
     @contextmanager
     def drawing(self, beside: Future | None = None):
-        """Have the OpenGL context current for the time of the block, in one thread at a time.
+        """Make the OpenGL context current inside a `with` block, in one thread at a time.
 
-        Pings of a sequence that are summed in another thread are waited for, except `beside`.
+        The block waits for the pings that another thread still sums, except for those of `beside`.
         """
         with self.world.drawing() as context:
             if self._in_flight is not None and self._in_flight is not beside:
                 wait([self._in_flight])
             if self._world is None:  # closed while this one waited
-                raise Error(CLOSED)
+                raise closed_error("Simulator")
             yield context
 
     def receiving(self, future: Future) -> None:
-        """Take note of pings that are summed in another thread, with the arrays of this run."""
+        """Remember the pings that another thread sums into arrays of this run, so that `drawing` waits for them."""
         self._in_flight = future
 
     def set_up(self, request: PingRequest) -> PingSetup:
@@ -100,7 +98,7 @@ class Run:
         Raises
         ------
         Error
-            if it names bodies that the scene has not, or its water makes no sense.
+            if it names a body that the scene lacks, or its water is invalid.
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         with world.unchanged():
@@ -129,14 +127,14 @@ class Run:
         return images.draw(resolution.stage, views, poses, states)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return how to sample a ping once more, or None if its samples keep the tolerance."""
+        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
         if resolution is None and self._review_images(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
     def is_outdated(self, received: ReceivedPing) -> bool:
-        """Return whether a ping of a sequence has to be sampled once more, with a check."""
+        """Return whether a ping of a sequence must be sampled again, with a check of its error."""
         total, sampling = received.direct.total, received.drawn.resolution.stage.sampling
         return (
             sampling != self.sampler.resolution.stage.sampling  # chosen after this ping was drawn
@@ -151,19 +149,19 @@ class Run:
         made_of = received.drawn.images, received.multipath, received.direct
         return images is not None and images.review(*made_of)
 
-    def source(self) -> Source:
-        """Return what the pings' `meta` says of the scene."""
+    def sample_origin(self) -> SampleOrigin:
+        """Return what the `meta` of pings states about the scene and the driver."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
             self._described = scene
-            self._source = Source(
+            self._origin = SampleOrigin(
                 scene.name,
                 tuple(body.name for body in scene.bodies),
                 tuple(plume.name for plume in scene.plumes),
                 self.sampler.tolerance,
                 self.world.gl_info["renderer"],
             )
-        return self._source
+        return self._origin
 
     def warn_if_no_echo(self, received: ReceivedPing) -> None:
         """Warn if a ping has no echo; the message names the nearest surface and why it returned none."""
@@ -174,7 +172,7 @@ class Run:
             warn_caller(why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view))
 
     def close(self) -> None:
-        """Give back all that it holds, and the OpenGL context if no other run uses it; a second call does nothing."""
+        """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing."""
         world = self._world
         if world is not None:
             world.check_thread()
@@ -187,6 +185,6 @@ class Run:
         self.stages = self.sampler = self.image_sources = self._in_flight = None
 
     def forget(self) -> None:
-        """Take note that nobody can use this run any more, without closing it: for finalisers."""
+        """Count this run as unused without closing it, since finalisers must not call OpenGL."""
         if self._world is not None:
             self._world.forget()

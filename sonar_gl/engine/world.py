@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, check_number, is_number
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error, closed_error, nearest_names, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.gl import context as gl
@@ -22,13 +22,7 @@ from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
 
-
-def _seconds(time_s) -> float:
-    if isinstance(time_s, bool) or not isinstance(time_s, (int, float, np.number)):
-        raise Error(f"time_s must be a number of seconds (got {time_s!r})")
-    if not abs(time_s) <= 1e10:  # NaN too; that is Unix time with room to spare
-        raise Error(f"time_s must be seconds within ±1e10 (got {time_s!r})")
-    return float(time_s)
+MAX_TIME_S = 1e10  # Unix time with room to spare
 
 
 class World:
@@ -53,6 +47,7 @@ class World:
             raise Error(f"context must be 'current' without a device, or None (got {got})")
         joins = context is not None
         self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
+        self._owner = None  # the thread that holds the lock
         self._host_thread = threading.current_thread() if joins else None
         self.scene, self.users, self.thread = scene, 0, SecondThread()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
@@ -80,12 +75,20 @@ class World:
     def unchanged(self):
         """Have no other thread change the scene, or draw, for the time of the block."""
         if os.getpid() != self._process:
-            raise Error("a Simulator must be used in the process that made it; make one in each process")
+            raise other_process_error("Simulator")
         self.check_thread()
+        if self._owner == threading.get_ident():  # the lock would wait for itself
+            raise Error(
+                "a Simulator must not be used while it makes a ping (got a call from a signal handler or callback)"
+            )
         with self._lock:
             if self._context is None:
-                raise Error("this Simulator is closed; make a new one")
-            yield
+                raise closed_error("Simulator")
+            self._owner = threading.get_ident()
+            try:
+                yield
+            finally:
+                self._owner = None
 
     @contextmanager
     def drawing(self):
@@ -108,7 +111,9 @@ class World:
         """
         state, plume_poses = self._moved(bodies)
         if time_s is not None:
-            state = replace(state, time_s=_seconds(time_s))
+            state = replace(
+                state, time_s=check_number("time_s", time_s, -MAX_TIME_S, MAX_TIME_S, "give seconds")
+            )
         if reflectivity is not None:
             state = replace(state, reflectivity=self._reflectivity(reflectivity))
         if not (with_bubbles and self.scene.plumes):
@@ -163,8 +168,7 @@ class World:
         out = self.buffers.meshes.reflectivity.copy()
         for name, value in changed.items():
             index = self._index_of(name, "names in reflectivity")
-            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            if not (is_number and 0 <= value <= 1):  # NaN too
+            if not (is_number(value) and 0 <= value <= 1):  # NaN too
                 raise Error(f"the reflectivity of body {name!r} must be a number in 0..1 (got {value!r})")
             out[index] = value
         return out

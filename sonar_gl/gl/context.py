@@ -11,6 +11,7 @@ from typing import NamedTuple
 import glcontext.egl
 import moderngl
 
+from sonar_gl.core.checks import is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import egl
 from sonar_gl.gl.egl import LIBRARIES
@@ -108,9 +109,9 @@ def chosen_device(device: int | None = None) -> tuple[int | None, str]:
         if the index is not a whole number of 0 or more.
     """
     if device is not None:
-        if isinstance(device, bool) or not isinstance(device, int) or device < 0:
+        if not (is_whole_number(device) and device >= 0):
             raise Error(no_device_message(repr(device)))
-        return device, str(device)
+        return int(device), str(device)
     for variable in DEVICE_VARIABLES:
         if text := os.environ.get(variable, "").strip():
             if not re.fullmatch("[0-9]{1,9}", text):

@@ -6,6 +6,8 @@ import ctypes
 
 import numpy as np
 
+from sonar_gl.gl.enums import DRAW_FRAMEBUFFER, DRAW_FRAMEBUFFER_BINDING
+
 # e: enum, object name or bit field; i: int; f: float; d: double; b: GLboolean; p: pointer; -: no result.
 TYPES = {
     "e": ctypes.c_uint,
@@ -98,7 +100,7 @@ SIGNATURES = {
 }
 VERSION_STRING, RENDERER, MAJOR, MINOR = 0x1F02, 0x1F01, 0x821B, 0x821C
 EXTENSIONS, NUM_EXTENSIONS = 0x1F03, 0x821D
-DRAW_FRAMEBUFFER, DRAW_FRAMEBUFFER_BINDING, COLOR_BUFFER_BIT = 0x8CA9, 0x8CA6, 0x4000
+COLOR_BUFFER_BIT = 0x4000
 # The errors that can be raised on purpose; GL_OUT_OF_MEMORY cannot.
 INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_FRAMEBUFFER_OPERATION = 0x0500, 0x0501, 0x0502, 0x0506
 NO_ENUM, NO_NAME = 0xFFFF, 0xFFFFFFF0  # no capability, and no object, has such a number

@@ -1,7 +1,7 @@
 """A guard that saves the OpenGL state of a host's context, sets OpenGL's defaults, and restores the state.
 
-The tables list the state that bears on drawing and on reading pixels: how each part is read, what sets it,
-and its default.
+The tables list the state that affects drawing and reading pixels: how each part is read, which function sets
+it, and its default.
 """
 
 from __future__ import annotations
@@ -10,6 +10,14 @@ import ctypes
 import math
 from typing import NamedTuple
 
+from sonar_gl.gl.enums import (
+    CLIP_DISTANCE0,
+    DEPTH_TEST,
+    DRAW_FRAMEBUFFER,
+    DRAW_FRAMEBUFFER_BINDING,
+    RENDERBUFFER,
+    TEXTURE_2D,
+)
 from sonar_gl.gl.functions import Functions
 
 # The version of OpenGL that includes each extension. Drivers list many of them in older contexts, too.
@@ -34,7 +42,7 @@ class Value(NamedTuple):
     name : enum that `glGetIntegerv` takes
     setter : function that sets it
     target : the setter's arguments before the value
-    default : value inside the block; None leaves the host's, which does not bear on what we draw
+    default : value inside the block; None leaves the host's, which does not affect drawing
     extension : key of CORE_SINCE that it came with, "" for OpenGL 3.3
     """
 
@@ -64,13 +72,13 @@ VALUES = [
     Value(0x8F36, "glBindBuffer", (0x8F36,)),  # COPY_READ_BUFFER
     Value(0x8F37, "glBindBuffer", (0x8F37,)),  # COPY_WRITE_BUFFER
     Value(0x8F43, "glBindBuffer", (0x8F3F,), extension="ARB_draw_indirect"),  # DRAW_INDIRECT_BUFFER
-    Value(0x8CA6, "glBindFramebuffer", (0x8CA9,)),  # DRAW_FRAMEBUFFER
+    Value(DRAW_FRAMEBUFFER_BINDING, "glBindFramebuffer", (DRAW_FRAMEBUFFER,)),
     Value(0x8CAA, "glBindFramebuffer", (0x8CA8,)),  # READ_FRAMEBUFFER
-    Value(0x8CA7, "glBindRenderbuffer", (0x8D41,)),  # RENDERBUFFER
+    Value(0x8CA7, "glBindRenderbuffer", (RENDERBUFFER,)),
     Value(0x85B5, "glBindVertexArray"),
     Value(0x8B8D, "glUseProgram"),
     Value(0x84E0, "glActiveTexture"),
-    Value(0x8069, "glBindTexture", (0x0DE1,)),  # TEXTURE_2D of the active unit
+    Value(0x8069, "glBindTexture", (TEXTURE_2D,)),  # of the active unit
     # how pixels lie in memory
     *(Value(name, "glPixelStorei", (name,), 4 if name in ALIGNMENT else 0) for name in UNPACK),
     Value(0x806D, "glPixelStorei", (0x806D,), 0),  # UNPACK_SKIP_IMAGES
@@ -98,14 +106,14 @@ EXISTS = {
     "glUseProgram": "glIsProgram",
 }
 SWITCHES = [  # all are off by default, except for MULTISAMPLE and DITHER
-    Switches((0x0B44, 0x0B71, 0x0B90)),  # CULL_FACE, DEPTH_TEST, STENCIL_TEST
+    Switches((0x0B44, DEPTH_TEST, 0x0B90)),  # CULL_FACE, STENCIL_TEST
     Switches((0x0BF2, 0x0B20, 0x0B41)),  # COLOR_LOGIC_OP, LINE_SMOOTH, POLYGON_SMOOTH
     Switches((0x2A01, 0x2A02, 0x8037)),  # POLYGON_OFFSET_POINT, _LINE, _FILL
     Switches((0x8C89, 0x8642, 0x864F)),  # RASTERIZER_DISCARD, PROGRAM_POINT_SIZE, DEPTH_CLAMP
     Switches((MULTISAMPLE, 0x809E, 0x809F)),  # SAMPLE_ALPHA_TO_COVERAGE, SAMPLE_ALPHA_TO_ONE
     Switches((0x80A0, 0x8E51, DITHER)),  # SAMPLE_COVERAGE, SAMPLE_MASK
     Switches((0x8DB9, 0x8F9D, 0x884F)),  # FRAMEBUFFER_SRGB, PRIMITIVE_RESTART, TEXTURE_CUBE_MAP_SEAMLESS
-    Switches(tuple(range(0x3000, 0x3008))),  # CLIP_DISTANCE0 to 7
+    Switches(tuple(range(CLIP_DISTANCE0, CLIP_DISTANCE0 + 8))),
     Switches((0x8C36,), "ARB_sample_shading"),  # SAMPLE_SHADING
     Switches((0x8D69,), "ARB_ES3_compatibility"),  # PRIMITIVE_RESTART_FIXED_INDEX
     Switches((0x8890,), "EXT_depth_bounds_test"),  # DEPTH_BOUNDS_TEST
@@ -191,16 +199,17 @@ class Block(NamedTuple):
 class StateGuard:
     """Saves the state of the current context at the start of a `with` block, and restores it at the end.
 
-    Inside the block all state that bears on drawing and on reading pixels is as in a new context. Bindings
-    that do not bear on it stay the host's. Errors that were pending before the block are pending again after
-    it, and those of the block are cleared. A debug callback is told of neither. Blocks may be nested.
+    Inside the block, all state that affects drawing and reading pixels has OpenGL's defaults. Other bindings
+    stay the host's. After the block, the errors that were pending before it are pending again, and errors of
+    the block are cleared. The host's debug callback receives neither. Blocks may be nested.
 
-    The guard restores what it sets itself and what drawing with moderngl changes. It leaves the rest alone:
-    stencil functions, textures of other units and targets, samplers, images, buffers bound by index, hints.
+    The guard restores the state that it sets itself and the state that drawing with moderngl changes. It does
+    not touch the rest: stencil functions, textures of other units and targets, samplers, images, buffers bound
+    by index, hints.
 
-    OpenGL cannot be asked for all of its state: queries and transform feedback in progress are not saved.
-    Objects that no longer exist are not bound again. They were deleted in the block, or before it, like a
-    program that was still in use, which OpenGL deletes as soon as another one is used.
+    OpenGL has no queries for some of its state: running queries and transform feedback are not saved. Objects
+    that no longer exist are not bound again. The block deleted them, or the host did before: OpenGL deletes a
+    program in use as soon as another program is used.
     """
 
     def __init__(self, gl: Functions):

@@ -20,7 +20,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_choice, check_number, check_whole_number
 from sonar_gl.core.errors import Error
-from sonar_gl.noise.noise import Noise
+from sonar_gl.noise.settings import Noise
 
 RANGE_LAWS = ("printed", "constant", "inverse")
 # (row, column) of the pixels that cv2.circle draws for radius 1, thickness 1

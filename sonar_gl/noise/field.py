@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,14 +11,12 @@ from sonar_gl.acoustics.beam_pattern import taper_series
 from sonar_gl.acoustics.pulse import field_weights
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.k_distribution import multiply_by_texture
-from sonar_gl.noise.place_speckle import place_locked_field
+from sonar_gl.noise.place_locked_speckle import place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference
+from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle
 from sonar_gl.ping import Ping
-
-if TYPE_CHECKING:
-    from sonar_gl.noise.noise import Noise
 
 SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
 MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite

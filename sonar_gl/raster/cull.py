@@ -28,6 +28,18 @@ class BodyBoxes(NamedTuple):
     order: np.ndarray
 
 
+class BodyPlaces(NamedTuple):
+    """Where the bodies are, as seen from one pose.
+
+    present : (n,) bool; matrices : (n, 3, 4) of `place_bodies`
+    outside : back faces of closed bodies are not visible
+    """
+
+    present: np.ndarray
+    matrices: np.ndarray
+    outside: bool
+
+
 class PatchTree(NamedTuple):
     """Patches of all meshes, one after the other, to choose among: fields of `Levels`."""
 
@@ -160,14 +172,13 @@ def _form(a, d):
 
 
 @compiled
-def choose_patches(tree, bodies, view, limits, present, matrices, outside, chosen, window):
+def choose_patches(tree, bodies, places, view, limits, chosen, window):
     """Choose the patches that a sector draws, and the window of samples about their bodies.
 
     Parameters
     ----------
-    tree, bodies, view, limits : tuples of PatchTree, BodyBoxes, SectorGeometry and DetailLimits
-    present, matrices : of `place_bodies`
-    outside : back faces of closed bodies are not visible
+    tree, bodies, places, view, limits : tuples of PatchTree, BodyBoxes, BodyPlaces, SectorGeometry and
+        DetailLimits
     chosen : (M, 2) int32, patch and body; overwritten
     window : low and high column, low and high row; extended
 
@@ -177,6 +188,7 @@ def choose_patches(tree, bodies, view, limits, present, matrices, outside, chose
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
     _, bounds, closed, roots, order = bodies
+    present, matrices, outside = places
     sector, planes_uv, inverse, corner, _, _, _ = view
     near_m, far_m, range_max_m, error_per_m, echo_errors = limits
     n = 0

@@ -255,7 +255,7 @@ def _flatten(points, top: _Patch) -> Levels:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class MeshWithLevels:
     """The mesh of a body with its levels of detail, independent of the body's pose.
 
     Attributes
@@ -297,7 +297,7 @@ def _merge_vertices(rows, faces):
     return first, faces[proper] if proper.any() else faces
 
 
-def prepare(body) -> Prepared:
+def mesh_with_levels(body) -> MeshWithLevels:
     """Return the mesh of a body with its levels of detail."""
     points, faces = np.asarray(body.surface.vertices, np.float64), np.asarray(body.surface.faces)
     bounds = np.array([points.min(axis=0), points.max(axis=0)])
@@ -321,7 +321,7 @@ def prepare(body) -> Prepared:
         reflectivity = None if reflectivity is None else reflectivity[remaining].astype(np.float32)
     levels = make_levels(points, faces)
     vertices = levels.vertices
-    return Prepared(
+    return MeshWithLevels(
         centre=centre,
         bounds=bounds - centre,
         closed=abs(closed),

@@ -10,6 +10,7 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import plane_of
 from sonar_gl.core.errors import Error
+from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.ping import GBuffer
 from sonar_gl.raster.buffers import SceneBuffers
 from sonar_gl.raster.draw_list import LOBE, BodiesInView, DrawList, SectorDraws, SectorView, Window
@@ -18,7 +19,6 @@ from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
-CLIP_DISTANCE = 0x3000  # GL_CLIP_DISTANCE0
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 
@@ -171,7 +171,7 @@ class Renderer:
         framebuffer = target.clear()
         array = self._buffers.array(target.has_bodies, bool(rows[:, LOBE].any()))
         array.program["before"].write(np.asarray(NO_PLANE if plane is None else plane, np.float32))
-        self._context.enable_direct(CLIP_DISTANCE)
+        self._context.enable_direct(CLIP_DISTANCE0)
         left = 0
         for view, (first, n_closed, n, _, window) in zip(self._sectors, draws, strict=True):
             if n:
@@ -188,7 +188,7 @@ class Renderer:
                 self._buffers.draw(array, two_sided, rows, self._list, first + n_closed, n - n_closed)
             left += window.columns
         framebuffer.scissor = None
-        self._context.disable_direct(CLIP_DISTANCE)
+        self._context.disable_direct(CLIP_DISTANCE0)
 
     def _read(self, target: RenderTarget, draws: list[SectorDraws]) -> ViewSamples:
         """Return what was drawn, with the samples that were rasterised in software."""

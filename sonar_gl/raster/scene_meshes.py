@@ -11,6 +11,7 @@ import numpy as np
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cull import (
     BodyBoxes,
+    BodyPlaces,
     DetailLimits,
     PatchTree,
     choose_patches,
@@ -28,8 +29,14 @@ from sonar_gl.raster.draw_list import (
     distance_before_plane,
     window_about,
 )
-from sonar_gl.raster.level_of_detail import Levels, prepare
-from sonar_gl.raster.small_triangles import PatchFaces, PlacedBodies, Vertices, rasterize_small_triangles
+from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
+from sonar_gl.raster.small_triangles import (
+    DrawnTriangles,
+    PatchFaces,
+    PlacedBodies,
+    Vertices,
+    rasterize_small_triangles,
+)
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M
 
@@ -80,7 +87,7 @@ class SceneMeshes:
             np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32)
         )
         self._tree = self._faces = ()
-        self._prepared = {}
+        self._meshes = {}
         self._chosen = np.empty((0, 2), np.int32)
 
     @property
@@ -93,20 +100,20 @@ class SceneMeshes:
 
         Returns
         -------
-        the new meshes, `Prepared`, in the order of their vertices
+        the new meshes, `MeshWithLevels`, in the order of their vertices
         """
         made, added, rows = [], [], []
         n_patches = len(self.levels.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             key = id(body.surface), id(body.normals), id(body.reflectivity) if by_face else None
-            if key not in self._prepared:
-                one = prepare(body)
+            if key not in self._meshes:
+                one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                self._prepared[key] = one.centre, one.bounds, one.closed, (n_patches, end)
+                self._meshes[key] = one.centre, one.bounds, one.closed, (n_patches, end)
                 n_patches = end
                 made.append(one)
-            added.append(self._prepared[key])
+            added.append(self._meshes[key])
             mu = 1.0 if by_face else body.reflectivity
             rows.append([0.0] * 12 + [mu, number, body.specular, body.roughness_rad])
         self._append_levels(made)
@@ -203,11 +210,9 @@ class SceneMeshes:
         n = choose_patches(
             self._tree,
             tuple(self.boxes),
+            tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.outside)),
             view.geometry,
             tuple(limits),
-            bodies.present,
-            bodies.matrices,
-            bodies.outside,
             self._chosen,
             extent,
         )
@@ -237,6 +242,12 @@ class SceneMeshes:
 
         def work(which):
             part = slice(half, None) if which else slice(0, half)
+            drawn = DrawnTriangles(
+                draws=draws[part],
+                indices=indices[3 * starts[which] :],
+                first_index=out.indices.used,
+                first_row=row,
+            )
             return rasterize_small_triangles(
                 chosen[part],
                 self._faces,
@@ -244,10 +255,7 @@ class SceneMeshes:
                 tuple(placed),
                 view.geometry,
                 NEAR_M,
-                row,
-                out.indices.used,
-                indices[3 * starts[which] :],
-                draws[part],
+                tuple(drawn),
                 tuple(array[which * n_samples :][:n_samples] for array in samples),
             )
 

@@ -66,6 +66,50 @@ class SampleList(NamedTuple):
     bodies: np.ndarray
 
 
+class DrawnTriangles(NamedTuple):
+    """The triangles that are left to the driver; overwritten.
+
+    draws : (M, 5) uint32, as of `draw_patches`, one a body; room for those of all patches
+    indices : (n,) uint32 of vertices; room for those of all patches
+    first_index : where `indices` stands in the index buffer
+    first_row : of the table of bodies, where this pose's begin
+    """
+
+    draws: np.ndarray
+    indices: np.ndarray
+    first_index: int
+    first_row: int
+
+
+class Corners(NamedTuple):
+    """Columns (i) and rows (j) of a triangle's corners a, b and c, in samples."""
+
+    ai: float
+    aj: float
+    bi: float
+    bj: float
+    ci: float
+    cj: float
+
+
+class Box(NamedTuple):
+    """The samples about a triangle: first and last column, first and last row."""
+
+    left: int
+    right: int
+    bottom: int
+    top: int
+
+
+class Face(NamedTuple):
+    """A face of a patch: numbers of its vertices a, b and c in the patch, which begin at `start` among all."""
+
+    a: int
+    b: int
+    c: int
+    start: int
+
+
 @compiled
 def _project(points, start, count, p, columns, rows, depths):
     """Project a patch's vertices to columns, rows and depths; return the least depth.
@@ -107,14 +151,15 @@ def _snap(at):
 
 
 @compiled
-def _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, n, places):
-    """Write the samples of a triangle, by columns and rows of its corners; return how many there are then."""
+def _fill(corners, box, n, places):
+    """Write the samples of a triangle after the n that there are; return how many there are then."""
+    ai, aj, bi, bj, ci, cj = corners
     # to the driver's grid, so that no sample falls between this triangle and one that is drawn
     ai, aj, bi, bj, ci, cj = _snap(ai), _snap(aj), _snap(bi), _snap(bj), _snap(ci), _snap(cj)
     ui, uj, vi, vj, wi, wj = bi - ai, bj - aj, ci - bi, cj - bj, ai - ci, aj - cj
     side = 1.0 if ui * vj - uj * vi >= 0.0 else -1.0
-    for j in range(bottom, top + 1):
-        for i in range(left, right + 1):
+    for j in range(box.bottom, box.top + 1):
+        for i in range(box.left, box.right + 1):
             places[n, 0], places[n, 1] = i, j
             first = side * (ui * (j - aj) - uj * (i - ai))
             second = side * (vi * (j - bj) - vj * (i - bi))
@@ -124,13 +169,15 @@ def _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, n, places):
 
 
 @compiled
-def _shade(first, last, places, values, columns, rows, depths, a, b, c, normals, start, mu, u, v, turn):
-    """Compute the echo of a triangle's samples by the shading normals at its corners a, b, c, where it has
-    any.
+def _shade(first, last, places, values, face, corners, depths, normals, mu, u, v, turn):
+    """Compute the echo of a triangle's samples by the shading normals at its corners, where it has any.
 
+    face, corners : Face and Corners
+    depths : of the patch's vertices; normals : of all
     turn : (3, 3) body_from_sector
     """
-    ai, aj, bi, bj, ci, cj = columns[a], rows[a], columns[b], rows[b], columns[c], rows[c]
+    a, b, c, start = face
+    ai, aj, bi, bj, ci, cj = corners
     for s in range(first, last):
         i, j, q, along, up = places[s, 0], places[s, 1], values[s, 0], values[s, 1], values[s, 2]
         # barycentric coordinates on the image, and from these on the face
@@ -165,20 +212,16 @@ def add_lobe(first, last, places, values, mu, strength, slope, u, v):
 
 
 @compiled
-def rasterize_small_triangles(
-    chosen, patches, vertices, placed, view, near_m, row, first_index, indices, draws, samples
-):
+def rasterize_small_triangles(chosen, patches, vertices, placed, view, near_m, drawn, samples):
     """Rasterise the small triangles of some patches, and list those of the others that meet a sample as
     draws.
 
     Parameters
     ----------
     chosen : (K, 2) patch and body, of `choose_patches`, or a part of it
-    patches, vertices, placed, view, samples : tuples of PatchFaces, Vertices, PlacedBodies, SectorGeometry
-        and SampleList. Where the room for samples does not suffice, triangles are drawn
-    row : of the table of bodies, where this pose's begin
-    first_index : where `indices` stands in the index buffer
-    indices, draws : uint32; (M, 5) uint32, as of `draw_patches`, one a body; overwritten
+    patches, vertices, placed, view, drawn, samples : tuples of PatchFaces, Vertices, PlacedBodies,
+        SectorGeometry, DrawnTriangles and SampleList. Where the room for samples does not suffice, triangles
+        are drawn
 
     Returns
     -------
@@ -188,6 +231,7 @@ def rasterize_small_triangles(
     points, normals, reflectivity = vertices
     matrices, body_rows, cut, closed, outside = placed
     sector, _, inverse, corner, size, u, v = view
+    draws, indices, first_index, first_row = drawn
     places, values, bodies = samples
     n, n_closed, used, last, filled = 0, 0, 0, -1, 0
     one, lobe = np.float32(1.0), np.float32(0.0)
@@ -220,7 +264,7 @@ def rasterize_small_triangles(
                 n -= 1
                 n_closed = min(n_closed, n)
             draws[n, 0], draws[n, 1], draws[n, 2] = 0, 1, first_index + used
-            draws[n, 3], draws[n, 4] = 0, row + body
+            draws[n, 3], draws[n, 4] = 0, first_row + body
             n += 1
             n_closed += closed[body] != 0
         start, count = first_vertex[patch], n_vertices[patch]
@@ -259,7 +303,8 @@ def rasterize_small_triangles(
                     continue
                 count = (right - left + 1) * (top - bottom + 1)
                 if count <= MAX_SAMPLES and filled + count <= places.shape[0] and not cut[body]:
-                    more = _fill(left, right, bottom, top, ai, aj, bi, bj, ci, cj, filled, places)
+                    corners = Corners(ai, aj, bi, bj, ci, cj)
+                    more = _fill(corners, Box(left, right, bottom, top), filled, places)
                     if more == filled:
                         continue
                     # 1/x is linear in column and row
@@ -281,9 +326,10 @@ def rasterize_small_triangles(
                         values[s, 1], values[s, 2], values[s, 3] = along, up, echo
                         bodies[s] = body + 1
                     if smooth:
+                        face = Face(a, b, c, start)
                         _shade(
-                            filled, more, places, values, columns, rows, depths, a, b, c, normals, start,
-                            weight, u, v, to_body,
+                            filled, more, places, values, face, corners, depths, normals, weight, u, v,
+                            to_body,
                         )  # fmt: skip
                     if lobe > 0.0:
                         add_lobe(filled, more, places, values, mu, lobe, body_rows[body, 15], u, v)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from sonar_gl.core.checks import is_number
+from sonar_gl.core.checks import is_number, is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.sonar.sonar import Sonar
 
@@ -35,12 +33,9 @@ class Sampling:
     reducer: str = "footprint"
 
     def __post_init__(self):
-        if not (
-            isinstance(self.columns_per_beam, (int, float, np.number))
-            and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM
-        ):
+        if not (is_number(self.columns_per_beam) and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM):
             raise Error(f"columns_per_beam must be a number in 0..1024 (got {self.columns_per_beam!r})")
-        if not (isinstance(self.rows, (int, np.integer)) and 1 <= self.rows <= MAX_ROWS):
+        if not (is_whole_number(self.rows) and 1 <= self.rows <= MAX_ROWS):
             raise Error(f"rows must be a whole number in 1..16000 (got {self.rows!r})")
         if self.reducer not in REDUCERS:
             raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {self.reducer!r})")
@@ -50,6 +45,10 @@ COARSEST_DEG, LEVELS_PER_HALF = 1.0, 4  # width of samples at level 0; levels th
 FINEST_LEVEL = 40  # unless the driver allows fewer samples
 ERROR_RATE = 1.3  # the error falls as the width of samples to this power
 WORST_BODY = 5.0  # times the tolerance: promised bound of the relative error of a single body's echo
+
+
+class ToleranceWarning(UserWarning):
+    """A tolerance cannot be met: the samples that fit are too few."""
 
 
 def check_tolerance(tolerance) -> float:

@@ -233,7 +233,7 @@ def test_a_scene_without_echo_needs_no_term():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("needed,tvg_k=3", "needed must stand alone"),
+        ("needed,tvg_k=3", "needed takes no other settings"),
         ("", "must be key=value"),
         ("tvg_k=3,", "must be key=value"),
     ],

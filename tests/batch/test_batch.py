@@ -498,7 +498,7 @@ def test_errors_in_a_job_name_file_table_and_key(tmp_path, old, new, sentence):
 
 def test_needs_of_outputs_are_checked_before_anything_is_made(tmp_path):
     path = write_job(tmp_path, 10, "[coco]\n")
-    with pytest.raises(sg.Error, match=f"^{path}: coco must stand with labels .got none; add a line"):
+    with pytest.raises(sg.Error, match=f"^{path}: coco needs labels .got none; add a line"):
         read_job(path)
     write_job(tmp_path, 10, '[ros]\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n')
     text = path.read_text()

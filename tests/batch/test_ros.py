@@ -376,7 +376,7 @@ def test_invalid_records_are_refused(tmp_path):
     def error(*records, settings=None, to=path):
         return error_of(write_part, to, records, settings)
 
-    assert "must come in the order of their times (got 1 s after 2 s)" in error(record(2.0), record(1.0))
+    assert "must be in the order of their times (got 1 s after 2 s)" in error(record(2.0), record(1.0))
     assert "0..2147483648 s (got -1" in error(record(-1.0))
     assert "at least one record (got none)" in error()
     assert "must end in .mcap (got .bag)" in error(record(), to=tmp_path / "part.bag")

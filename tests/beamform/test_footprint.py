@@ -29,10 +29,10 @@ def spread(s, a, b, energy=1.0, edges=EDGES):
     s, a, b = np.broadcast_arrays(np.atleast_1d(s), a, b)
     sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
     bins = bin_table(edges)
-    per_metre, spans = K / (edges[-1] - edges[0]), np.tile([K, 0], (3, 1))
+    spans = np.tile([K, 0], (3, 1))
     work = np.full((FOOTPRINT_ROWS, len(s) + 2), np.nan)  # the first and the last are not used
     work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
-    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins.s, bins.density32, edges[0], per_metre)
+    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins)
     assert not sums[[0, 2]].any()
     assert (spans[[0, 2]] == [K, 0]).all()
     assert not np.delete(sums[1], slice(*spans[1])).any()  # bins outside of the span are empty

@@ -200,7 +200,7 @@ def test_background_must_be_bodies():
         ({"background": ["flor"]}, r"background must be bodies .*'flor'; did you mean 'floor'"),
         ({"background": "floor"}, r"several names .*'floor'; make \[name\]"),
         ({"background": 7}, "several names .*got 7"),
-        ({"background": ["floor"], "labels": False}, "background must come with labels=True"),
+        ({"background": ["floor"], "labels": False}, "background needs labels=True"),
     ):
         with pytest.raises(sg.Error, match=message):
             ping([FLOOR], **more)

@@ -619,23 +619,23 @@ def test_options_that_do_not_go_together():
     for options, message in (
         (
             ("--range-law", "constant"),
-            "--range-law must stand with --profile demarco2015 (got --profile physical)",
+            "--range-law needs --profile demarco2015 (got --profile physical)",
         ),
-        (("--form", "printed"), "--form must stand with --style demarco2015 (got --style fan)"),
-        (("--join", "circles"), "--join must stand with --style demarco2015 (got --style fan)"),
-        ((*paper, "--axes"), "--axes must stand with --style fan (got --style demarco2015)"),
-        ((*paper, "--scale", "db"), "--scale must stand with --style fan (got --style demarco2015)"),
-        ((*paper, "--db-range", "-9 0"), "--db-range must stand with --style fan (got --style demarco2015)"),
-        ((*paper, "--colormap", "hot"), "--colormap must stand with --style fan (got --style demarco2015)"),
+        (("--form", "printed"), "--form needs --style demarco2015 (got --style fan)"),
+        (("--join", "circles"), "--join needs --style demarco2015 (got --style fan)"),
+        ((*paper, "--axes"), "--axes needs --style fan (got --style demarco2015)"),
+        ((*paper, "--scale", "db"), "--scale needs --style fan (got --style demarco2015)"),
+        ((*paper, "--db-range", "-9 0"), "--db-range needs --style fan (got --style demarco2015)"),
+        ((*paper, "--colormap", "hot"), "--colormap needs --style fan (got --style demarco2015)"),
         (
             ("--pose", "0 0 0 0 0 0", "--poses", "dive.csv"),
-            "--pose and --poses must not stand together (the file of --poses holds every pose)",
+            "--pose and --poses exclude each other (the file of --poses has all poses; leave one out)",
         ),
         (
             ("--format", "mp4"),
-            "--format mp4 must stand with --poses (a film needs a sequence of poses)",
+            "--format mp4 needs --poses (a film needs a sequence of poses)",
         ),
-        (("--fps", "5"), "--fps must stand with --format gif or --format mp4 (nothing else has frames)"),
+        (("--fps", "5"), "--fps needs --format gif or --format mp4 (nothing else has frames)"),
     ):
         assert refused(*options) == message
 
@@ -840,7 +840,7 @@ def test_acoustics_are_those_that_the_scene_needs():
             "multipth=none",
             "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
         ),
-        ("needed,ph=8", "acoustics 'needed,ph=8': needed must stand alone"),
+        ("needed,ph=8", "acoustics 'needed,ph=8': needed takes no other settings"),
         ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
         ("ph", "acoustics 'ph': ph must have a value, as in ph=... (got none)"),
         ("ph=8,ph=8", "acoustics 'ph=8,ph=8': ph must be given once"),
@@ -856,7 +856,7 @@ def test_mistakes_in_acoustics(text, message):
 
 def test_what_a_scene_needs_is_of_the_profile_physical():
     for options, profile in ((["--profile", "ideal"], "ideal"), (["--style", "demarco2015"], "demarco2015")):
-        message = f"--acoustics needed must stand with --profile physical (got --profile {profile})"
+        message = f"--acoustics needed needs --profile physical (got --profile {profile})"
         assert refused("--acoustics", "needed", *options) == message
 
 

@@ -13,7 +13,7 @@ from sonar_gl.analysis.terms import TERMS, price
 from sonar_gl.cli import plan as costs
 from sonar_gl.cli.report import percent
 from sonar_gl.core.poses import read_poses
-from sonar_gl.engine.adaptive import LUCK_RATE, Plan
+from sonar_gl.engine.adaptive import BODY_ERROR_RATE, Plan
 from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF
 from tests.support import command_line
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL
@@ -163,8 +163,8 @@ def test_the_nearer_of_two_estimates_binds():
 
 
 def test_one_level_changes_estimates_by_so_much():
-    """Of a plan that keeps the tolerance two levels at most are to be gained, or it would have moved on."""
-    rates = (ERROR_RATE, 2 * LUCK_RATE)  # hits are as many as the square of the width
+    """A plan that keeps the tolerance can gain two levels at most; otherwise it would have moved on."""
+    rates = (ERROR_RATE, 2 * BODY_ERROR_RATE)  # hits are as many as the square of the width
     assert min(2 ** (-2 * rate / LEVELS_PER_HALF) for rate in rates) >= costs.TWO_LEVELS
     assert costs.WORST_BODY == reference.WORST_BODY
 
@@ -233,7 +233,7 @@ SIX = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
         (["tank.sdf", "--pose", "1 2 3"], f"{SIX} (got 3: '1 2 3')"),
         (
             ["tank.sdf", "--pose", "0 0 0 0 0 0", "--poses", "dive.csv"],
-            "--pose and --poses must not stand together (the file of --poses holds every pose)",
+            "--pose and --poses exclude each other (the file of --poses has all poses; leave one out)",
         ),
         (
             ["tank.sdf", "--poses", "none.csv"],

@@ -48,7 +48,7 @@ def test_a_closed_thread_raises_an_error():
             failures.append(str(why))
 
     assert finishes(use)
-    assert failures == ["the second thread must be open (got one that was closed)"]
+    assert failures == ["this SecondThread is closed; make a new one"]
 
 
 @pytest.mark.parametrize("failing", [0, 1])

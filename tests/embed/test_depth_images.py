@@ -507,7 +507,7 @@ def test_a_warning_names_what_the_cameras_do_not_see_once():
     [
         (30.0, {}, "lies at 30.0. m, beyond range_max_m = 20"),
         (0.5, {}, "lies at 0.50 m, nearer than range_min_m = 1"),
-        (5.0, {"reflectivity": 0}, "lies at 5.00 m, of reflectivity 0"),
+        (5.0, {"reflectivity": 0}, "lies at 5.00 m; its reflectivity is 0"),
         (np.inf, {}, "what was drawn shows no surface in the fan"),
     ],
 )

@@ -382,8 +382,8 @@ def test_invalid_shader_outputs_raise_errors():
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
         for kind, lattice, message in (
-            ("nan", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
-            ("loud", sector.lattice, r"the reflectivity that a host writes must lie in 0\.\.1"),
+            ("nan", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
+            ("loud", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
             ("sonar", np.zeros((3, 3)), "must be finite .* set the uniform sonar_gl_lattice"),
         ):
             with pytest.raises(sg.Error, match=message), sector:
@@ -455,7 +455,10 @@ def test_more_samples_than_the_driver_supports(monkeypatch):
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
         for _ in range(3):  # every time, and never a read of uninitialized memory
-            with pytest.raises(sg.Error, match=r"for which it makes no framebuffer: .*error 0x0500"), sector:
+            with (
+                pytest.raises(sg.Error, match=r"for which it creates no framebuffer: .*error 0x0500"),
+                sector,
+            ):
                 pass
             assert host_state.snapshot(plain) == state
         with pytest.raises(sg.Error, match="got 0 of 1"):

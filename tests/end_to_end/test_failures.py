@@ -90,7 +90,7 @@ def test_fine_bins(tolerance, seam):
         ),
         (
             [regimes.plate("absorber", 5, 1, 0.0)],
-            "the nearest surface in the fan lies at 5.00 m, of reflectivity 0 or seen edge-on",
+            "the nearest surface in the fan lies at 5.00 m; its reflectivity is 0, or it is seen edge-on",
         ),
         (
             [regimes.plate("wall", -5, 1)],

@@ -230,8 +230,8 @@ def test_a_table_of_beams():
         (
             (replace(BOX, reflectivity=0.0),),
             sg.pose(0, 2, 0),
-            "no echo came back: the nearest surface in the fan lies at 5.50 m, of reflectivity 0 or seen "
-            "edge-on",
+            "no echo came back: the nearest surface in the fan lies at 5.50 m; its reflectivity is 0, or "
+            "it is seen edge-on",
         ),
         (
             (BOX,),

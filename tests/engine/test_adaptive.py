@@ -13,7 +13,7 @@ from sonar_gl.analysis.verify import ping_error
 from sonar_gl.engine import adaptive
 from sonar_gl.engine.adaptive import CHECK_EVERY
 from sonar_gl.engine.visibility import count_bodies
-from sonar_gl.sonar.sampling import sampling_at
+from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at
 
 SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
@@ -224,7 +224,7 @@ class TestPlan:
         monkeypatch.setattr("sonar_gl.engine.adaptive.FINEST_LEVEL", 6)
         scene = sg.Scene([ball(x=10, radius=0.5)])
         with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.001) as simulator:
-            with pytest.warns(UserWarning, match="^tolerance 0.001 cannot be met here: ") as caught:
+            with pytest.warns(ToleranceWarning, match="^tolerance 0.001 cannot be met here: ") as caught:
                 ping = simulator.ping(np.eye(4))
             assert "worst body ('ball'); go nearer" in str(caught[0].message)
             assert level(simulator) == 6 and ping.error_estimate > 0.001

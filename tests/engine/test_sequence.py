@@ -344,6 +344,14 @@ def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
         check_same(ping, single)
 
 
+def test_a_call_in_the_middle_of_a_ping_raises_an_error(it):
+    """A signal handler, for example; the naive way waits for ever for the lock that its own thread holds."""
+    expected = it.ping(POSES[0]).intensity
+    with it.run.drawing(), pytest.raises(sg.Error, match="must not be used while it makes a ping"):
+        it.ping(POSES[0])
+    np.testing.assert_array_equal(it.ping(POSES[0]).intensity, expected)
+
+
 def test_a_generator_of_poses_may_add_bodies():
     """A body is absent from the pings whose poses came before it was added."""
     with simulator(bodies=BODIES[:2]) as it:

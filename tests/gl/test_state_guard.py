@@ -82,7 +82,7 @@ def check_deleting(got):
 
 
 def check_debug_callback(got):
-    """A debug callback hears of no error inside the guard, except for those of the host while it draws."""
+    """A debug callback gets no error raised inside the guard, except those of the host while it draws."""
     for name in KINDS_OF_ERROR:
         assert got[name] == [0, [name]]
     assert got["while the host draws"] == [1, ["INVALID_VALUE"]]

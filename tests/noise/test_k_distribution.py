@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sonar_gl.noise.k_distribution import gamma_from_exponential, multiply_by_texture
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import SIGMAS, correlation, even_ping
 
 

@@ -13,7 +13,8 @@ import pytest
 
 import sonar_gl
 from sonar_gl.core.errors import Error
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import SIGMAS, even_ping
 
 LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
@@ -113,7 +114,7 @@ def test_seeds_and_ping_numbers_differ():
 def test_same_bytes_for_any_number_of_threads():
     """BLAS starts a thread per core; no sum may depend on their number."""
     code = (
-        "import hashlib; from sonar_gl.noise.noise import Noise, add_noise; "
+        "import hashlib; from sonar_gl.noise.noise import add_noise; from sonar_gl.noise.settings import Noise; "
         "from tests.support.even_ping import even_ping; "
         "intensity = add_noise(even_ping(512, 700, 0.09), Noise.physical(), 3).intensity; "
         "print(hashlib.sha256(intensity.tobytes()).hexdigest())"

@@ -7,8 +7,9 @@ import pytest
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import Error
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import SIDE_LOBES, ambient_noise_db, thermal_noise_db
+from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import FREQUENCY_HZ, SIGMAS, correlation, even_ping
 
 

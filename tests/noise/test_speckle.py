@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sonar_gl.noise.gaussian import standard_normal
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.random_streams import stream
+from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import (
     FieldCorrelation,
     aperture_width,

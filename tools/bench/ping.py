@@ -28,7 +28,6 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
-from sonar_gl.engine.adaptive import CHECK_EVERY
 from tools import internals
 from tools.bench import harness
 from tools.internals import STAGES
@@ -114,7 +113,7 @@ def review_cost(scene, rounds: int) -> float:
     with sg.Simulator(scene, SONAR, ideal) as live, sg.Simulator(scene, SONAR, ideal) as fixed:
         fixed.plan([scene.sonar_pose])
         live.ping(scene.sonar_pose)
-        for number in range(1, 1 + CHECK_EVERY * cycles):  # whole cycles of one review each
+        for number in range(1, 1 + internals.PINGS_PER_REVIEW * cycles):  # whole cycles of one review each
             pose = harness.creep(scene.sonar_pose, number)
             spent += [harness.timed(simulator.ping, pose)[0] for simulator in (live, fixed)]
     return float(spent[0] / spent[1] - 1)

@@ -90,7 +90,7 @@ def read_bubbles(element, name: str, pose, location: str) -> Bubbles:
             raise Error(f"{location}: unknown tag (got {child.tag!r}; {nearest_names(child.tag, FIELDS)})")
         key = FIELDS[child.tag]
         if key in settings:
-            raise Error(f"{location}: <{child.tag}> must stand there once (got it twice)")
+            raise Error(f"{location}: <{child.tag}> must be given once (got it twice)")
         value = float(read_numbers(child, f"{location}/{child.tag}", 1)[0])
         settings[key] = int(value) if key == "seed" and value == int(value) else value
     with errors_at(location):

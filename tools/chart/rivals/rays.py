@@ -146,7 +146,7 @@ class Tubes(Rays):
     def ping(self, pose):
         """Return (B, K) intensity."""
         rotation, origin = self.embree.place(pose)
-        bins, faces = self.bins, self.embree.faces
+        faces = self.embree.faces
 
         def work(half):
             self.trace(half, rotation, origin, FAR_FACTOR * self.sonar.range_max_m)
@@ -156,7 +156,7 @@ class Tubes(Rays):
             self.sums[self.halves[half]] = 0
             tubes(
                 self.rays, rotation, origin, faces, self.face, self.s, self.echo, self.column, self.width,
-                self.height, *self.cell_halves[half], bins.edges_m, bins.s, bins.density32, self.sums,
+                self.height, *self.cell_halves[half], self.bins, self.sums,
             )  # fmt: skip
 
         self.both(work)

@@ -116,9 +116,7 @@ def tubes(
     height,
     first,
     last,
-    edges,
-    bins_s,
-    density32,
+    bins,
     sums,
 ):
     """Spread the mean echo of four neighbouring rays over the ranges between them.
@@ -130,10 +128,9 @@ def tubes(
     ----------
     rays, face, s, echo : (R + 1) (C + 1) rays row by row, at the corners of R by C tubes
     column, width : (C,) fan column, radians of azimuth; height : (R,) steradians to a radian of azimuth
-    first, last : which columns of tubes; edges, bins_s, density32 : of kernels.BinTable; sums : added to
+    first, last : which columns of tubes; bins : kernels.BinTable; sums : added to
     """
-    C, K = len(column), sums.shape[1]
-    r_first, per_metre = edges[0], K / (edges[K] - edges[0])
+    C = len(column)
     work, spans = np.empty((FOOTPRINT_ROWS, 4 * len(height))), np.zeros((sums.shape[0], 2), np.int64)
     for i in range(first, last):
         c, n = column[i], 0
@@ -174,7 +171,7 @@ def tubes(
                     energy = echo[own] * solid / 4 / middle
                     work[ENERGY, n], work[S, n], work[A, n], work[B, n] = energy, middle, abs(across), abs(up)
                     n += 1
-        spread_footprints(work, 0, n, sums, spans, c, bins_s, density32, r_first, per_metre)
+        spread_footprints(work, 0, n, sums, spans, c, bins)
 
 
 @compiled

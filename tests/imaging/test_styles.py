@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.imaging.film import DemarcoStyle, FanStyle
+from sonar_gl.imaging.styles import DemarcoStyle, FanStyle
 from tests.support.fan_ping import fan_ping
 
 

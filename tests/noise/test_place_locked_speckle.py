@@ -8,7 +8,8 @@ import pytest
 
 from sonar_gl import pose
 from sonar_gl.core.errors import Error
-from sonar_gl.noise.noise import Noise, add_noise
+from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
     BIN_M,

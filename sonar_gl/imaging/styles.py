@@ -10,7 +10,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import colorize, fan_image
-from sonar_gl.noise.noise import Noise
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 
 

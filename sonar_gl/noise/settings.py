@@ -1,0 +1,128 @@
+"""The amounts of noise: speckle, receiver noise, interference, Gaussian noise, median, salt and pepper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.core.checks import check_number, check_whole_number
+from sonar_gl.core.errors import Error
+from sonar_gl.core.key_values import parse_fields
+
+LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
+BOUNDS = (  # field, least, most, hint
+    ("gaussian", 0, 1, "a fraction of full scale"),
+    ("salt_and_pepper", 0, 1, "a fraction of the bins"),
+    ("cloud_gaussian_m", 0, 10, "give metres"),
+    ("speckle_shape", 0.05, 1e4, "below 1 is spiky, None is fully developed"),
+    ("electronic_db", -300, 100, LEVEL),
+    ("ambient_db", -300, 100, LEVEL),
+    ("interference_lines", 0, 1000, "a mean number in a ping"),
+    ("interference_db", -300, 100, LEVEL),
+)
+MAY_BE_NONE = ("speckle_shape", "electronic_db", "ambient_db")
+SWITCHES = ("speckle", "follow_motion")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Amounts of noise.
+
+    The terms apply in this order: speckle, receiver noise, interference, Gaussian, median, salt and pepper.
+
+    Parameters
+    ----------
+    speckle : fully developed speckle: the echo times an exponential variate of mean 1, correlated between
+        overlapping beams as by a line array
+    gaussian : standard deviation of Gaussian noise in each bin, relative to full scale 1; negative sums
+        become 0
+    salt_and_pepper : fraction of bins set to 0 or to full scale 1, half each
+    median : 0 (none), 3 or 5: size of a median filter over beams and bins
+    cloud_gaussian_m : metres, standard deviation of the noise on the point cloud of the founding paper's
+        picture; it does not act on pings
+    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the echo, and the
+        contrast becomes √(1 + 2/ν); None for fully developed speckle
+    looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
+        contrast becomes 1/√looks
+    follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
+        the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
+    electronic_db, ambient_db : mean power of the receiver's self-noise and of ambient noise before the TVG,
+        dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None for none.
+        The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
+    interference_lines : mean number of pulses of another sonar in a ping
+    interference_db : power of such a pulse on the axis of a beam, as `electronic_db`
+
+    Raises
+    ------
+    Error
+        if an amount is out of bounds.
+    """
+
+    speckle: bool = False
+    gaussian: float = 0.0
+    salt_and_pepper: float = 0.0
+    median: int = 0
+    cloud_gaussian_m: float = 0.0
+    speckle_shape: float | None = None
+    looks: int = 1
+    follow_motion: bool = False
+    electronic_db: float | None = None
+    ambient_db: float | None = None
+    interference_lines: float = 0.0
+    interference_db: float = -40.0
+
+    def __post_init__(self):
+        for key in SWITCHES:
+            if not isinstance(getattr(self, key), (bool, np.bool_)):
+                raise Error(f"noise: {key} must be True or False (got {getattr(self, key)!r})")
+        for key, low, high, hint in BOUNDS:
+            value = getattr(self, key)
+            if value is None and key in MAY_BE_NONE:
+                continue
+            check_number(f"noise: {key}", value, low, high, hint)
+        check_whole_number("noise: looks", self.looks, 1, 1000)
+        for key in ("speckle_shape", "looks", "follow_motion"):
+            value = getattr(self, key)
+            if not self.speckle and value != type(self).__dataclass_fields__[key].default:
+                raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")
+        if isinstance(self.median, bool) or self.median not in (0, 3, 5):
+            raise Error(f"noise: median must be 0, 3 or 5 (got {self.median!r}; 0 is none)")
+
+    @classmethod
+    def none(cls) -> Noise:
+        """Return no noise."""
+        return cls()
+
+    @classmethod
+    def demarco2015(cls) -> Noise:
+        """Return the founding paper's noise: 1 cm on the point cloud, median 3, salt and pepper on 0.5 %.
+
+        The first two amounts are those of its published code. The paper gives none for the third.
+        """
+        return cls(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
+
+    @classmethod
+    def physical(cls) -> Noise:
+        """Return speckle, and self-noise that shows in distant shadows.
+
+        At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB becomes −43 dB
+        of full scale; at 10 m it becomes −64 dB. The level is 32 dB above the thermal noise of
+        `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not measured.
+        """
+        return cls(speckle=True, electronic_db=-90.0)
+
+    @classmethod
+    def parse(cls, text: str) -> Noise:
+        """Return the noise that a command line states: a profile, amounts, or a profile and amounts.
+
+        Profiles are "none", "demarco2015" and "physical".
+
+        >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
+        True
+        >>> Noise.parse("physical,electronic_db=none") == Noise(speckle=True)
+        True
+        """
+        profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
+        profile, amounts = parse_fields("noise", text, cls, presets=profiles)
+        return replace(profiles[profile or "none"](), **amounts)
