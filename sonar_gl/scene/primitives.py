@@ -141,8 +141,8 @@ def extrude(rings, height: float) -> Shape:
         top = triangulate_float64(corners, ends.astype(np.uint32)).reshape(-1, 3).astype(np.int64)
         first = np.arange(n)
         following = np.concatenate([np.roll(part, -1) for part in np.split(first, ends[:-1])])
-        a, b, c = corners[top[:, 0]], corners[top[:, 1]], corners[top[:, 2]]
-        turned = np.cross(b - a, c - a) < 0
+        (ux, uy), (wx, wy) = ((corners[top[:, k]] - corners[top[:, 0]]).T for k in (1, 2))
+        turned = ux * wy < uy * wx
         top[turned] = top[turned][:, ::-1]
         vertices += [np.column_stack([corners, np.full(n, z)]) for z in (0.0, height)]
         side = [first, following, following + n], [first, following + n, first + n]

@@ -1,6 +1,7 @@
 """SDF: poses, the choice of shapes, the sonar, includes, extensions, and error messages."""
 
 import os
+import re
 import warnings
 import xml.etree.ElementTree as ElementTree
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
+import sonar_gl as sg
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.scene.materials import material
+from sonar_gl.scene.primitives import closedness
 from sonar_gl.scene.sdf import extensions, frames, reader, resources
 from sonar_gl.scene.sdf.reader import read_sdf
 
@@ -22,9 +25,15 @@ SHAPE = f"<collision name='c'>{BOX}{RETRO}</collision>"
 
 
 @pytest.fixture(autouse=True)
-def no_environment(monkeypatch):
+def no_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
     monkeypatch.delenv("GAZEBO_MODEL_PATH", raising=False)
+    monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(tmp_path / "gz"))
+    monkeypatch.setenv("IGN_FUEL_CACHE_PATH", str(tmp_path / "ign"))
+
+
+def shape(tags="", name="c", kind="collision", geometry=BOX):
+    return f"<{kind} name='{name}'>{geometry}{tags}</{kind}>"
 
 
 def link(inside="", name="link", shape=SHAPE):
@@ -409,7 +418,12 @@ MISSING = """a.sdf: models or files are missing:
     not at R/no
   https://fuel.gazebosim.org/1.0/a/models/b
     named by a.sdf: world/include[https://fuel.gazebosim.org/1.0/a/models/b]
-    not fetched: download it, and put its folder into the resource paths
+    not at R/gz/fuel.gazebosim.org/a/models/b
+    not at R/ign/fuel.gazebosim.org/a/models/b
+    not at R/models/b
+    not at R/b
+    'gz fuel download -u "https://fuel.gazebosim.org/1.0/a/models/b"' downloads it to where it is found; or put \
+the model's folder, named 'b', into a folder of the resource paths
   a.stl
     named by a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh/uri
     not at R/a.stl
@@ -455,8 +469,175 @@ def test_a_model_folder_without_a_model_is_missing(tmp_path, message):
     )
 
 
+# ---- what Gazebo reads, too --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("geometry", "low", "high"),
+    [
+        ("<box/>", (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+        ("<sphere/>", (-1, -1, -1), (1, 1, 1)),
+        ("<cylinder/>", (-1, -1, -0.5), (1, 1, 0.5)),
+        ("<capsule/>", (-0.5, -0.5, -1), (0.5, 0.5, 1)),
+        ("<ellipsoid/>", (-1, -1, -1), (1, 1, 1)),
+        ("<cone/>", (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+        ("<cone><radius>2</radius><length>3</length></cone>", (-2, -2, -1.5), (2, 2, 1.5)),
+        (
+            "<polyline><point>0 0</point><point>2 0</point><point>2 1</point></polyline>",
+            (0, 0, 0),
+            (2, 1, 1),
+        ),
+    ],
+)
+def test_shapes_have_sdfs_own_defaults(read, geometry, low, high):
+    """The values of SDF's specification, http://sdformat.org/spec?elem=geometry."""
+    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))).bodies
+    np.testing.assert_allclose(body.surface.vertices.min(axis=0), low, atol=ROUNDING)
+    np.testing.assert_allclose(body.surface.vertices.max(axis=0), high, atol=ROUNDING)
+    assert closedness(*body.surface) == 1
+
+
+def test_polylines_within_others_are_holes(read):
+    """A square ring of area 16 − 4 with a square of 0.25 in its hole, and a triangle beside it; the senses differ."""
+    rings = (
+        "<point>0 0</point><point>4 0</point><point>4 4</point><point>0 4</point><point>0 0</point>",
+        "<point>1 1</point><point>1 3</point><point>3 3</point><point>3 1</point>",
+        "<point>9 0</point><point>9 1</point><point>8 0</point>",
+    )
+    lines = "".join(f"<polyline><height>0.5</height>{points}</polyline>" for points in rings)
+    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{lines}</geometry>")))).bodies
+    assert body.mesh.volume == pytest.approx(0.5 * (16 - 4 + 0.5), rel=ROUNDING)
+    assert body.mesh.area == pytest.approx(2 * 12.5 + 0.5 * (16 + 8 + 2 + np.sqrt(2)), rel=ROUNDING)
+
+
+def test_laser_retro_above_255_reflects_all_and_warns_once(tmp_path):
+    shapes = shape("<laser_retro>1150</laser_retro>") + shape("<laser_retro>500</laser_retro>", "d")
+    path = write(tmp_path / "a.sdf", model(link(shape=shapes)) + model(link(), "other"))
+    with pytest.warns(UserWarning) as caught:
+        bodies = read_sdf(path).bodies
+    assert [body.reflectivity for body in bodies] == [1.0, 1.0]
+    assert [str(w.message) for w in caught] == [
+        f"{path}: <laser_retro> is more than 255 in 1 of 2 bodies (m); their reflectivity is taken as 1"
+    ]
+
+
+def test_submeshes_are_found_without_prefix_and_in_any_case(tmp_path, read):
+    parts = {"geom-Steering_Wheel": (1, 1, 1), "geom-Wheel": (2, 2, 2), "Wheel": (3, 3, 3)}
+    scene = trimesh.Scene({name: trimesh.creation.box(size) for name, size in parts.items()})
+    (tmp_path / "car.glb").write_bytes(scene.export(file_type="glb"))
+
+    def size(name):
+        mesh = f"<mesh><uri>car.glb</uri><submesh><name>{name}</name></submesh></mesh>"
+        (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{mesh}</geometry>")))).bodies
+        return np.ptp(body.surface.vertices, axis=0).max()
+
+    assert [size(name) for name in ("Steering_Wheel", "steering_wheel", "Wheel")] == [1, 1, 3]
+    assert size("geom-wheel") == 2
+    with pytest.raises(Error, match="no submesh 'teering_Wheel'"):
+        size("teering_Wheel")
+
+
+def test_an_angle_a_little_over_a_turn(read):
+    (body,) = read(model("<pose>0 0 0 0 0 6.597345</pose>" + link())).bodies
+    np.testing.assert_allclose(body.pose, pose(yaw=6.597345 - 2 * np.pi), atol=1e-12)
+
+
+def test_the_root_may_hold_includes_and_lights(tmp_path, read):
+    add_model(tmp_path, "rock", model(link(), "rock"))
+    scene = read("<include><uri>model://rock</uri></include><light name='l'/>", world=False)
+    assert [body.name for body in scene.bodies] == ["rock"]
+    assert read("<light name='sun'/>", world=False).bodies == ()
+
+
+def test_a_uri_with_three_slashes(tmp_path, read):
+    add_model(tmp_path, "rock", model(link(), "rock"))
+    assert [body.name for body in read("<include><uri>model:///rock</uri></include>").bodies] == ["rock"]
+
+
+def test_the_folder_of_a_model_is_a_scene(tmp_path):
+    add_model(tmp_path, "rock", model(link(), "stone"))
+    scene = sg.load_scene(tmp_path / "rock")
+    assert scene.name == "rock" and [body.name for body in scene.bodies] == ["stone"]
+    (tmp_path / "rock" / "model-2.sdf").write_text(f"<sdf>{model(link(), 'newer')}</sdf>")
+    (tmp_path / "rock" / "model.config").write_text(
+        "<model><sdf version='1.4'>model.sdf</sdf><sdf version='1.10'>model-2.sdf</sdf></model>"
+    )
+    assert [body.name for body in sg.load_scene(str(tmp_path / "rock")).bodies] == ["newer"]
+    (tmp_path / "other").mkdir()
+    with pytest.raises(Error, match="must end in one of"):
+        sg.load_scene(tmp_path / "other")
+
+
+def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
+    shapes = (
+        shape(RETRO, geometry="<geometry><torus/></geometry>") + "<collision name='d'/>" + shape(RETRO, "e")
+    )
+    path = write(tmp_path / "a.sdf", model(link(shape=shapes)))
+    with pytest.warns(UserWarning) as caught:
+        (body,) = read_sdf(path, skip_missing=True).bodies
+    (text,) = (str(w.message) for w in caught)
+    assert (
+        "collision[c]/geometry/torus: unknown geometry" in text and "collision[d]: must hold a <geom" in text
+    )
+    assert text.endswith("\nThe scene is read without them.")
+    np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
+
+
+FUEL = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Big Rock"
+
+
+def add_fuel_model(folder, size):
+    box = f"<geometry><box><size>{size} 1 1</size></box></geometry>"
+    folder.mkdir(parents=True)
+    (folder / "model.sdf").write_text(f"<sdf>{model(link(shape=shape(RETRO, geometry=box)), 'rock')}</sdf>")
+
+
+@pytest.mark.parametrize(
+    ("uri", "size"),
+    [(FUEL, 12), (f"{FUEL}/2", 2), (f"{FUEL}/tip", 12), (FUEL.replace(" ", "%20"), 12), (f"{FUEL}/7", 12)],
+)
+@pytest.mark.parametrize("cache", ["gz", "ign"])
+def test_models_of_fuel_are_read_from_gazebos_cache(tmp_path, read, uri, size, cache):
+    """The newest version, unless the URI names one that is there."""
+    for version in (2, 12):
+        kept = tmp_path / cache / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / str(version)
+        add_fuel_model(kept, version)
+    (body,) = read(f"<include><uri>{uri}</uri></include>").bodies
+    assert np.ptp(body.surface.vertices[:, 0]) == size
+
+
+@pytest.mark.parametrize("name", ["Big Rock", "big rock", "Big_Rock", "big_rock"])
+def test_models_of_fuel_are_read_from_the_resource_paths(tmp_path, read, name):
+    """As the message about a missing one says."""
+    add_fuel_model(tmp_path / "models" / name, 3)
+    (body,) = read(f"<include><uri>{FUEL}</uri></include>", resource_paths=[tmp_path / "models"]).bodies
+    assert np.ptp(body.surface.vertices[:, 0]) == 3
+
+
+def test_a_file_of_a_model_of_fuel(tmp_path, read):
+    kept = tmp_path / "gz" / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
+    kept.mkdir(parents=True)
+    trimesh.creation.box((5, 1, 1)).export(kept / "rock.stl")
+    mesh = f"<geometry><mesh><uri>{FUEL}/1/files/rock.stl</uri></mesh></geometry>"
+    (body,) = read(model(link(shape=shape(RETRO, geometry=mesh)))).bodies
+    assert np.ptp(body.surface.vertices[:, 0]) == 5
+
+
+def test_a_uri_of_fuel_does_not_lead_out_of_the_model(tmp_path_factory, message, monkeypatch):
+    cache = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(cache))
+    kept = cache / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
+    kept.mkdir(parents=True)
+    trimesh.creation.box((5, 1, 1)).export(cache / "secret.stl")
+    mesh = f"<geometry><mesh><uri>{FUEL}/1/files/../../../../../secret.stl</uri></mesh></geometry>"
+    assert message(model(link(shape=shape(RETRO, geometry=mesh)))).startswith(
+        "a.sdf: models or files are missing"
+    )
+
+
 # ---- errors ------------------------------------------------------------------------------------------
 
+SKIPPABLE = "\nCarry on without them (--skip-missing, skip_missing=True)."
 REFUSED = "a document type or entities must not be declared (refused)"
 
 
@@ -579,7 +760,7 @@ def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
         ),
         (
             model("<pose>0 0 0 0 0 90</pose>" + link()),
-            "world/model[m]/pose: angles must be radians, within ±2π (got '0 0 0 0 0 90'; "
+            "world/model[m]/pose: angles must be radians, within ±2.5π (got '0 0 0 0 0 90'; "
             'if they are degrees, write <pose degrees="true">)',
         ),
         (
@@ -604,7 +785,7 @@ def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
         ("<include/>", "world/include[]: must name a file or a model (got '')"),
         (
             model(link(shape="<collision name='c'/>")),
-            "world/model[m]/link[link]/collision[c]: must hold a <geometry> with a shape in it",
+            "world/model[m]/link[link]/collision[c]: must hold a <geometry> with a shape in it" + SKIPPABLE,
         ),
         (
             model(link(shape=SHAPE.replace("2 4 6", "2 -4 6"))),
@@ -612,22 +793,24 @@ def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
             "must be 3 finite positive numbers (got '2 -4 6')",
         ),
         (
-            model(link(shape="<collision name='c'><geometry><sphere/></geometry></collision>")),
+            model(link(shape=shape(geometry="<geometry><sphere><radius/></sphere></geometry>"))),
             "world/model[m]/link[link]/collision[c]/geometry/sphere/radius: "
-            "must be 1 finite positive number (the tag is absent)",
+            "must be 1 finite positive number (got '')",
         ),
         (
-            model(link(shape="<collision name='c'><geometry><polyline/></geometry></collision>")),
-            "world/model[m]/link[link]/collision[c]/geometry/polyline: unknown geometry (known are box, "
-            "capsule, cylinder, ellipsoid, heightmap, mesh, plane, sphere; anything can be a mesh)",
+            model(link(shape=shape(geometry="<geometry><torus/></geometry>"))),
+            "world/model[m]/link[link]/collision[c]/geometry/torus: unknown geometry (known are box, capsule, "
+            "cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere; anything can be a mesh)"
+            + SKIPPABLE,
         ),
         (
-            model(link(shape=SHAPE.replace("255", "256"))),
-            "world/model[m]/link[link]/collision[c]/laser_retro: must lie in 0..255 (got 256)",
+            model(link(shape=shape(geometry="<geometry><polyline/></geometry>"))),
+            "world/model[m]/link[link]/collision[c]/geometry/polyline: "
+            "must have three different points or more (got 0)",
         ),
         (
             model(link(shape=SHAPE.replace("255", "-1"))),
-            "world/model[m]/link[link]/collision[c]/laser_retro: must lie in 0..255 (got -1)",
+            "world/model[m]/link[link]/collision[c]/laser_retro: must lie in 0..100000 (got -1)",
         ),
         (
             model(link(shape=SHAPE.replace("255", "bright"))),
@@ -672,11 +855,8 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     [
         ("<sdf>\n  <world>\n</sdf>", "line 3, column 3: broken XML (mismatched tag)"),
         ("", "line 1, column 1: broken XML (no element found)"),
-        (
-            "<sdf><gz:a/></sdf>",
-            "line 1, column 6: broken XML (unbound prefix; declare it, as in "
-            '<sdf xmlns:gz="http://gazebosim.org/schema">)',
-        ),
+        ("<sdf><a b=c/></sdf>", "line 1, column 11: broken XML (not well-formed (invalid token))"),
+        ("<sdf>&nothing;</sdf>", "line 1, column 6: broken XML (undefined entity)"),
         ("<robot/>", "the root element must be <sdf> (got <robot>)"),
         ("<sdf/>", "must hold a <world> or a <model>"),
     ],
@@ -715,10 +895,6 @@ def test_a_long_chain_of_frames_is_an_error():
 
 
 # ---- extensions --------------------------------------------------------------------------------------
-
-
-def shape(tags, name="c", kind="collision", geometry=BOX):
-    return f"<{kind} name='{name}'>{geometry}{tags}</{kind}>"
 
 
 DECLARED = "xmlns:sonar_gl='http://example.org/anything'"
@@ -834,10 +1010,40 @@ def test_a_map_on_an_infinite_plane_is_refused(message):
     )
 
 
-def test_other_prefixes_must_still_be_declared(tmp_path):
+@pytest.mark.parametrize(
+    ("xml", "why"),
+    [
+        ("<sdf version='1.9'><gz:y b='1'/>{}</sdf>", "line 1: a prefix is not declared"),
+        ("<sdf version='1.9'><y gz:type='1'/>{}</sdf>", "line 1: a prefix is not declared"),
+        ("<sdf version='1.9'>\n<!-- a -- b -->{}</sdf>", 'line 2: "--" in a comment'),
+        (
+            "<!-- who -->\n<?xml version='1.0'?><sdf version='1.9'>{}</sdf>",
+            "line 2: the XML declaration is not first",
+        ),
+    ],
+)
+def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, why):
     path = tmp_path / "a.sdf"
-    path.write_text("<sdf version='1.9'><sonar_gl:x/><gz:y/></sdf>")
-    with pytest.raises(Error, match="unbound prefix"):
+    path.write_text(xml.format(f"<sonar_gl:surface>3</sonar_gl:surface>{model(link())}"))
+    with pytest.warns(UserWarning) as caught:
+        scene = read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: broken XML, read as Gazebo reads it: {path} ({why})"
+    ]
+    assert [body.name for body in scene.bodies] == ["m"]
+    np.testing.assert_array_equal(np.ptp(scene.bodies[0].surface.vertices, axis=0), (2, 4, 6))
+
+
+@pytest.mark.parametrize("use", ["&x;", ""])
+def test_entities_are_refused_in_xml_that_only_gazebo_accepts(tmp_path, use):
+    """lxml, which reads it, would replace them; strict parsing stops before it sees the declaration."""
+    secret = tmp_path / "secret.txt"
+    secret.write_text("secret")
+    path = tmp_path / "a.sdf"
+    path.write_text(
+        f"<!-- a -- b --><!DOCTYPE sdf [<!ENTITY x SYSTEM '{secret.as_uri()}'>]><sdf>{use}{model(link())}</sdf>"
+    )
+    with pytest.raises(Error, match=re.escape(REFUSED)):
         read_sdf(path)
 
 

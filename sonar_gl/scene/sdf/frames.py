@@ -60,7 +60,7 @@ def read_pose(element, location: str) -> np.ndarray:
             f"{location}: angles must be radians, within ±2.5π (got {element.text.strip()!r}; "
             'if they are degrees, write <pose degrees="true">)'
         )
-    return pose(*values)
+    return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))
 
 
 @dataclass

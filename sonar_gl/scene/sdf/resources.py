@@ -115,7 +115,10 @@ class Resources:
             remove_comments=True,
             remove_pis=True,
         )
-        root = etree.fromstring(xml, parser)
+        try:
+            root = etree.fromstring(xml, parser)
+        except etree.XMLSyntaxError:  # of an empty file
+            return None
         if root is None or any(found.type not in TOLERATED for found in parser.error_log):
             return None
         if root.getroottree().docinfo.doctype or any(True for _ in root.iter(etree.Entity)):
@@ -252,8 +255,8 @@ class Resources:
             lines += [f"    not at {path}" for path in searched]
             if found := re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE):
                 lines.append(
-                    f"    'gz fuel download -u \"{uri}\"' downloads it to where it is found; or put the model's folder, "
-                    f"named {found[3]!r}, into a folder of the resource paths"
+                    f"    'gz fuel download -u \"{uri}\"' downloads it to where it is found; "
+                    f"or put the model's folder, named {found[3]!r}, into a folder of the resource paths"
                 )
             elif not searched:
                 lines.append("    not fetched: download it, and let the scene name the file")

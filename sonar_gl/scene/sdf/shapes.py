@@ -19,7 +19,8 @@ from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
 
 GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
-MAX_RETRO = 255  # of laser_retro, which has no upper limit: what is more reflects all
+MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
+MAX_NUMBER = 100_000  # of laser_retro: more is a mistake
 EXTENSIONS = ("material", "reflectivity_map", "roughness", "specular")  # of a shape, in namespace sonar_gl
 
 
@@ -82,7 +83,7 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
     if named is not None:
         with errors_at(f"{location}/sonar_gl:material"):
             found = material((named.text or "").strip())
-    retro = number(element.find("laser_retro"), "laser_retro", 0, np.inf)
+    retro = number(element.find("laser_retro"), "laser_retro", 0, MAX_NUMBER)
     reflectivity = found.reflectivity if found else DEFAULT_REFLECTIVITY
     if retro is not None:
         reflectivity = min(retro / MAX_RETRO, 1.0)
