@@ -243,8 +243,8 @@ def sonars():
 def doctor(ctx):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
-    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes a
-    minute, later commands then start fast.
+    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
+    half a minute, later commands then start fast.
     """
     found = cli.doctor.examine()
     click.echo(cli.doctor.report_text(found))

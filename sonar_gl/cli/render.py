@@ -20,7 +20,7 @@ from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progr
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
-from sonar_gl.imaging.styles import DemarcoStyle, FanStyle
+from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene
@@ -31,6 +31,7 @@ DEMARCO_ONLY = ("form", "join")
 STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
+LINEAR_DARKEST_DB = -24.0  # 1 of 255 steps of brightness, of pictures that are linear in intensity
 CLEARLY_BRIGHT_DB = 20.0  # an echo so far above the darkest level is easy to see
 
 
@@ -59,8 +60,9 @@ def render(scene_name: str, options, given: set[str]) -> str:
     else:
         db_range = parse_numbers("--db-range", options.db_range, "darkest brightest")
         style = FanStyle(options.height, options.scale, db_range, options.colormap, options.axes)
-        has_levels = options.scale == "db" and set(options.formats) != {"npz"}
-        darkest_db = db_range[0] if has_levels else None
+        darkest_db = db_range[0] if options.scale == "db" else LINEAR_DARKEST_DB
+    if set(options.formats) == {"npz"}:
+        darkest_db = None
     scene = load_scene(scene_name, options.resource_path, options.skip_missing)
     times_s, poses = poses_from(options, scene)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
@@ -144,7 +146,7 @@ class FrameWriter:
     noise, seed, labels : as for `Simulator.ping`
     fps : frames per second of gif and mp4
     progress : function (range) -> context manager that yields it, such as click.progressbar
-    darkest_db : darkest level of the pictures, to warn of nearly empty ones; None for no such warning
+    darkest_db : darkest level of fan images, to warn of nearly empty ones; None for none or other pictures
     """
 
     simulator: Simulator
@@ -159,7 +161,7 @@ class FrameWriter:
     darkest_db: float | None = None
 
     def __post_init__(self):
-        self._strongest, self._bright_share, self._times_ms = None, 0.0, []
+        self._strongest, self._bright_share, self._times_ms = None, None, []
 
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
@@ -212,20 +214,23 @@ class FrameWriter:
 
     def _warn_if_nearly_empty(self, subject: str):
         """Warn if no picture shows more than a few bright cells, and say what to change."""
-        if self.darkest_db is None or self._strongest.intensity <= 0 or self._bright_share >= NEARLY_EMPTY:
+        if self._bright_share is None or self._strongest.intensity <= 0 or self._bright_share >= NEARLY_EMPTY:
             return  # a ping without echo has a warning of its own
+        sonar = self.simulator.sonar
+        move = f"change --range ({sonar.range_min_m:g} to {sonar.range_max_m:.4g} m) or the sonar's pose"
+        share = f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its"
+        if self.darkest_db is None:
+            warnings.warn(f"{share} pixels show an echo; {move}", stacklevel=3)
+            return
         strongest_db = 10 * np.log10(self._strongest.intensity)
-        if strongest_db < self.darkest_db + CLEARLY_BRIGHT_DB:
+        if self.darkest_db == LINEAR_DARKEST_DB:
+            cure = "give --scale db, which shows weak echoes, too"
+        elif strongest_db < self.darkest_db + CLEARLY_BRIGHT_DB:
             low_db, high_db = 10 * np.floor(strongest_db / 10) - 40, 10 * np.ceil(strongest_db / 10)
             cure = f'give --db-range "{low_db:g} {high_db:g}", or more gain by --acoustics tvg_k=40'
         else:
-            sonar = self.simulator.sonar
-            cure = f"change --range ({sonar.range_min_m:g} to {sonar.range_max_m:.4g} m) or the sonar's pose"
-        warnings.warn(
-            f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its cells are brighter than "
-            f"{self.darkest_db:g} dB; {cure}",
-            stacklevel=3,
-        )
+            cure = move
+        warnings.warn(f"{share} cells are brighter than {self.darkest_db:g} dB; {cure}", stacklevel=3)
 
     def _frames(self, names, poses, times_s, stills, calls: BackgroundCalls):
         """Yield the pictures one after the other, and have `calls` write the still files."""
@@ -239,6 +244,8 @@ class FrameWriter:
                 self._note(ping, number)
                 needs_picture = set(self.formats) != {"npz"}
                 picture = self.style(self.simulator, ping, number) if needs_picture else None
+                if needs_picture and isinstance(self.style, DemarcoStyle):  # which has an echo of its own
+                    self._note_bright(shows_echo(picture))
                 if "png" in stills:
                     calls.start(save_png, self.folder / f"{names[number]}.png", picture)
                 if "npz" in stills:
@@ -251,8 +258,11 @@ class FrameWriter:
         if self._strongest is None or intensity > self._strongest.intensity:
             self._strongest = Echo(intensity, text, number)
         if self.darkest_db is not None:
-            share = np.count_nonzero(ping.intensity > 10 ** (self.darkest_db / 10)) / ping.intensity.size
-            self._bright_share = max(self._bright_share, share)
+            self._note_bright(ping.intensity > 10 ** (self.darkest_db / 10))
+
+    def _note_bright(self, bright: np.ndarray):
+        """Remember the largest share of bright cells, or pixels."""
+        self._bright_share = max(self._bright_share or 0.0, np.count_nonzero(bright) / bright.size)
 
     def _strongest_echo(self, ping: Ping) -> tuple[float, str]:
         """Return the intensity of the strongest echo, and what and where it is."""

@@ -13,6 +13,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -140,6 +141,12 @@ class _SecondProcess:
         """Wait for its end; return the names of the functions that it has compiled."""
         return set() if self._process is None else set(self._process.communicate()[0].split())
 
+    def stop(self) -> None:
+        """End it, if it still runs."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait()
+
 
 def compile_everything(report: Callable[[str], None] | None = None, processes: int = 2) -> Compilation:
     """Compile every compiled function of the package, or read its machine code from disk.
@@ -159,9 +166,12 @@ def compile_everything(report: Callable[[str], None] | None = None, processes: i
     counter = _Counter(report, second.start if processes > 1 else lambda: None)
     with event.install_listener("numba:compile", counter), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # tiny pings are coarse
-        _draw()
-        _work_without_opengl()
-        names = second.wait()
+        try:
+            _draw()
+            _work_without_opengl()
+            names = second.wait()
+        finally:
+            second.stop()
         _receive()
     return Compilation(len(compiled_functions()), len(counter.names | names), time.perf_counter() - start)
 
@@ -184,7 +194,7 @@ def _work_without_opengl():
     boxes_of(ping, 40)
     # a batch leaves out dark cells, in an array of its own, which is not read-only
     boxes_of(replace(ping, body_id=ping.body_id.copy()), 40)
-    if find_spec("pydantic"):
+    with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
         cli.warm_up_batch.encode_layers(ping)
     _simplify()
     if find_spec("embreex"):

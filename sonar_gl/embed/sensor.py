@@ -11,7 +11,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from threading import Lock
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import SecondThread, ThreadLock
 from sonar_gl.embed.camera_rig import CameraRig
 from sonar_gl.embed.depth_images import (
     MAX_BODY_ID,
@@ -67,6 +66,12 @@ def glsl() -> str:
     return load_shader("embed.glsl", data_folder("shaders"), {})[0]
 
 
+IN_USE = (
+    "a Sensor must not be used while it makes a ping "
+    "(got a call from a signal handler or another callback; have it set a flag, and act after the ping)"
+)
+
+
 class Sensor:
     """A sonar that makes pings of the images that other programs render.
 
@@ -106,7 +111,7 @@ class Sensor:
             )
         self.tolerance = check_tolerance(tolerance)
         self._instrument, self._thread = Instrument(sonar, self.acoustics), SecondThread()
-        self._rigs, self._lock = {}, Lock()
+        self._rigs, self._lock = {}, ThreadLock(IN_USE)
         self._process, self._is_closed = os.getpid(), False
 
     def sectors(self, pose, near_m: float = NEAR_M) -> list[DrawnSector]:
@@ -147,7 +152,7 @@ class Sensor:
         request = PingRequest(pose, noise, seed, ping_number, labels, velocity=velocity)
         tolerance = self.tolerance if self.sampling is None else None
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
-        with self._lock:
+        with self._lock.held():
             return self._ping(request, drawing.stage, samples, origin, drawing.advice())
 
     def ping_from_textures(
@@ -250,7 +255,7 @@ class Sensor:
     ) -> Ping:
         """Return the ping of checked images."""
         self._check_open()
-        with self._lock:
+        with self._lock.held():
             rig = self._find_rig(cameras, images)
             return self._ping(request, rig.stage, rig.samples(images, planar), origin, IMAGES_ADVICE)
 
@@ -314,9 +319,10 @@ class Sensor:
             self._host.check_thread()
         if self._drawing is not None and self._drawing.is_being_drawn():
             raise Error("a Sensor must be closed outside of the blocks of its sectors (got one being drawn)")
+        self._lock.check_free()
         self._is_closed = True
         if os.getpid() == self._process:
-            with self._lock:
+            with self._lock.held():
                 self._rigs.clear()
             self._thread.close()
         self._release_framebuffers()

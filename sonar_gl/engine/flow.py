@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
 from sonar_gl.engine.multipath import ImageSourceSamples
+from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import Stage
 from sonar_gl.scene.state import SceneState
@@ -98,3 +100,18 @@ class ReceivedPing:
     def total(self) -> float:
         """The sum of the echo."""
         return self.direct.total + (0.0 if self.multipath is None else self.multipath.total)
+
+
+class PingReport(NamedTuple):
+    """What a ping tells beside its echo.
+
+    Attributes
+    ----------
+    origin : SampleOrigin
+    error_estimate : estimated error; None without one
+    no_echo : why there is no echo; None if there is one
+    """
+
+    origin: SampleOrigin
+    error_estimate: float | None
+    no_echo: str | None

@@ -8,7 +8,8 @@ from dataclasses import asdict, replace
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
-from sonar_gl.engine.flow import DrawnPing, PingSetup, ReceivedPing, Resolution
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import receive_images
@@ -24,7 +25,8 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
     setup = run.set_up(request)
     with run.drawing():
         received = sample(run, setup)
-    return finish(run, received)
+        report = run.report(received)
+    return finish(run.instrument, received, report)
 
 
 def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
@@ -87,11 +89,11 @@ def label(drawn: DrawnPing) -> Labels:
     return beamformer.label(drawn.view.sectors, setup.gain, setup.n_bodies, background)
 
 
-def finish(run: Run, received: ReceivedPing) -> Ping:
+def finish(instrument: Instrument, received: ReceivedPing, report: PingReport) -> Ping:
     """Assemble a ping of a scene; warn if it has no echo."""
-    run.warn_if_no_echo(received)
-    estimate = run.sampler.error_estimate(received.drawn.setup.request.pose)
-    return assemble(run.instrument, received, run.sample_origin(), estimate)
+    if report.no_echo is not None:
+        warn_caller(report.no_echo)
+    return assemble(instrument, received, report.origin, report.error_estimate)
 
 
 def assemble(

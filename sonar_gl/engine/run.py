@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import Future, wait
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import closed_error
-from sonar_gl.core.warn import warn_caller
+from sonar_gl.core.worker import Job
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
-from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
@@ -44,7 +44,8 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.users += 1
-        self._world, self._origin, self._described, self._in_flight = world, None, None, None
+        self._world, self._origin, self._described = world, None, None
+        self._in_flight, self._summing = [], Lock()
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -76,21 +77,33 @@ class Run:
         return self._world
 
     @contextmanager
-    def drawing(self, beside: Future | None = None):
+    def drawing(self, beside: Job | None = None):
         """Make the OpenGL context current inside a `with` block, in one thread at a time.
 
         The block waits for the pings that another thread still sums, except for those of `beside`.
         """
         with self.world.drawing() as context:
-            if self._in_flight is not None and self._in_flight is not beside:
-                wait([self._in_flight])
+            for job in self._in_flight:
+                if job is not beside:
+                    job.settle()
             if self._world is None:  # closed while this one waited
                 raise closed_error("Simulator")
             yield context
 
-    def receiving(self, future: Future) -> None:
-        """Remember the pings that another thread sums into arrays of this run, so that `drawing` waits for them."""
-        self._in_flight = future
+    def receive_later(self, work: Callable[[], list]) -> Job:
+        """Return a job for another thread that sums pings into arrays of this run; `drawing` waits for it.
+
+        An interrupt before a thread has got it leaves it to `drawing`. Of several jobs one runs at a time, since
+        they share these arrays.
+        """
+
+        def alone():
+            with self._summing:
+                return work()
+
+        job = Job(alone)
+        self._in_flight = [*(one for one in self._in_flight if not one.is_done), job]
+        return job
 
     def set_up(self, request: PingRequest) -> PingSetup:
         """Resolve a request in the scene as it is now; not inside `drawing`.
@@ -163,26 +176,30 @@ class Run:
             )
         return self._origin
 
-    def warn_if_no_echo(self, received: ReceivedPing) -> None:
-        """Warn if a ping has no echo; the message names the nearest surface and why it returned none."""
+    def report(self, received: ReceivedPing) -> PingReport:
+        """Return what a ping tells beside its echo; inside `drawing`, or with the world `unchanged`."""
+        setup = received.drawn.setup
+        no_echo = None
         if received.total <= 0:
-            setup, sonar = received.drawn.setup, self.instrument.sonar
-            sonars = sonar, self.instrument.acoustics.true_range_sonar(sonar)
+            sonars = self.instrument.sonar, self.instrument.acoustics.true_range_sonar(self.instrument.sonar)
             view = received.drawn.view.sectors
-            warn_caller(why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view))
+            no_echo = why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view)
+        return PingReport(self.sample_origin(), self.sampler.error_estimate(setup.request.pose), no_echo)
 
     def close(self) -> None:
         """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing."""
         world = self._world
         if world is not None:
             world.check_thread()
+            world.check_idle()
             self._world = None
             world.leave(self._release)
 
     def _release(self) -> None:
-        if self._in_flight is not None:
-            wait([self._in_flight])
-        self.stages = self.sampler = self.image_sources = self._in_flight = None
+        for job in self._in_flight:
+            job.settle()
+        self.stages = self.sampler = self.image_sources = None
+        self._in_flight = []
 
     def forget(self) -> None:
         """Count this run as unused without closing it, since finalisers must not call OpenGL."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count, repeat
 
 import numpy as np
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.adaptive import Plan
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -73,8 +73,8 @@ def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
             least = images.COARSEST
             for at in np.unique(np.linspace(0, len(setups) - 1, IMAGE_POSES).round().astype(int)):
                 images.reset()
-                sample(run, setups[at])
-                least = min(least, images.halvings)
+                if (found := sample(run, setups[at]).drawn.images) is not None:
+                    least = min(least, found.halvings)
             images.fix(least)
     return chosen
 
@@ -120,17 +120,17 @@ class _Upcoming:
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
     """Yield pings: while one batch is drawn, the one before is received in another thread."""
-    in_flight: Future | None = None
-    upcoming = _Upcoming(run, requests)
-    with ThreadPoolExecutor(1, "sonar_gl receiver") as thread:
+    in_flight: Job | None = None
+    upcoming, thread = _Upcoming(run, requests), JobThread("sonar_gl receiver")
+    try:
         while upcoming.fill():
             with run.drawing(beside=in_flight):
                 batch, to_check = upcoming.next_batch()
                 drawn_now = None
                 if batch:
                     drawn = draw(run, batch, run.sampler.resolution, keep_last=True)
-                    drawn_now = thread.submit(lambda drawn=drawn: [receive(one) for one in drawn])
-                    run.receiving(drawn_now)
+                    drawn_now = run.receive_later(lambda drawn=drawn: [receive(one) for one in drawn])
+                    thread.submit(drawn_now)
             if in_flight is not None:
                 yield from _finished(run, in_flight)
             in_flight = drawn_now
@@ -138,20 +138,29 @@ def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
                 if in_flight is not None:
                     yield from _finished(run, in_flight)
                     in_flight = None
-                with run.drawing():
-                    received = sample(run, to_check, check=True)
-                yield finish(run, received)
+                yield _sampled(run, to_check)
         if in_flight is not None:
             yield from _finished(run, in_flight)
+    finally:
+        thread.close()
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
-def _finished(run: Run, in_flight: Future) -> Iterator[Ping]:
+def _finished(run: Run, in_flight: Job) -> Iterator[Ping]:
     """Yield the pings of a batch that was drawn before."""
     for received in in_flight.result():
-        run.check_open()
-        if run.is_outdated(received):
-            with run.drawing():
-                received = sample(run, received.drawn.setup, check=True)
-        yield finish(run, received)
+        with run.world.unchanged():
+            report = None if run.is_outdated(received) else run.report(received)
+        if report is None:
+            yield _sampled(run, received.drawn.setup)
+        else:
+            yield finish(run.instrument, received, report)
+
+
+def _sampled(run: Run, setup: PingSetup) -> Ping:
+    """Return a ping that is sampled alone, with a check of its error."""
+    with run.drawing():
+        received = sample(run, setup, check=True)
+        report = run.report(received)
+    return finish(run.instrument, received, report)

@@ -13,7 +13,7 @@ from sonar_gl.core.checks import check_kind, check_number, is_number
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, nearest_names, other_process_error
 from sonar_gl.core.poses import check_pose
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import SecondThread, ThreadLock
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.host import check_thread, join
@@ -23,6 +23,11 @@ from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
 
 MAX_TIME_S = 1e10  # Unix time with room to spare
+
+IN_USE = (
+    "a Simulator must not be used while it makes a ping "
+    "(got a call from a signal handler or another callback; have it set a flag, and act after the ping)"
+)
 
 
 class World:
@@ -46,8 +51,7 @@ class World:
             got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
             raise Error(f"context must be 'current' without a device, or None (got {got})")
         joins = context is not None
-        self._context, self._lock, self._process = None, threading.Lock(), os.getpid()
-        self._owner = None  # the thread that holds the lock
+        self._context, self._lock, self._process = None, ThreadLock(IN_USE), os.getpid()
         self._host_thread = threading.current_thread() if joins else None
         self.scene, self.users, self.thread = scene, 0, SecondThread()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
@@ -66,6 +70,10 @@ class World:
     def _number_bodies(self) -> None:
         self._indices = {body.name: index for index, body in enumerate(self.scene.bodies)}
 
+    def check_idle(self) -> None:
+        """Raise an Error if this thread is in the middle of drawing."""
+        self._lock.check_free()
+
     def check_thread(self) -> None:
         """Raise an Error in another thread than that whose context was joined."""
         if self._host_thread is not None:
@@ -77,18 +85,10 @@ class World:
         if os.getpid() != self._process:
             raise other_process_error("Simulator")
         self.check_thread()
-        if self._owner == threading.get_ident():  # the lock would wait for itself
-            raise Error(
-                "a Simulator must not be used while it makes a ping (got a call from a signal handler or callback)"
-            )
-        with self._lock:
+        with self._lock.held():
             if self._context is None:
                 raise closed_error("Simulator")
-            self._owner = threading.get_ident()
-            try:
-                yield
-            finally:
-                self._owner = None
+            yield
 
     @contextmanager
     def drawing(self):
@@ -186,7 +186,7 @@ class World:
         """Take one user less: `release` drops its GL objects; after the last user the context goes, too."""
         if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
             return
-        with self._lock:
+        with self._lock.held():
             self.users -= 1
             context, is_last = self._context, self.users == 0
             release()

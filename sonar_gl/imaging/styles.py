@@ -13,6 +13,8 @@ from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 
+DARK_BLUE = 128  # the first colour of Jet
+
 
 @dataclass(frozen=True)
 class FanStyle:
@@ -38,6 +40,12 @@ class FanStyle:
         """Return the (H, W, 3) uint8 RGB picture of a ping."""
         picture = colorize(fan_image(ping, self.height, self.scale, self.db_range), self.colormap)
         return draw_axes(picture, ping) if self.axes else picture
+
+
+def shows_echo(picture: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: which pixels of a founding paper's picture are neither dark blue, no echo, nor black."""
+    red, green, blue = np.moveaxis(picture, 2, 0)
+    return (red > 0) | (green > 0) | ((blue != 0) & (blue != DARK_BLUE))
 
 
 @dataclass(frozen=True)

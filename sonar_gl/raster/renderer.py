@@ -40,14 +40,16 @@ class RenderTarget:
         """Have room for so many pixels."""
         if self._size == size:
             return
-        self._size, self._arrays = size, {}
         plane_echo = context.renderbuffer(size, 4, dtype="f4")
         body_id = context.renderbuffer(size, 1, dtype="u2")
         depth = context.depth_renderbuffer(size)
-        self._framebuffers = {
+        framebuffers = {
             False: context.framebuffer([plane_echo], depth),
             True: context.framebuffer([plane_echo, body_id], depth),
         }
+        # the size last: after an interrupt or an error of the driver the next ping begins anew
+        self._size, self._arrays, self._framebuffers = (0, 0), {}, framebuffers
+        self._size = size
 
     def clear(self) -> moderngl.Framebuffer:
         """Bind and clear the framebuffer."""

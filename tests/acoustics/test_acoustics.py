@@ -221,3 +221,8 @@ def test_the_range_law_of_demarco2015_is_checked():
     assert error_of(Acoustics.demarco2015, "invers") == (
         "acoustics: unknown range_law (got 'invers'; did you mean 'inverse'?)"
     )
+
+
+def test_needed_has_moved():
+    with pytest.raises(Error, match=r"call sonar_gl\.needed_acoustics with the same arguments"):
+        Acoustics.needed("scene", sonar=None, tolerance=0.05)

@@ -176,9 +176,17 @@ def test_a_picture_that_shows_almost_nothing_says_what_to_change():
     )
     percent = 100 * (sg.load_npz("box.npz").intensity > 1e-6).mean()
     assert percent < 1 and float(match[1]) == pytest.approx(percent, rel=0.05)
-    for silent in (("--format", "npz"), ("--scale", "linear"), ("--style", "demarco2015")):
-        view = view[2:] if silent[0] == "--style" else view
-        assert run("render", "box.sdf", *QUICK, *view, *silent)[2] == ""
+    assert run("render", "box.sdf", *QUICK, *view, "--format", "npz")[2] == ""
+    err = run("render", "box.sdf", *QUICK, *view, "--scale", "linear")[2]
+    assert err.endswith(
+        " % of its cells are brighter than -24 dB; give --scale db, which shows weak echoes, too\n"
+    )
+    err = run("render", "box.sdf", *QUICK, *view[2:], "--style", "demarco2015")[2]
+    assert re.fullmatch(
+        r"warning: the picture is nearly empty: 0\.\d+ % of its pixels show an echo; "
+        r"change --range \(0\.5 to 8\.5 m\) or the sonar's pose\n",
+        err,
+    )
 
 
 def test_a_dark_picture_says_which_levels_to_show():

@@ -106,7 +106,7 @@ def test_a_caller_that_is_interrupted_in_its_own_second_half_blocks_no_later_job
     def interrupted(_half):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sonar_gl.core.worker._Half.do", interrupted)
+    monkeypatch.setattr("sonar_gl.core.worker.Job.do", interrupted)
     with pytest.raises(KeyboardInterrupt):
         thread.run_halves(lambda half: half)  # the thread is busy, so that this caller runs both halves
     monkeypatch.undo()

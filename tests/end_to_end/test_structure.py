@@ -281,3 +281,31 @@ def identifiers_of(path):
 def test_modules_and_files_that_are_named_exist():
     missing = {(name_of(path), name) for path in texts() for name in missing_names(path.read_text("utf-8"))}
     check_quoted(missing, "these were moved or removed", lambda word: "/" in word)
+
+
+# Constants of one name in several modules that mean different things: name: why.
+OF_ONE_NAME = {
+    "POINTS": "kernels use constants of their own file alone",
+    "EXTENSIONS": "of GL, of EGL, and of SDF",
+}
+
+
+def constants_of(path):
+    """Names in capitals that a module gives a number or text, or a tuple of them."""
+    for node in tree_of(path).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+            if re.fullmatch("[A-Z][A-Z0-9_]+", name) and not any(
+                isinstance(part, (ast.Call, ast.Name, ast.Attribute)) for part in ast.walk(node.value)
+            ):
+                yield name, ast.unparse(node.value)
+
+
+def test_a_constant_is_defined_once():
+    """NEAR_M, SOFTWARE and WORST_BODY had several definitions, which could come to differ."""
+    places = {}
+    for path in sources(PACKAGE):
+        for name, value in constants_of(path):
+            places.setdefault((name, value), []).append(name_of(path))
+    found = {key: names for key, names in places.items() if len(names) > 1 and key[0] not in OF_ONE_NAME}
+    assert found == {}, "import these from one module"

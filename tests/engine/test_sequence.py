@@ -1,6 +1,7 @@
 """Sequences of pings: identical to single pings, in order, without leaks."""
 
 import threading
+import time
 import tracemalloc
 import warnings
 from itertools import count, islice
@@ -10,7 +11,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.engine import adaptive, sequence
+from sonar_gl.core.worker import JobThread
+from sonar_gl.engine import adaptive, pipeline, sequence
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -159,6 +161,9 @@ def test_an_endless_sequence_may_be_stopped(it, stop):
     np.testing.assert_array_equal(it.ping(POSES[3]).intensity, expected[3])
     for number, ping in enumerate(it.pings(POSES[:5])):
         np.testing.assert_array_equal(ping.intensity, expected[number])
+    until = time.monotonic() + 5
+    while threading.active_count() > threads and time.monotonic() < until:  # they end by themselves
+        time.sleep(0.01)
     assert threading.active_count() <= threads
 
 
@@ -350,6 +355,59 @@ def test_a_call_in_the_middle_of_a_ping_raises_an_error(it):
     with it.run.drawing(), pytest.raises(sg.Error, match="must not be used while it makes a ping"):
         it.ping(POSES[0])
     np.testing.assert_array_equal(it.ping(POSES[0]).intensity, expected)
+
+
+def test_a_simulator_is_not_closed_in_the_middle_of_its_ping(it):
+    """A signal handler tries it: an error, no hang; the simulator stays open."""
+    with it.run.drawing(), pytest.raises(sg.Error, match="must not be used while it makes a ping"):
+        it.close()
+    assert it.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("where", ["start", "submit"])
+def test_an_interrupt_while_pings_are_handed_over_leaves_later_pings_right(it, monkeypatch, where):
+    """An executor of the standard library forgets a thread whose start is interrupted: it went on summing."""
+    expected = [ping.intensity for ping in it.pings(POSES)]
+    owner = threading.Thread if where == "start" else JobThread
+    original = getattr(owner, where)
+
+    def interrupted(self, *arguments):
+        original(self, *arguments)
+        if threading.current_thread() is threading.main_thread():
+            raise KeyboardInterrupt
+
+    for _ in range(10):
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, where, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                list(it.pings(POSES))
+        for pose, right in zip(POSES[::4], expected[::4], strict=True):
+            np.testing.assert_array_equal(it.ping(pose).intensity, right)
+    for ping, right in zip(it.pings(POSES), expected, strict=True):
+        np.testing.assert_array_equal(ping.intensity, right)
+
+
+def test_a_ping_of_another_thread_in_between_does_not_change_the_estimate(monkeypatch):
+    """What a ping reports is taken while it holds the lock."""
+    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
+    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
+    assemble = pipeline.assemble
+    with simulator(None, [far, near], tolerance=0.05) as it:
+        expected = it.ping(POSES[0]).error_estimate
+        here = threading.current_thread()
+
+        def interleaved(*arguments):
+            if threading.current_thread() is here:
+                other = threading.Thread(target=it.ping, args=(sg.pose(yaw=0.5),))
+                other.start()
+                other.join()
+            return assemble(*arguments)
+
+        monkeypatch.setattr(pipeline, "assemble", interleaved)
+        assert it.ping(POSES[0]).error_estimate == expected
+        monkeypatch.undo()
+        assert it.ping(sg.pose(yaw=0.5)).error_estimate != expected
 
 
 def test_a_generator_of_poses_may_add_bodies():

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import cv2
+import moderngl
 import numpy as np
 import pytest
 import trimesh
@@ -332,3 +333,24 @@ def test_too_many_samples_for_the_driver():
         simulate([sg.Body("box", BOX)], it, sg.Sampling(1000, 10))
     assert str(caught.value).startswith("samples must fit the driver's limit of 16384 by 16384 pixels (got ")
     assert str(caught.value).endswith("ask for a larger tolerance or fewer samples)")
+
+
+@pytest.mark.parametrize("part", ["depth_renderbuffer", "framebuffer"])
+@pytest.mark.parametrize("is_first", [True, False])
+def test_an_interrupt_while_a_larger_target_is_made_leaves_later_pings_right(monkeypatch, part, is_first):
+    """The size was noted first: later pings drew into the old, smaller target, and 77 % of their echo was lost."""
+    bodies = [sg.Body("wall", trimesh.creation.box((0.2, 6, 6)), sg.pose(6))]
+    with simulate(bodies) as simulator:
+        expected = simulator.ping(sg.pose()).intensity
+
+    def interrupted(*_args, **_more):
+        raise KeyboardInterrupt
+
+    with simulate(bodies) as simulator:
+        if not is_first:
+            simulator.ping(sg.pose(-12))
+        with monkeypatch.context() as patch:
+            patch.setattr(moderngl.Context, part, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                simulator.ping(sg.pose())
+        np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
