@@ -26,6 +26,8 @@ PACKAGES = (  # name of the import, name of the package
     ("click", "click"),
     ("PIL", "pillow"),
     ("defusedxml", "defusedxml"),
+    ("lxml", "lxml"),
+    ("mapbox_earcut", "mapbox_earcut"),
 )
 INSTALL_AGAIN = "install sonar_gl again"
 

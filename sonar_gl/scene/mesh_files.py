@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,7 +97,8 @@ def read_mesh_parts(path) -> list[MeshPart]:
     try:
         if path.suffix.lower() == ".dae":
             _refuse_dtd(path)
-        scene = trimesh.load(path, force="scene", process=False, skip_materials=True, split_objects=True)
+        with _without_log():
+            scene = trimesh.load(path, force="scene", process=False, skip_materials=True, split_objects=True)
     except Exception as why:  # trimesh and its parsers raise anything
         raise Error(f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {why})") from None
     parts = []
@@ -157,6 +160,18 @@ def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
         middle = (used.min(axis=0) + used.max(axis=0)) / 2
         shape = make_shape(mesh.vertices - middle, mesh.faces, normals)
     return shape
+
+
+@contextmanager
+def _without_log():
+    """Keep trimesh from logging: tracebacks about textures that it does not find, which have no acoustic meaning."""
+    log = logging.getLogger("trimesh")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _refuse_dtd(path):
