@@ -635,6 +635,123 @@ def test_a_uri_of_fuel_does_not_lead_out_of_the_model(tmp_path_factory, message,
     )
 
 
+# ---- water and marks ---------------------------------------------------------------------------------
+
+SHEET = "<geometry><box><size>400 300 0.1</size></box></geometry>"
+WALL = "<geometry><box><size>400 0.1 70</size></box></geometry>"
+
+
+def visual(name, geometry=SHEET, material="", z=0.0):
+    script = f"<material><script><name>{material}</name></script></material>" if material else ""
+    return f"<visual name='{name}'><pose>0 0 {z} 0 0 0</pose>{geometry}{script}</visual>"
+
+
+def read_wet(tmp_path, inside):
+    """Return the scene of a world, and the texts of its warnings."""
+    path = write(tmp_path / "a.sdf", inside)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = read_sdf(path)
+    return scene, [str(w.message).removeprefix(f"{path}: ") for w in caught]
+
+
+@pytest.mark.parametrize(
+    ("inside", "name"),
+    [
+        (model(link(shape=visual("surface", material="UUVSimulator/StaticWater", z=3))), "m::link"),
+        (model(link(shape=visual("above", material="Any/SimpleWaves", z=3))), "m::link"),
+        (model(link(shape=visual("visual", z=3)), "sea_surface"), "sea_surface::link"),
+        (model(link(shape=visual("visual", z=3), name="ocean_link"), "wreck"), "wreck::ocean_link"),
+        (model(link(shape=visual("water_plane", z=3))), "m::link"),
+        (
+            model(link(shape=f"<pose>0 0 3 0 0 0</pose>{shape('', geometry=SHEET)}"), "water_surface"),
+            "water_surface::link",
+        ),
+    ],
+)
+def test_water_is_no_wall(tmp_path, inside, name):
+    """The naive reader makes it a body of reflectivity 0.5, and a sonar that looks up finds nothing else."""
+    scene, texts = read_wet(tmp_path, inside + model(link(), "rock"))
+    assert [body.name for body in scene.bodies] == ["rock"]
+    assert scene.surface_z_m == 3.0
+    assert texts == [
+        f"water and marks are no bodies, and are left out ({name}); "
+        "the water's surface is taken from its shape, z = 3 m"
+    ]
+
+
+def test_walls_of_water_have_no_surface_and_floors_stay(tmp_path):
+    walls = "".join(visual(side, WALL, "UUVSimulator/SeaWall", -35) for side in ("north", "south"))
+    ocean = model(
+        link(shape=visual("surface", material="A/DeepWater", z=-1) + walls, name="ocean_link")
+        + link(name="seabed"),
+        "wreck",
+    )
+    floor = model(link(shape=shape(RETRO, "seafloor"), name="ocean_link"), "ocean")
+    scene, texts = read_wet(tmp_path, ocean + floor)
+    assert [body.name for body in scene.bodies] == ["wreck", "ocean"] and scene.surface_z_m == -1.0
+    assert len(texts) == 1 and "(wreck::ocean_link)" in texts[0]
+
+
+def test_the_surface_of_a_volume_is_its_top_and_of_a_mesh_its_origin(tmp_path):
+    volume = "<geometry><box><size>40 30 8</size></box></geometry>"
+    scene, _ = read_wet(tmp_path, model(link(shape=visual("water", volume, z=-3)), "tank"))
+    assert scene.surface_z_m == 1.0
+    mesh = "<geometry><mesh><uri>file://Media/models/sea_surface.dae</uri></mesh></geometry>"
+    scene, texts = read_wet(
+        tmp_path, model(link(shape=visual("ocean_surface", mesh, z=2)) + link(name="rock"))
+    )
+    assert scene.surface_z_m == 2.0 and len(texts) == 1  # the mesh is not missing
+
+
+def test_the_files_own_surface_wins(tmp_path):
+    text = (
+        "<sonar_gl:surface>7</sonar_gl:surface>" + model(link(shape=visual("water")), "sea") + model(link())
+    )
+    scene, texts = read_wet(tmp_path, text)
+    assert scene.surface_z_m == 7.0
+    assert texts == ["water and marks are no bodies, and are left out (sea::link)"]
+
+
+def test_the_surface_of_a_model_with_a_floor_is_told(tmp_path):
+    """Its collision is the floor, and its visuals make no bodies."""
+    scene, texts = read_wet(
+        tmp_path,
+        model(link(shape=SHAPE + visual("top", material="UUVSimulator/StaticDeepWater")), "ocean_box"),
+    )
+    assert [body.name for body in scene.bodies] == ["ocean_box"] and scene.surface_z_m == 0.0
+    assert texts == ["the water's surface is taken from its shape, z = 0 m"]
+
+
+@pytest.mark.parametrize("name", ["world_ned", "axes", "ned_frame", "origin", "map_frame"])
+def test_marks_are_left_out(tmp_path, name):
+    axis = visual("N", "<geometry><cylinder><radius>0.01</radius><length>1</length></cylinder></geometry>")
+    scene, texts = read_wet(tmp_path, model(link(shape=axis), name) + model(link()))
+    assert [body.name for body in scene.bodies] == ["m"] and scene.surface_z_m is None
+    assert texts == [f"water and marks are no bodies, and are left out ({name}::link)"]
+
+
+@pytest.mark.parametrize(
+    ("name", "inside"),
+    [
+        ("water_tower", link(shape=visual("visual"))),
+        ("frame", link()),  # which things collide with
+        ("world_ned", link("<inertial><mass>1</mass></inertial>", shape=visual("visual"))),
+        ("sea_bottom", link(shape=visual("visual"))),
+        ("ocean", link(shape=shape(RETRO, "seafloor"))),
+        ("lake", link(shape=shape(RETRO, "lake_bottom"), name="lake_link")),
+        ("wave_glider", link(shape=visual("visual"))),
+        (
+            "sea_surface",
+            link(shape=visual("ice").replace("</visual>", f"{RETRO}</visual>")),
+        ),  # says how it echoes
+    ],
+)
+def test_what_is_neither_water_nor_mark_stays(tmp_path, name, inside):
+    scene, _ = read_wet(tmp_path, model(inside, name))
+    assert [body.name for body in scene.bodies] == [name]
+
+
 # ---- errors ------------------------------------------------------------------------------------------
 
 SKIPPABLE = "\nCarry on without them (--skip-missing, skip_missing=True)."

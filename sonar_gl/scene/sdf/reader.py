@@ -15,7 +15,8 @@ from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_s
 from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, find_sonar, links_of
 from sonar_gl.scene.sdf.resources import Resources
-from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes
+from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
+from sonar_gl.scene.sdf.water import is_mark, is_water
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
@@ -54,6 +55,10 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     The sonar is the first `<sensor type="custom">`, else the first sensor that is named after a sonar by its
     own name or plugin, else by its model; see `find_sonar`.
 
+    Shapes of water and marks such as coordinate axes, which `water` recognises by names and materials, are
+    left out, with one warning, unless they have surface properties. Where the file has no
+    `<sonar_gl:surface>`, the highest shape of water is the water's surface.
+
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
@@ -76,6 +81,15 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
         )
         warnings.warn(f"{path}: broken XML, read as Gazebo reads it: {files}", stacklevel=2)
+    left_out, height_m = _read_water(links, resources)
+    said = []
+    if left_out:
+        said.append(f"water and marks are no bodies, and are left out ({_some_of(left_out)})")
+    if height_m is not None and not surface:
+        surface = {"surface_z_m": height_m}
+        said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
+    if said:
+        warnings.warn(f"{path}: {'; '.join(said)}", stacklevel=2)
     missing, unsupported = resources.missing(path), resources.unsupported()
     if missing or unsupported:
         message = "\n".join(filter(None, (missing, unsupported)))
@@ -135,6 +149,19 @@ def _read_bodies(
         if not complete:
             unspecified.append(name)
     return bodies, unspecified, reader.saturated
+
+
+def _read_water(links: list[Link], resources: Resources) -> tuple[list[str], float | None]:
+    """Return the names of shapes that are left out, as water or marks, and the height of the water's surface."""
+    reader, names, heights = BodyReader(resources), {}, []
+    for link in links:
+        if left_out_shapes(link):
+            names[f"{link.model}::{link.name}"] = None
+        for element in link.element.findall("collision") + link.element.findall("visual"):
+            if is_water(link, element) and not is_mark(link):
+                heights.append(reader.height_of_water(link, element))
+    heights = [height for height in heights if height is not None]
+    return list(names), max(heights, default=None)
 
 
 def _read_plumes(links: list[Link]) -> list[Bubbles]:

@@ -17,6 +17,7 @@ from sonar_gl.scene.sdf.extensions import check_extensions, find_extension, list
 from sonar_gl.scene.sdf.frames import read_numbers
 from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.water import is_mark, is_water, surface_z_m
 
 GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
 MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
@@ -42,11 +43,24 @@ class ShapeOfLink(NamedTuple):
 
 
 def echoing_shapes(link: Link) -> list:
-    """Return the elements of a link that make its bodies: collisions, or visuals.
+    """Return the elements of a link that make its bodies: collisions, or visuals, but for water and marks.
 
     Visuals are taken if there are no collisions, or if visuals have surface properties and collisions have
     none.
     """
+    return [element for element in _solid_shapes(link) if not _is_left_out(link, element)]
+
+
+def left_out_shapes(link: Link) -> list:
+    """Return the elements of a link that would make bodies if they were not water or marks."""
+    return [element for element in _solid_shapes(link) if _is_left_out(link, element)]
+
+
+def _is_left_out(link: Link, element) -> bool:
+    return not _has_surface_properties(element) and (is_mark(link) or is_water(link, element))
+
+
+def _solid_shapes(link: Link) -> list:
     collisions, visuals = (
         [e for e in link.element.findall(kind) if e.find("geometry/empty") is None]
         for kind in ("collision", "visual")
@@ -146,6 +160,20 @@ class BodyReader:
         pose = link.world_pose()
         with errors_at(link.location):
             return [_join(names[lobe], group, pose, lobe) for lobe, group in groups.items()], complete
+
+    def height_of_water(self, link: Link, element) -> float | None:
+        """Return the height of the surface that a shape of water has, metres; None of a wall.
+
+        A mesh is not read: it lies in its own plane z = 0, and may be missing.
+        """
+        location = f"{link.location}/{element.tag}[{element.get('name') or ''}]"
+        world_from_shape = link.world_pose() @ link.pose_in_link(element, location)
+        if element.find("geometry/mesh") is not None:
+            return float(world_from_shape[2, 3])
+        shape = self._read_geometry(link, element, location)
+        if shape is None:
+            return None
+        return surface_z_m(primitives.transform(shape, world_from_shape).mesh.vertices)
 
     def _apply_map(self, link: Link, element, shape: Shape, reflectivity, location: str):
         """Return a shape with its reflectivity map applied from above, and the (F,) reflectivity.
