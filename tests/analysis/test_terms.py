@@ -93,6 +93,7 @@ def test_settings_of_terms_that_are_on_stay():
     assert speed.bandwidth_hz == pytest.approx(1600 / 2 / SONAR.bin_size_m)
 
 
+@pytest.mark.slow
 def test_differences_are_those_of_pings_by_hand():
     """Each term's change, from two pings with the same samples, each in a world of its own."""
     scene = room(0.0, surface_z_m=3.0)
@@ -116,6 +117,7 @@ def test_differences_are_those_of_pings_by_hand():
     assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
 
 
+@pytest.mark.slow
 def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     found = priced(room())
     for name in ("lobes", "bubbles"):
@@ -192,6 +194,7 @@ def test_small_terms_are_left_out_only_as_far_as_all_of_them_together_stay_small
     assert left >= 5 and any(changes > 0 for changes in off)
 
 
+@pytest.mark.slow
 def test_needed_acoustics_are_reproducible():
     scene = room(surface_z_m=3.0)
     first = sg.needed_acoustics(scene, SONAR, 0.05)

@@ -373,6 +373,7 @@ def examples():
             yield from lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [line for line in examples() if line != "doctor"])
 def test_examples_of_the_help_show_something(line, monkeypatch):
     """Nearly empty pictures would warn."""
@@ -487,7 +488,10 @@ def test_scene_files_that_cannot_be_read():
     Path("folder").mkdir()
     none = "there is no such file (bundled scenes are named without an ending)"
     assert refused(scene="none.sdf") == f"none.sdf: {none}"
-    assert refused(scene="folder.sdf") == "folder.sdf: a scene must be a file, and this is a folder"
+    assert (
+        refused(scene="folder.sdf")
+        == "folder.sdf: a scene must be a file, or the folder of a model (it has no model.sdf)"
+    )
     assert refused(scene="folder").startswith("folder: a scene file must end in one of .sdf .world ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
     message = refused(scene="latin.sdf")
