@@ -13,8 +13,19 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.cli.options import POSE
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose, read_poses
+from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+
+def scene_from(scene_name: str, options) -> Scene:
+    """Return the scene of a command line, with the bodies and the water's surface that its options name."""
+    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    if options.only:
+        scene = scene.only(*options.only)
+    if options.without:
+        scene = scene.without(*options.without)
+    return scene if options.surface is None else scene.with_surface(options.surface)
 
 
 def sonar_from(options) -> Sonar:

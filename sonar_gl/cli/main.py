@@ -110,6 +110,9 @@ Examples:
 @option("labels", is_flag=True)
 @option("resource_path", multiple=True)
 @option("skip_missing", is_flag=True)
+@option("without", multiple=True)
+@option("only", multiple=True)
+@option("surface", type=float, show_default="the scene's")
 @option("out", default=".")
 @click.pass_context
 def render(ctx, scene, **options):

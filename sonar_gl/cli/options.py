@@ -33,7 +33,10 @@ HELP = {
     "fps": "Frames per second of gif and mp4.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
     "resource_path": "Folder to search for model:// URIs; may be repeated.",
-    "skip_missing": "Leave out models that are not found, with a warning.",
+    "skip_missing": "Leave out models that are not found and shapes that are not known, with a warning.",
+    "without": 'Leave out bodies of this name, such as "boat*"; may be repeated.',
+    "only": "Leave out all bodies but those of this name; may be repeated.",
+    "surface": "Height of the water's surface, metres.",
     "json": "Print one JSON object instead of text.",
     "out": "Output folder; created if it does not exist.",
 }
@@ -83,6 +86,9 @@ PING_OPTIONS = {
     "device": DEVICE,
     "resource_path": {"multiple": True},
     "skip_missing": {"is_flag": True},
+    "without": {"multiple": True},
+    "only": {"multiple": True},
+    "surface": {"type": float, "show_default": "the scene's"},
     "json": {"is_flag": True},
 }
 

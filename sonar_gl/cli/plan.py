@@ -11,12 +11,11 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import TURNS, needed_acoustics, price
-from sonar_gl.cli.common import acoustics_from, poses_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.engine.adaptive import Plan
-from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, check_tolerance
@@ -38,7 +37,7 @@ def plan(scene_name: str, options) -> dict:
     """Return the plan of a scene for the tolerance of the options, as plain values."""
     load_numba()
     sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
-    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    scene = scene_from(scene_name, options)
     poses = poses_from(options, scene)[1]
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
     return compare_plans(scene, sonar, acoustics, poses, options.tolerance)

@@ -16,14 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progress, sonar_from
+from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progress, scene_from, sonar_from
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
-from sonar_gl.scene.load import load_scene
 from sonar_gl.simulator import Simulator
 
 FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options of one style
@@ -63,7 +62,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
         darkest_db = db_range[0] if options.scale == "db" else LINEAR_DARKEST_DB
     if set(options.formats) == {"npz"}:
         darkest_db = None
-    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
     folder = output_folder(options.out)

@@ -12,12 +12,11 @@ from sonar_gl.analysis.reference import check_known
 from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.analysis.verify import Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
-from sonar_gl.cli.common import acoustics_from, poses_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.imaging.files import output_folder, save_png
 from sonar_gl.ping import Ping
-from sonar_gl.scene.load import load_scene
 
 MAX_LISTED_BODIES = 12  # a report lists the bodies of scenes with no more
 
@@ -27,7 +26,7 @@ def verify(scene_name: str, options) -> dict:
     sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
     empty = Ping(np.zeros((sonar.n_beams, sonar.n_bins)), sonar.azimuth_rad, sonar.range_m)
     fan_geometry(empty, options.height)  # refuses a wrong height before the work begins
-    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    scene = scene_from(scene_name, options)
     _, (pose,) = poses_from(options, scene)
     acoustics = acoustics or replace(
         needed_acoustics(scene, sonar, options.tolerance, pose), multipath="none"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, frozen_array
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.poses import check_pose
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
@@ -202,8 +203,46 @@ class Scene:
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
-        bodies = [*self.bodies, *self.plumes, *bodies]
-        return Scene(bodies, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
+        return self._with([*self.bodies, *self.plumes, *bodies])
+
+    def without(self, *patterns: str) -> Scene:
+        """Return the same scene without the bodies and plumes of these names.
+
+        Parameters
+        ----------
+        patterns : names, in which * stands for any text and ? for one character, as in "boat*"
+
+        Raises
+        ------
+        Error
+            if a pattern matches nothing.
+        """
+        left_out = self._matching(patterns)
+        return self._with([thing for thing in (*self.bodies, *self.plumes) if thing.name not in left_out])
+
+    def only(self, *patterns: str) -> Scene:
+        """Return the same scene with the bodies and plumes of these names alone; parameters as for `without`."""
+        kept = self._matching(patterns)
+        return self._with([thing for thing in (*self.bodies, *self.plumes) if thing.name in kept])
+
+    def with_surface(self, surface_z_m: float | None) -> Scene:
+        """Return the same scene with the water's surface at this height, metres; None = out of reach."""
+        things = (*self.bodies, *self.plumes)
+        return Scene(things, self.sonar_pose, self.name, surface_z_m, self.surface_roughness_m)
+
+    def _with(self, things) -> Scene:
+        return Scene(things, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
+
+    def _matching(self, patterns) -> set[str]:
+        names, found = [thing.name for thing in (*self.bodies, *self.plumes)], set()
+        for pattern in patterns:
+            check_kind("a name of bodies", pattern, str, 'such as "boat*"')
+            matching = fnmatch.filter(names, pattern)
+            if not matching:
+                hint = nearest_names(pattern, names) if names else "there are none"
+                raise Error(f"names must be those of bodies of the scene (got {pattern!r}; {hint})")
+            found.update(matching)
+        return found
 
     @property
     def n_triangles(self) -> int:

@@ -269,6 +269,23 @@ def test_films_have_every_frame_and_their_rate():
     assert len(list(Path().glob("*.npz"))) == 3 and not list(Path().glob("*.png"))
 
 
+def test_bodies_and_surface_by_options():
+    def bodies(*options):
+        status, _, err = run("render", "pylon", "--tolerance", 0.1, "--format", "npz", *options)
+        assert status == 0, err
+        return sg.load_npz("pylon.npz").meta["bodies"]
+
+    everything = bodies()
+    assert bodies("--without", "pylon_*") == [name for name in everything if not name.startswith("pylon_")]
+    assert bodies("--only", "box", "--only", "floor") == [
+        name for name in everything if name in ("box", "floor")
+    ]
+    status, out, err = run("render", "pylon", "--without", "bix")
+    assert (status, out) == (2, "") and "(got 'bix'; did you mean 'box'?)" in err
+    status, out, err = run("render", "pylon", "--tolerance", 0.1, "--format", "npz", "--surface", "-20")
+    assert status == 0 and "strongest echo" in out  # above the surface all is as without it
+
+
 def test_resource_path_and_skip_missing():
     more = "<include><uri>model://rock</uri><pose>2 -0.5 0 0 0 0</pose></include>" + SENSOR
     Path("reef.sdf").write_text(SCENE.format(more=more))

@@ -305,6 +305,35 @@ print(*[name for name in ("trimesh", "scipy.linalg", "PIL") if name in sys.modul
     assert (tmp_path / "pylon.png").is_file() and done.stderr.split() == []
 
 
+def test_bodies_are_left_out_by_name():
+    wall, near, far = (
+        sg.Body(name, trimesh.creation.box((1, 1, 1))) for name in ("wall", "boat_1", "boat_2")
+    )
+    plume = sg.Bubbles("bubbles", pose())
+    scene = Scene([wall, near, far, plume], pose(x=1), "harbour", 3.0, 0.01)
+
+    def names(one):
+        np.testing.assert_array_equal(one.sonar_pose, pose(x=1))
+        assert (one.name, one.surface_z_m, one.surface_roughness_m) == ("harbour", 3.0, 0.01)
+        return [thing.name for thing in (*one.bodies, *one.plumes)]
+
+    assert names(scene.without("boat*")) == ["wall", "bubbles"]
+    assert names(scene.without("wall", "bubbles", "boat_?")) == []
+    assert names(scene.without()) == names(scene)
+    assert names(scene.only("boat_2", "b*s")) == ["boat_2", "bubbles"]
+    assert scene.with_surface(-1.0).surface_z_m == -1.0 and scene.with_surface(None).surface_z_m is None
+    for leave in (scene.without, scene.only):
+        with pytest.raises(Error) as caught:
+            leave("boat_1", "bat_1")
+        assert str(caught.value) == (
+            "names must be those of bodies of the scene (got 'bat_1'; did you mean 'boat_1' or 'boat_2'?)"
+        )
+        with pytest.raises(Error, match="a name of bodies must be a str"):
+            leave(1)
+    with pytest.raises(Error, match="surface_z_m of a scene"):
+        scene.with_surface(float("nan"))
+
+
 DAE = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="1"/></asset>
 <library_images><image id="i"><init_from>no.png</init_from></image></library_images>
