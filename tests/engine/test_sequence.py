@@ -149,7 +149,7 @@ def test_an_endless_sequence_may_be_stopped(it, stop):
             yield POSES[k % 11]
 
     expected = [it.ping(pose).intensity for pose in POSES]
-    threads = threading.active_count()
+    threads = set(threading.enumerate())
     pings = it.pings(poses())
     for number, ping in enumerate(islice(pings, stop)):
         np.testing.assert_array_equal(ping.intensity, expected[number % 11])
@@ -162,9 +162,9 @@ def test_an_endless_sequence_may_be_stopped(it, stop):
     for number, ping in enumerate(it.pings(POSES[:5])):
         np.testing.assert_array_equal(ping.intensity, expected[number])
     until = time.monotonic() + 5
-    while threading.active_count() > threads and time.monotonic() < until:  # they end by themselves
-        time.sleep(0.01)
-    assert threading.active_count() <= threads
+    for thread in set(threading.enumerate()) - threads:  # they end by themselves
+        thread.join(max(until - time.monotonic(), 0))
+    assert set(threading.enumerate()) <= threads
 
 
 def test_each_ping_without_an_echo_warns(it):
