@@ -1,0 +1,134 @@
+"""The walk over strips: where the footprint of each sample ends, by planes whose edges are known exactly."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sonar_gl.beamform.kernels import BORDER, FOOTPRINT_ROWS, Lattice, StripTable, bin_table, find_strip
+
+EDGES = np.linspace(0.5, 30.0, 100)
+ROWS, STEP = 40, 0.01  # upright lattice of one column, v from -0.195 to 0.195
+V = (np.arange(ROWS) - (ROWS - 1) / 2) * STEP
+HALF_WAY = (V[1:] + V[:-1]) / 2
+
+
+class Plane:
+    """A plane seen from the sonar: 1/x = q + along_v v + along_u u."""
+
+    def __init__(self, q, along_v, along_u=0.0):
+        self.q, self.along_v, self.along_u = q, along_v, along_u
+
+    def sample(self, v):
+        """Return what the shader writes of a sample at u = 0."""
+        return self.q + self.along_v * v, self.along_u, self.along_v, 1.0
+
+    def meets(self, other):
+        """Return v of the edge where two planes meet at u = 0."""
+        return (other.q - self.q) / (self.along_v - other.along_v)
+
+
+def borders(samples, width=STEP, u=0.0):
+    """Return v where the footprints of rows 1, 2, ... begin; `samples` are (ROWS, 4)."""
+    lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), 0.2, 1)
+    strips = StripTable(np.array([0]), np.array([u]), np.array([width]))
+    work = np.full((FOOTPRINT_ROWS, ROWS + 1), np.nan)
+    image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)
+    strip = find_strip(work, image, lattice, strips, 0, bin_table(EDGES).q_unseen)
+    return strip, work[BORDER]
+
+
+def scene_of(v_edge, low, high):
+    """Return samples of one plane below v_edge, and of another above; None is open water."""
+    nothing = (0.0, 0.0, 0.0, 0.0)
+    planes = [low if v < v_edge else high for v in V]
+    return [nothing if plane is None else plane.sample(v) for plane, v in zip(planes, V, strict=True)]
+
+
+def test_planes_that_meet_between_two_rays_share_their_edge():
+    """Half way would move up to half a sample of the one body's echo to the other's range."""
+    rng = np.random.default_rng(3)
+    tried = 0
+    for _ in range(400):
+        low, high = Plane(*rng.uniform((0.05, -1), (0.5, 1))), Plane(*rng.uniform((0.05, -1), (0.5, 1)))
+        edge = low.meets(high)
+        samples = scene_of(edge, low, high)
+        if not (V[1] < edge < V[-2] and min(q for q, *_ in samples) > 0.01):
+            continue
+        above = int(np.searchsorted(V, edge))
+        if abs((edge - HALF_WAY[above - 1]) * (low.along_v - high.along_v)) < 1e-4:
+            continue  # nearly parallel, where half way is as good
+        _, found = borders(samples)
+        # float32 keeps 1/x and slopes to 6e-8 of values below 1, and the edge to that over the turn
+        assert found[above] == pytest.approx(edge, abs=1e-6 / abs(low.along_v - high.along_v))
+        others = np.delete(np.arange(1, ROWS), above - 1)
+        np.testing.assert_allclose(found[others], HALF_WAY[others - 1], atol=1e-12)
+        tried += 1
+    assert tried > 50
+
+
+def test_a_slight_bend_is_an_edge():
+    """Slopes that differ by 1/100 are two faces."""
+    edge = V[20] - 0.0006
+    low, high = Plane(0.2, 0.5), Plane(0.2 - 0.005 * edge, 0.505)
+    assert low.meets(high) == pytest.approx(edge)
+    _, found = borders(scene_of(edge, low, high))
+    assert found[20] == pytest.approx(edge, abs=1e-6 / 0.005)
+
+
+def test_noise_is_no_edge():
+    """Eight steps of float32, as graphics cards may err in 1/w, do not make two faces of one."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        exact = np.array([Plane(0.3, *rng.uniform(-1, 1, 2)).sample(v) for v in V])
+        noisy = exact * (1 + 2**-24 * rng.uniform(-8, 8, exact.shape) * [1, 1, 1, 0])
+        _, found = borders(noisy)
+        np.testing.assert_allclose(found[1:ROWS], HALF_WAY, atol=1e-12)
+
+
+def test_a_body_before_another_ends_half_way():
+    """Their planes meet elsewhere, or not at all: nothing tells where between the rays the nearer one ends."""
+    for near, far in ((Plane(0.5, 0.0), Plane(0.1, 0.0)), (Plane(0.5, 0.3), Plane(0.1, -0.3))):
+        _, found = borders(scene_of(0.0, near, far))
+        np.testing.assert_allclose(found[1:ROWS], HALF_WAY, atol=1e-12)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_floor_extends_to_its_horizon(flipped):
+    """The last row that meets a grazing floor stands for all of it up to where it leaves the range."""
+    sign = -1.0 if flipped else 1.0  # a ceiling
+    horizon = 0.0021 * sign  # between rays 19 and 20, beside the middle
+    floor = Plane(2 * horizon * sign, -2.0 * sign)  # half a metre below, so that ray 19 meets it in range
+    assert floor.sample(horizon)[0] == pytest.approx(0.0, abs=1e-12)
+    seen = [plane if (plane := floor.sample(v))[0] > 0 else (0.0, 0.0, 0.0, 0.0) for v in V]
+    strip, found = borders(seen)
+    row = int(np.searchsorted(V, horizon))
+    assert V[row - 1] < horizon < V[row]
+    assert found[row] == pytest.approx(horizon, abs=1e-7)
+    assert (strip.first, strip.last) == ((row, ROWS) if flipped else (0, row))
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_plate_before_open_water_ends_half_way(flipped):
+    """Its plane would go on in range: it ends at an edge, anywhere between the two rays."""
+    plate = Plane(0.2, 0.1)
+    strip, found = borders(scene_of(0.0031, *((None, plate) if flipped else (plate, None))))
+    assert found[20] == pytest.approx(HALF_WAY[19], abs=1e-12)
+    assert (strip.first, strip.last) == ((20, ROWS) if flipped else (0, 20))
+
+
+def test_planes_are_taken_to_the_middle_of_the_strip():
+    """The sample lies beside the strip's middle by up to half a sample; its plane is known there, too."""
+    wall, other = Plane(0.2, 0.3, 0.4), Plane(0.21, -0.5, -0.2)
+    u = 0.3 * STEP
+    edge = (other.q + other.along_u * u - wall.q - wall.along_u * u) / (wall.along_v - other.along_v)
+    _, found = borders(scene_of(edge, wall, other), u=u)
+    assert found[int(np.searchsorted(V, edge))] == pytest.approx(edge, abs=1e-6)
+
+
+def test_the_ends_of_the_aperture_end_footprints():
+    strip, found = borders(scene_of(0.0, Plane(0.2, 0.0), Plane(0.2, 0.0)))
+    assert (found[0], found[ROWS]) == (-0.2, 0.2)
+    strip, found = borders(scene_of(0.0, Plane(0.2, 0.0), Plane(0.2, 0.0)), u=0.4 * STEP)
+    assert found[ROWS] == pytest.approx(0.2 * math.hypot(1, 0.4 * STEP))
+    assert (strip.first, strip.last) == (0, ROWS)
