@@ -276,6 +276,23 @@ def test_a_strong_target_has_side_lobes_in_azimuth(taper, highest_db):
     assert not power[off > support + 0.15].any()
 
 
+def test_a_target_beside_the_fan_echoes_through_side_lobes():
+    """It lies in the main lobe of no beam: 2.5 and 3.5 degrees beyond the axis of the last one."""
+    sonar = replace(SONAR, n_beams=160, azimuth_fov_deg=16.0, beam_width_deg=1.0)
+    fine, last = sg.Sampling(12, 2400), np.degrees(sonar.azimuth_rad[-1])  # some 190 samples on a target
+    acoustics = sg.Acoustics.physical()
+    axis = ping([chip(last, 0.0)], acoustics, sonar, sampling=fine).intensity.sum(axis=1)[-1]
+    for beyond_deg in (2.5, 3.5):
+        power = ping([chip(last + beyond_deg, 0.0)], acoustics, sonar, sampling=fine)
+        expected = line_array_pattern(np.radians(last + beyond_deg), sonar.azimuth_rad, np.radians(1.0))
+        reached = last + beyond_deg - np.degrees(sonar.azimuth_rad) < 4.4  # up to the last null that is kept
+        # columns are a quarter of a beam wide, over which a null fills by up to 1e-3 of the peak
+        np.testing.assert_allclose(
+            power.intensity.sum(axis=1)[reached] / axis, expected[reached], rtol=0.05, atol=1e-3
+        )
+        assert 10 * np.log10(expected[reached].max()) > -24  # the third side lobe, at least
+
+
 def test_straight_arrays_are_limited_in_steering_and_in_pattern():
     sonar = replace(SONAR, azimuth_fov_deg=170.0)
     acoustics = sg.Acoustics.physical(steered="straight")

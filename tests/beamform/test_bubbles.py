@@ -184,6 +184,18 @@ def test_elevation_and_gain():
     assert far / level == pytest.approx(2**-4 * 2**3, rel=0.005)
 
 
+@pytest.mark.parametrize("elevation_deg", [-8.1, -7.9, 7.9, 8.1, 12.0])
+@pytest.mark.parametrize("azimuth_deg", [0.0, 9.6])
+def test_bubbles_beyond_the_aperture_do_not_echo(azimuth_deg, elevation_deg):
+    """The aperture reaches from -8 to 8 degrees, in every azimuth."""
+    made = still(direction(azimuth_deg, elevation_deg, 5.0))
+    if abs(elevation_deg) < 8:
+        assert ping(made).intensity.any()
+    else:
+        with pytest.warns(UserWarning, match="no echo came back"):
+            assert not ping(made).intensity.any()
+
+
 def test_bubbles_behind_a_surface_do_not_echo():
     plate = wall(5.0, size=1.0)
     before, behind = still(direction(2.0, 1.0, 4.0)), still(direction(2.0, 1.0, 6.0))

@@ -11,8 +11,11 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.engine import adaptive
-from sonar_gl.engine.adaptive import CHECK_EVERY
-from sonar_gl.engine.visibility import count_bodies
+from sonar_gl.engine.adaptive import CHECK_EVERY, ReplanTrigger
+from sonar_gl.engine.visibility import BodyExtents, count_bodies
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at
 
 SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
@@ -197,7 +200,85 @@ class TestMoving:
         assert levels[0] == levels[2] == 0 and levels[1] > 8
 
 
+def test_the_trigger_s_angle_is_that_of_the_rotation():
+    """A quarter of the field of view, 11.25 degrees, and half the aperture, 10: the smaller counts, about any axis."""
+    state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
+    for axis in ("roll", "pitch", "yaw"):
+        for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
+            trigger = ReplanTrigger(SONAR)
+            trigger.checked(np.eye(4), state, 1.0)
+            assert trigger.notice(sg.pose(**{axis: math.radians(angle_deg)}), state) == is_due
+
+
+def test_samples_are_counted_in_the_aperture_alone():
+    """It is bounded by planes of elevation, which curve on the image plane: rows at the sides of a sector count."""
+    fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), 0.0)
+    samples, expected = [], 0
+    for sector in fan.sectors:
+        u, v = sector.sample_coordinates()
+        expected += (np.abs(np.arctan2(v, np.hypot(1, u))) < math.radians(10)).sum()
+        q = np.sqrt(1 + u * u + v * v) / 5  # a sphere of 5 m
+        plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
+        samples.append(SectorSamples(sector, plane_echo, np.ones(u.shape, np.uint16)))
+    found = count_bodies(samples, 1, SONAR, np.ones(SONAR.n_bins, np.float32), np.empty(0))
+    assert found.samples.tolist() == [0, expected]
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
+    """The sphere about a ball of 1 m at 10 m fills 5.7 degrees to each side, and that about its box 10."""
+    radius = math.sqrt(3.0)  # of the sphere about its box
+    half = math.degrees(math.asin(radius / 10))
+    state = SceneState(np.eye(4)[None], np.ones(1, bool))
+
+    def angle(azimuth_deg=0.0, elevation_deg=0.0, range_m=10.0, reach_deg=0.0):
+        psi, phi = math.radians(azimuth_deg), math.radians(elevation_deg)
+        place = range_m * np.array(
+            [math.cos(phi) * math.cos(psi), math.cos(phi) * math.sin(psi), math.sin(phi)]
+        )
+        ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(*place))
+        extents = BodyExtents([ball])
+        placed = replace(state, poses=ball.pose[None])
+        return extents.solid_angle(placed, np.eye(4), SONAR, math.radians(reach_deg))[1]
+
+    for inside, beyond in (
+        ({"elevation_deg": side * (10 + half - 0.1)}, {"elevation_deg": side * (10 + half + 0.1)}),
+        ({"azimuth_deg": side * (22.5 + half - 0.1)}, {"azimuth_deg": side * (22.5 + half + 0.1)}),
+        (
+            {"azimuth_deg": side * (25.5 + half - 0.1), "reach_deg": 3.0},
+            {"azimuth_deg": side * (25.5 + half + 0.1), "reach_deg": 3.0},
+        ),
+        ({"range_m": 20 + radius - 0.1}, {"range_m": 20 + radius + 0.1}),
+    ):
+        assert angle(**inside) > 0 and angle(**beyond) == 0
+    assert angle() >= 2 * math.pi * (1 - math.cos(math.asin(0.1)))  # at least what the ball itself fills
+
+
 class TestPlan:
+    def test_a_single_pose_among_many_decides(self):
+        """The twelfth of 24 poses looks at rods, the others at open water or a wall."""
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), *rods])
+        poses = [sg.pose(yaw=math.pi if k == 11 else 0.01 * k) for k in range(24)]
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.05) as simulator:
+            alone = simulator.plan([poses[11]]).level
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.05) as simulator:
+            assert simulator.plan(poses).level == alone > 0
+
+    @pytest.mark.parametrize("tolerance", [0.1, 0.02])
+    def test_a_plan_that_is_met_promises_each_body_five_times_the_tolerance(self, tolerance):
+        """It stops at the coarsest samples that do: those of half the number do not."""
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(19), reflectivity=0.05)
+        scene = sg.Scene([wall, ball(x=12, radius=0.1, reflectivity=1.0)])
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=tolerance) as simulator:
+            plan = simulator.plan([np.eye(4)])
+        assert plan.met and plan.worst_body == 2
+        assert 2.5 * tolerance < plan.worst_body_estimate <= 5 * tolerance
+        assert plan.error_estimate <= tolerance
+
     def test_a_plan_fixes_the_samples(self):
         scene = TestMoving().scene()
         poses = [sg.pose(yaw=0.3 * k) for k in range(10)]

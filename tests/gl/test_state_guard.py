@@ -70,6 +70,7 @@ def check_guard(got):
     blocks = "made", "block", "raises", "nested", "around nested", *KINDS_OF_ERROR
     assert {name: got[name] for name in blocks if got[name]} == {}
     assert got["errors inside"] == []
+    assert got["on inside"] == ["MULTISAMPLE", "DITHER"]  # OpenGL's defaults; all other switches are off
     assert got["drawn wrongly"] == [0] * 6
     assert [name for name in got["not restored"] if not name.startswith(NOT_RESTORED)] == []
 

@@ -11,6 +11,7 @@ from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import (
     FieldCorrelation,
+    add_field,
     aperture_width,
     beam_matrix,
     multiply_by_speckle,
@@ -162,6 +163,23 @@ def test_speckle_is_the_matrix_times_normals(azimuth):
     real, imaginary = np.split(matrix @ normals, 2, axis=1)
     # float32 sums of some 40 numbers of about 0.2, in another order
     np.testing.assert_allclose(found, (real**2 + imaginary**2) / 2, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("per_beam", [False, True])
+@pytest.mark.parametrize("n_beams", [40, 41])
+def test_a_field_is_the_matrix_times_normals(n_beams, per_beam):
+    """In a symmetric fan half of the beams are mirror images of the others, each with its own amplitude."""
+    azimuth = tuple(np.linspace(-0.2, 0.2, n_beams).tolist())
+    amplitude = np.linspace(1, 3, n_beams if per_beam else 1, dtype=np.float32)[:, None] * np.ones(
+        8, np.float32
+    )
+    found = np.zeros((n_beams, 2, 8), np.float32)
+    add_field(found, amplitude, FieldCorrelation(azimuth, 2 * BEAM_WIDTH_RAD), stream(8, 0, "speckle"))
+    matrix = beam_matrix(azimuth, 2 * BEAM_WIDTH_RAD)
+    normals = standard_normal(stream(8, 0, "speckle"), (matrix.shape[1], 16))
+    expected = (matrix @ normals).reshape(n_beams, 2, 8) * amplitude[:, None] * np.sqrt(0.5)
+    # float32 sums of some 40 numbers of about 0.2, in another order
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
 def test_uneven_beams():

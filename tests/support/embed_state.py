@@ -218,6 +218,9 @@ def plain_draw(gl) -> np.ndarray:
     return out
 
 
+ON_BY_DEFAULT = ["MULTISAMPLE", "DITHER"]
+
+
 def guarded(kind, version, state, wanted) -> dict:
     """Use the guard alone in a host's context, and compare what its blocks draw and what they change."""
     trial = HostRun(kind, version, state)
@@ -226,6 +229,7 @@ def guarded(kind, version, state, wanted) -> dict:
     with guard:
         drawn = [plain_draw(trial.gl)]
         out["errors inside"] = trial.gl.errors()
+        out["on inside"] = [name for name in ON_BY_DEFAULT if trial.gl.IsEnabled(enum(name))]
     out["block"] = changes(before, trial.snapshot())
     with pytest.raises(KeyError), guard:
         plain_draw(trial.gl)

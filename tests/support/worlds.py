@@ -93,3 +93,32 @@ def random_world(seed: int):
     bodies = [sg.Body(b.name, b.mesh, world @ b.pose, b.reflectivity) for b in bodies]
     turn = sg.pose(0, 0, 0, rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.15), rng.uniform(-0.3, 0.3))
     return sg.Scene(bodies, name=f"world {seed}"), sonar, world @ turn
+
+
+def rods_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
+    """Return thin rods and small balls, with or without a wall behind them, and a tolerance to try.
+
+    Half of the rods are near the slope of the lattice's rows, or of their mirror image, which is 10 degrees for
+    `ROD_SONAR`: samples meet such a rod all along, or not at all.
+    """
+    rng = np.random.default_rng([seed, 5])
+    tolerance, side, bodies = float(rng.choice([0.1, 0.05, 0.02])), rng.choice([-1, 1]), []
+    for number in range(3):
+        x = rng.uniform(4, 14)
+        y, z = (0.1 * number - 0.1) * x, rng.uniform(-0.12, 0.12) * x
+        roll = (
+            rng.uniform(0, np.pi) if rng.random() < 0.5 else np.pi / 2 + np.radians(side * rng.uniform(0, 15))
+        )
+        if rng.random() < 0.3:
+            mesh = trimesh.creation.icosphere(3, 10 ** rng.uniform(-2, -0.8))
+        else:
+            radius = 10 ** rng.uniform(-2.7, -1.5)
+            mesh = trimesh.creation.cylinder(radius, rng.uniform(0.02, 0.3) * x, sections=12)
+        bodies.append(sg.Body(f"body {number}", mesh, sg.pose(x, y, z, roll=roll), rng.uniform(0.3, 1)))
+    if rng.random() < 0.7:
+        wall = trimesh.creation.box((1, 30, 30))
+        bodies.append(sg.Body("wall", wall, sg.pose(15.5), 10 ** rng.uniform(-2, -1)))
+    return sg.Scene(bodies), tolerance
+
+
+ROD_SONAR = sg.Sonar("narrow", 900e3, 24, 160, 18.0, 18.0, 2.0, 0.5, 16.5)
