@@ -52,6 +52,9 @@ class Mutation:
 
 
 FOOTPRINTS = ("test_footprint", "test_failures")
+STRIPS = ("test_strips",)
+BUBBLES = ("test_bubbles",)
+PROMISE = ("test_promise",)
 LABELS = ("test_labels",)
 MULTIPATH = ("test_multipath",)
 TRIANGLES = ("test_small_triangles|test_sift", "test_specular")
@@ -133,6 +136,23 @@ MUTATIONS = (
         ("test_beam_pattern|test_patterns",),
         (("top * (elevation(top * sines) @ parts)", "top * (elevation(sines) @ parts)"),),
     ),
+    Mutation(
+        "footprints/edges between planes", "is_edge = met_low & met_high", "is_edge = met_low & False", STRIPS
+    ),
+    Mutation("footprints/horizons", "is_lost = (met_low != met_high)", "is_lost = met_low & False", STRIPS),
+    Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
+    Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),
+    # sums of columns and of points
+    Mutation(
+        "sums/bubbles beyond the aperture", "abs(points[n, 1]) < top", "abs(points[n, 1]) < 2 * top", BUBBLES
+    ),
+    Mutation(
+        "sums/columns received by side lobes alone",
+        "received[(weights.first[weights.weights[:, w] > 0] + w)",
+        "received[(weights.first[weights.weights[:, w] > 2.0] + w)",
+        ("test_beam_pattern|test_patterns",),
+    ),
+    Mutation("sums/share of two columns", "share = (points[n, 0] - middle) / apart", "share = 0.0", BUBBLES),
     # labels
     Mutation(
         "labels/mean range of a full bin",
@@ -345,6 +365,15 @@ MUTATIONS = (
     Mutation(
         "planner/height of rows", "min(sample_deg, MAX_ROW_DEG)", "max(sample_deg, MAX_ROW_DEG)", ADAPTIVE
     ),
+    Mutation(
+        "planner/bound of a body", "WORST_BODY * self.tolerance", "2 * WORST_BODY * self.tolerance", ADAPTIVE
+    ),
+    Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", PROMISE),
+    Mutation("planner/bodies in two lattices", "DIFFERENCE_FACTOR = 0.7", "DIFFERENCE_FACTOR = 0.0", PROMISE),
+    Mutation("planner/mirrored lattice", "half_of(sampling), -SHEAR)", "half_of(sampling), SHEAR)", PROMISE),
+    Mutation("planner/difference of two pings", "ERROR_FACTOR = 1.0", "ERROR_FACTOR = 0.5", PROMISE),
+    Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
+    Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
     # noise
     Mutation(
         "noise/power of a field",

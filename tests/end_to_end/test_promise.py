@@ -2,8 +2,13 @@
 
 import warnings
 
+import numpy as np
 import pytest
 
+import sonar_gl as sg
+from sonar_gl.analysis.verify import ping_error
+from sonar_gl.sonar.sampling import sampling_at
+from tests.support.worlds import ROD_SONAR, rods_before_a_wall
 from tools import promise
 
 pytestmark = pytest.mark.slow
@@ -12,6 +17,15 @@ pytestmark = pytest.mark.slow
 # is then one in twenty. The worlds are the same in every run: the first from 700 on whose truths take fewer
 # than 20 million rays; 704 and 708 take 60 million, half of all the time.
 WORLDS, LEAST = (*range(700, 704), 705, 706, 707, 709), 14
+
+
+# Worlds of `rods_before_a_wall` that keep the promise by little: each of the planner's terms and constants decides
+# in some of them. Without the compared lattices 107 and 143 break it; with both lattices sheared alike, 11 and 196;
+# with no regard for bodies of few samples, 63, 143, 151, 184 and 257; with bodies of 1/200 of the echo neglected, 1,
+# 43 and 249; with a bound of ten times the tolerance for a body, 20, 143, 151, 187, 214 and 257; with half the
+# difference of two lattices, 2, 46, 65, 130, 146 and 227.
+MARGINAL = (1, 2, 11, 20, 43, 46, 63, 65, 107, 130, 143, 146, 151, 184, 187, 196, 214, 227, 249, 257)
+FINEST = 26  # sampling level of their truths, with at least 30 times the samples
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +50,18 @@ def test_estimates_bound_errors(outcomes):
     ratios = sorted(o.error_estimate / o.error for o in outcomes if o.error > uncertainty)
     assert 1.0 < ratios[len(ratios) // 2] < 3.0
     assert all(o.error_estimate <= o.tolerance for o in outcomes if o.met)
+
+
+@pytest.mark.parametrize("seed", MARGINAL)
+def test_marginal_worlds_keep_the_promise(seed):
+    scene, tolerance = rods_before_a_wall(seed)
+    acoustics = sg.Acoustics.ideal()
+    with sg.Simulator(scene, ROD_SONAR, acoustics, sampling_at(ROD_SONAR, FINEST)) as simulator:
+        truth = simulator.ping(np.eye(4), labels=True)
+    with sg.Simulator(scene, ROD_SONAR, acoustics, tolerance=tolerance) as simulator:
+        ping = simulator.ping(np.eye(4), labels=True)
+        assert simulator.run.sampler.plan.met
+    assert ping_error(ping, truth) <= tolerance
+    counts = truth.body_echo[1:] > 1e-3 * truth.body_echo.sum()
+    errors = np.abs(ping.body_echo[1:][counts] / truth.body_echo[1:][counts] - 1)
+    assert errors.max() <= 5 * tolerance
