@@ -212,6 +212,38 @@ def test_promise():
     assert all(kept == met == "1" for _, kept, met, _ in rows)
 
 
+BOX = "<link name='l'><collision name='c'><geometry><box/></geometry></collision></link>"
+WORLD = "<sdf version='1.9'><world name='w'>{}</world></sdf>"
+
+
+@pytest.mark.slow
+def test_worlds(folder):
+    """Two checkouts: one has a model that a world of the other includes; a model is nowhere, and a file is broken."""
+    for name, text in {
+        "a/fine.sdf": WORLD.format(f"<model name='m'>{BOX}</model>"),
+        "a/other.world": WORLD.format("<include><uri>model://crate</uri></include>"),
+        "a/nowhere.sdf": WORLD.format(
+            f"<include><uri>model://gone</uri></include><model name='m'>{BOX}</model>"
+        ),
+        "a/broken.sdf": WORLD.format("<model name=></model>"),
+        "b/models/crate/model.config": "<model><sdf version='1.9'>model.sdf</sdf></model>",
+        "b/models/crate/model.sdf": f"<sdf version='1.9'><model name='crate'>{BOX}</model></sdf>",
+    }.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    printed = run("tools.worlds", "a", "b", "--ping", "--refused", "refused.txt")
+    rows = [line.strip("| ").split(" | ") for line in printed.splitlines() if line.startswith("|")]
+    # files, as they are, with paths, with --skip-missing, refused, crashes
+    assert [row[0] for row in rows[2:]] == ["a", "b", "all"]
+    assert [row[1:] for row in rows[2:]] == [
+        ["4", "1", "2", "3", "1", "0"],
+        ["1", "1", "1", "1", "0", "0"],
+        ["5", "2", "3", "4", "1", "0"],
+    ]
+    assert "- 2: models or files are missing" in printed and "- 1: broken XML" in printed
+    assert "broken.sdf" in Path("refused.txt").read_text()
+
+
 @pytest.mark.slow
 def test_failures():
     printed = run("tools.docs.failures", "--soak", "50")
