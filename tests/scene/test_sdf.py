@@ -450,14 +450,24 @@ def test_all_that_is_missing_is_named_at_once(tmp_path, message):
     assert text == expected
 
 
+def test_of_much_that_is_missing_the_first_is_explained(tmp_path, message):
+    names = [f"model://m{k}" for k in range(30)]
+    text = message("".join(f"<include><uri>{name}</uri></include>" for name in names))
+    assert text.count("not at ") == 5
+    assert "  and model://m5\n" in text and all(f"{name}\n" in text for name in names)
+    path = write(tmp_path / "b.sdf", "".join(f"<include><uri>{name}</uri></include>" for name in names))
+    with pytest.warns(UserWarning, match=r"missing \(model://m0, .*, model://m9 and 20 more\)$"):
+        read_sdf(path, skip_missing=True)
+
+
 def test_skip_missing_warns_once_and_carries_on(tmp_path):
     (tmp_path / "models").mkdir()
     path = write(tmp_path / "a.sdf", MISSING_WORLD)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         scene = read_sdf(path, [tmp_path / "models"], skip_missing=True)
-    expected = MISSING.replace("R/", f"{tmp_path}/").replace("a.sdf:", f"{path}:")
-    assert [str(w.message) for w in caught] == [expected + "The scene is read without them."]
+    uris = "model://no, https://fuel.gazebosim.org/1.0/a/models/b, a.stl"
+    assert [str(w.message) for w in caught] == [f"{path}: read without what is missing ({uris})"]
     assert [b.name for b in scene.bodies] == ["m::other", "beside"]
 
 
@@ -579,7 +589,7 @@ def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
     assert (
         "collision[c]/geometry/torus: unknown geometry" in text and "collision[d]: must hold a <geom" in text
     )
-    assert text.endswith("\nThe scene is read without them.")
+    assert text.startswith(f"{path}: read without shapes that are not supported (")
     np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
 
 

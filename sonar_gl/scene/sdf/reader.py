@@ -98,7 +98,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             raise Error(
                 f"{message}\n{folders if missing else 'Carry'} on without them (--skip-missing, skip_missing=True)."
             )
-        warnings.warn(f"{message}\nThe scene is read without them.", stacklevel=2)
+        without = [f"what is missing ({_some_of(resources.missing_uris())})"] if missing else []
+        without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
+        warnings.warn(f"{path}: read without {', and without '.join(without)}", stacklevel=2)
     if unspecified:
         warnings.warn(
             f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({_some_of(unspecified)}); "

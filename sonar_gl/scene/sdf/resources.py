@@ -35,6 +35,9 @@ def fuel_caches() -> list[Path]:
     return [Path(os.environ.get(key) or usual).expanduser() for key, usual in FUEL_CACHES.items()]
 
 
+MAX_EXPLAINED = 5  # missing files: where each was looked for
+
+
 class Resources:
     """The resource paths of one scene, the files parsed so far, and a list of missing files.
 
@@ -248,9 +251,12 @@ class Resources:
         return chosen
 
     def missing(self, scene_path) -> str:
-        """Return what is missing: files, the elements that name them, and the paths searched; "" if nothing is."""
+        """Return what is missing: files, the elements that name them, and the paths searched; "" if nothing is.
+
+        Of more than MAX_EXPLAINED files the others are only named.
+        """
         lines = [f"{scene_path}: models or files are missing:"] if self._missing else []
-        for uri, (locations, searched) in self._missing.items():
+        for uri, (locations, searched) in list(self._missing.items())[:MAX_EXPLAINED]:
             lines += [f"  {uri}", *(f"    named by {location}" for location in locations)]
             lines += [f"    not at {path}" for path in searched]
             if found := re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE):
@@ -260,7 +266,12 @@ class Resources:
                 )
             elif not searched:
                 lines.append("    not fetched: download it, and let the scene name the file")
+        lines += [f"  and {uri}" for uri in self.missing_uris()[MAX_EXPLAINED:]]
         return "\n".join(lines)
+
+    def missing_uris(self) -> list[str]:
+        """Return the URIs of what is missing."""
+        return list(self._missing)
 
     def unsupported(self) -> str:
         """Return which shapes cannot be read, a line each."""
