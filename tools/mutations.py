@@ -53,7 +53,7 @@ class Mutation:
 
 FOOTPRINTS = ("test_footprint", "test_failures")
 STRIPS = ("test_strips",)
-BUBBLES = ("test_bubbles",)
+BUBBLES = ("test_bubbles", "test_footprint")
 PROMISE = ("test_promise",)
 LABELS = ("test_labels",)
 MULTIPATH = ("test_multipath",)
@@ -81,7 +81,7 @@ MUTATIONS = (
         "footprints/edge where planes meet",
         "meet = (rest[m] - rest[below]) / turn",
         "meet = (rest[below] - rest[m]) / turn",
-        FOOTPRINTS,
+        (*FOOTPRINTS, *STRIPS),
     ),
     Mutation(
         "footprints/edges of noise",

@@ -15,6 +15,7 @@ from sonar_gl.beamform.kernels import (
     S,
     bin_table,
     spread_footprints,
+    sum_points,
     weigh_columns,
 )
 from sonar_gl.core.worker import SecondThread
@@ -129,6 +130,27 @@ def test_weigh_columns_is_a_circular_matrix_product(n_weights):
             dense[b, (first[b] + w) % 7] += weights[b, w]
     np.testing.assert_allclose(out[0], dense @ sums, rtol=1e-5)
     np.testing.assert_allclose(out[1], dense @ sums * gain, rtol=1e-5)
+
+
+@pytest.mark.parametrize("table", [np.empty(0), np.ones(5)], ids=["box", "pattern"])
+def test_points_are_added_inside_the_fan_alone(table):
+    """Of azimuth, sine of elevation and range, each lies inside or out; the aperture ends at a sine of 0.1."""
+    edges = np.linspace(-0.2, 0.2, 5)  # four columns
+    for azimuth, sine, range_m, inside in (
+        (0.05, 0.0, 5.05, True),
+        (0.05, 0.0999, 5.05, True),
+        (0.05, -0.1001, 5.05, False),
+        (0.05, 0.15, 5.05, False),
+        (0.2001, 0.0, 5.05, False),
+        (-0.2001, 0.0, 5.05, False),
+        (0.05, 0.0, EDGES[0] - 1e-6, False),
+        (0.05, 0.0, EDGES[-1] + 1e-6, False),
+    ):
+        sums, spans = np.zeros((4, len(EDGES) - 1), np.float32), np.tile([len(EDGES) - 1, 0], (4, 1))
+        points = np.array([[azimuth, sine, range_m, 2.0]])
+        sum_points(points, edges, EDGES, table, 0.1, False, sums, spans)
+        assert np.argwhere(sums).tolist() == ([[2, 45]] if inside else [])
+        assert sums.sum() == 2.0 * inside
 
 
 def fan_and_samples(reducer="footprint", rows=60, n_bodies=2, fov_deg=90.0):
