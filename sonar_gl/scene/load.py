@@ -16,8 +16,9 @@ from sonar_gl.scene.primitives import Shape, transform
 from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
 from sonar_gl.scene.scene import Body, Scene, body_at
 from sonar_gl.scene.sdf.reader import read_sdf
+from sonar_gl.scene.sdf.xacro import split_arguments
 
-SDF_SUFFIXES = (".sdf", ".world")
+SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -39,9 +40,10 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Parameters
     ----------
-    what : name of a bundled scene; path of an SDF file (.sdf .world), of a model's folder, or of a mesh
+    what : name of a bundled scene; path of a file of SDF (.sdf .world), URDF (.urdf) or xacro (.xacro, with
+        arguments after it as in "robot.xacro debug:=1"), of a model's folder, or of a mesh
         (.glb .gltf .obj .stl .ply .dae); trimesh.Trimesh; trimesh.Scene; pyrender.Scene
-    resource_paths, skip_missing : for SDF files, as in `read_sdf`
+    resource_paths, skip_missing : for files but meshes, as in `read_sdf`
 
     Raises
     ------
@@ -66,7 +68,7 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
             "a scene must be a bundled name, a path, or a scene or mesh of trimesh or pyrender "
             f"(got {type(what).__name__})"
         )
-    path, bundled = Path(what), bundled_scenes()
+    path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
@@ -79,7 +81,7 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
             raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
         if suffix in mesh_files.SUFFIXES:
             return _read_mesh_scene(path)
-        return read_sdf(path, resource_paths, skip_missing)
+        return read_sdf(what, resource_paths, skip_missing)
     endings = " ".join((*SDF_SUFFIXES, *mesh_files.SUFFIXES))
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
