@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, some_names
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
@@ -22,7 +22,6 @@ from sonar_gl.scene.sdf.xacro import expand, split_arguments
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
-MAX_NAMES_IN_WARNING = 10
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
     "COLLADA": "this is a mesh: name it .dae",
     "launch": "this is a launch file of ROS: give the world or robot that it starts",
@@ -97,7 +96,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     left_out, height_m = _read_water(links, resources)
     said = []
     if left_out:
-        said.append(f"water and marks are no bodies, and are left out ({_some_of(left_out)})")
+        said.append(f"water and marks are no bodies, and are left out ({some_names(left_out)})")
     if height_m is not None and not surface:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
@@ -114,24 +113,19 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         warnings.warn(f"{message}\nThe scene is read without them.", stacklevel=2)
     if unspecified:
         warnings.warn(
-            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({_some_of(unspecified)}); "
+            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
             f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
             stacklevel=2,
         )
     if saturated:
         warnings.warn(
             f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
-            f"({_some_of(saturated)}); their reflectivity is taken as 1",
+            f"({some_names(saturated)}); their reflectivity is taken as 1",
             stacklevel=2,
         )
     plumes = _read_plumes(links)
     with errors_at(str(path)):
         return Scene([*bodies, *plumes], sonar_pose, name, **surface)
-
-
-def _some_of(names: list[str]) -> str:
-    more = len(names) - MAX_NAMES_IN_WARNING
-    return f"{', '.join(names[:MAX_NAMES_IN_WARNING])}{f' and {more} more' if more > 0 else ''}"
 
 
 def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
@@ -164,7 +158,7 @@ def _read_bodies(
     for link in links:
         if link is carrier:
             continue
-        name = link.model if link.model and n_with_geometry[link.model] == 1 else link.path
+        name = link.model if n_with_geometry[link.model] == 1 and link.model else link.path
         found, complete = reader.read(link, name)
         bodies += found
         if not complete:
