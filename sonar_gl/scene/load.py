@@ -21,6 +21,7 @@ from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.xacro import split_arguments
 
 SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SUFFIXES = (*SDF_SUFFIXES, *mujoco_model.SUFFIXES, *mesh_files.SUFFIXES)
 
 
@@ -92,6 +93,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
             return mujoco_model.read_mjcf(path, resource_paths)
         return read_sdf(what, resource_paths, skip_missing)
     endings = " ".join(SUFFIXES)
+    if suffix in USD_SUFFIXES:
+        raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     raise Error(

@@ -86,6 +86,7 @@ def test_invalid_paths(two_scenes):
     assert (
         error_message(str(two_scenes)) == f"{two_scenes}: a scene file must end in one of {ENDINGS} (got '')"
     )
+    assert error_message("a.usdz") == "a.usdz: USD is not read; convert it to .glb, for instance by Blender"
     assert error_message(3) == (
         "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo (got int)"
     )

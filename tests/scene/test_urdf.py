@@ -143,7 +143,10 @@ def test_a_robot_can_be_included_in_a_world(tmp_path):
         (ARM.replace('xyz="0 0 1"', 'xyz="0 0"').format(""), "link[hand]/pose: must be 6 finite numbers"),
         (ARM.replace("sphere", "torus").format(""), "collision[0]/geometry/torus: unknown geometry"),
         (ARM.format("<link name='hand'/>"), "names must be unique (got 'hand' twice)"),
-        (XACRO.format("<xacro:property name='a' value='1'/>"), "holds a xacro macro (<xacro:property>)"),
+        (
+            XACRO.format("<xacro:property name='a' value='1'/>"),
+            "xacro macros (<xacro:property>), which are expanded only in a .xacro file",
+        ),
         ("<mujoco/>", "got <mujoco>; this is a model of MuJoCo: name it .xml"),
         ("<launch/>", "got <launch>; this is a launch file of ROS"),
         ("<!DOCTYPE robot [<!ENTITY a 'b'>]><robot/>", "entities must not be declared (refused)"),
@@ -243,6 +246,20 @@ def test_a_xacro_file_is_expanded(workspace):
     scene, _ = load(f"{path} prefix:=xyz", [workspace / "src"])
     assert list(boxes_of(scene)) == ["xyz/ball", "extra"]
     assert "the ROS package 'parts' must be in the resource paths" in error_message(path)
+
+
+def test_what_a_file_prints_is_not_shown(tmp_path, capfd):
+    text = "<link name=\"${xacro.warning('a')}${xacro.message('b')}l\"/><xacro:property name='pi' value='3'/>"
+    assert load(write(tmp_path / "a.xacro", XACRO.format(text)))[0].bodies == ()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_world_cannot_have_a_xacro_file_expanded(tmp_path):
+    write(tmp_path / "a.xacro", XACRO.format("<xacro:property name='a' value='1'/><link name='l'/>"))
+    text = "<sdf version='1.9'><world name='w'><include><uri>a.xacro</uri></include></world></sdf>"
+    assert "expanded only in a .xacro file that is itself the scene" in error_message(
+        write(tmp_path / "w.sdf", text)
+    )
 
 
 def test_arguments_follow_the_path():

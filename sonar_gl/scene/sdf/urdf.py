@@ -40,7 +40,10 @@ def model_of(robot, location: str):
     for element in robot.iter():
         if isinstance(element.tag, str) and element.tag.startswith(XACRO):
             name = element.tag.partition("}")[2]
-            raise Error(f"{location}: holds a xacro macro (<xacro:{name}>); name the file .xacro")
+            raise Error(
+                f"{location}: holds xacro macros (<xacro:{name}>), which are expanded only in a .xacro file that "
+                "is itself the scene"
+            )
     links = {(link.get("name") or "").strip(): link for link in robot.findall("link")}
     if not links:
         raise Error(

@@ -104,7 +104,7 @@ class _Expansion:
         self.xacro.abs_filename_spec = self._absolute_path
         self.xacro.parse = self._parse
         for name in ("message", "warning", "error", "print_location"):
-            setattr(self.xacro, name, lambda *_, **__: "")
+            setattr(self.xacro, name, _silent(name))
         self.arguments = dict(arguments)
 
     def xml(self) -> bytes:
@@ -192,6 +192,16 @@ class _Expansion:
         raise Error(
             f"unknown substitution (got {text!r}; known are arg, cwd, dirname, env, eval, find, optenv)"
         )
+
+
+def _silent(name: str):
+    """Return a function of this name that writes nothing; files call it by its name."""
+
+    def write(*_, **__):
+        return ""
+
+    write.__name__ = name
+    return write
 
 
 class _MissingFileError(Error, OSError):
