@@ -73,10 +73,8 @@ def convert_mujoco_model(what, name: str = "scene") -> Scene:
     import mujoco
 
     model = what.model if hasattr(what, "model") else what
-    data = mujoco.MjData(model)
-    if what is model:
-        data.qpos[:] = model.qpos0
-    else:
+    data = mujoco.MjData(model)  # a simulation of its own: that of the caller stays as it is
+    if what is not model:
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = what.qpos, what.mocap_pos, what.mocap_quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)

@@ -212,7 +212,8 @@ def test_other_objects_are_refused():
 
 
 def test_what_deforms_is_left_out():
-    flex = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1"/>"""
+    flex = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1">
+      <edge equality="true"/></flexcomp>"""
     _, warned = load(model_of(f"<geom size='1'/>{flex}"))
     assert warned == ["flexes and skins of the MuJoCo model are left out (they deform)"]
 

@@ -20,24 +20,15 @@ from sonar_gl.scene.sdf.resources import Resources
 
 # What the library must have, so that nothing here is replaced in vain.
 REPLACED = "abs_filename_spec", "eval_extension", "load_yaml", "parse", "safe_eval"
+# Parts of expressions: neither functions nor generators, whose insides lead out.
 NODES = (
     *(ast.Expression, ast.BoolOp, ast.BinOp, ast.UnaryOp, ast.IfExp, ast.Compare, ast.Call, ast.keyword),
-    *(
-        ast.Constant,
-        ast.Attribute,
-        ast.Subscript,
-        ast.Slice,
-        ast.Name,
-        ast.List,
-        ast.Tuple,
-        ast.Dict,
-        ast.Set,
-    ),
-    *(ast.ListComp, ast.SetComp, ast.DictComp, ast.comprehension, ast.Starred, ast.Load, ast.Store),
+    *(ast.Constant, ast.Attribute, ast.Name, ast.Subscript, ast.Slice, ast.List, ast.Tuple, ast.Dict),
+    *(ast.Set, ast.ListComp, ast.SetComp, ast.DictComp, ast.comprehension, ast.Starred, ast.Load, ast.Store),
     *(ast.operator, ast.unaryop, ast.boolop, ast.cmpop),
 )
-# Attributes without underscore that reach the insides of objects; `format` does so by the text that it formats.
-REFUSED_NAMES = re.compile(r"_.*|(gi|cr|ag|f|tb|co)_.*|format|format_map|mro|type|vars")
+REFUSED_ATTRIBUTES = re.compile("_.*|format|format_map")  # `format` reads attributes that its text names
+REFUSED_BUILTINS = "type", "vars"  # of those that xacro offers as `python.type`
 MAX_NESTING = 50  # of files that include files
 PART = re.compile("is not defined|unknown macro name")  # of messages about a file that is a part of another
 ARGUMENT = re.compile(r"(\w+):=(\S*)")  # as ROS's own commands take arguments
@@ -114,6 +105,8 @@ class _Expansion:
         library.substitution_args_context["arg"] = self.arguments
         document = self._parse(None, str(self.path))
         self.symbols = library.create_global_symbols()
+        for name in REFUSED_BUILTINS:
+            del self.symbols["python"][name]
         library.eval_all(document.documentElement, library.Table(), library.Table(self.symbols))
         return document.toxml("utf-8")
 
@@ -158,10 +151,15 @@ class _Expansion:
     def _evaluate(self, expression: str, names, more=None):
         """Return the value of an expression, after it is checked."""
         for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
-            name = getattr(node, "id", getattr(node, "attr", getattr(node, "arg", None)))
-            if not isinstance(node, NODES) or (isinstance(name, str) and REFUSED_NAMES.fullmatch(name)):
-                what = name if isinstance(node, NODES) else type(node).__name__
-                raise Error(f"expressions must be simple ones (got {expression!r}; refused is {what})")
+            refused = None
+            if not isinstance(node, NODES):
+                refused = type(node).__name__
+            elif isinstance(node, ast.Attribute) and REFUSED_ATTRIBUTES.fullmatch(node.attr):
+                refused = node.attr
+            elif isinstance(node, ast.Name) and node.id.startswith("__"):
+                refused = node.id
+            if refused is not None:
+                raise Error(f"expressions must be simple ones (got {expression!r}; refused is {refused})")
         return self._eval(expression, names, more)
 
     def _substitute(self, text: str):
