@@ -15,6 +15,7 @@ from .imaging.files import load_npz, save_animation, save_npz, save_png
 from .noise.settings import Noise
 from .ping import GBuffer, Ping
 from .scene.load import bundled_scenes, load_scene
+from .scene.mujoco_model import mujoco_poses, mujoco_sonar_pose
 from .scene.plume import Bubbles
 from .scene.reflectivity_map import textured_body
 from .scene.scene import Body, Scene
@@ -47,6 +48,8 @@ __all__ = [
     "load_npz",
     "load_scene",
     "load_sonar",
+    "mujoco_poses",
+    "mujoco_sonar_pose",
     "needed_acoustics",
     "ping_from_depth",
     "pose",

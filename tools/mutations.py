@@ -541,6 +541,21 @@ MUTATIONS = (
         SDF,
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
     ),
+    # other formats of scenes
+    Mutation(
+        "urdf/a DVL is no imaging sonar",
+        'if any(word in f"{names[0]} {owner}".lower() for word in OTHER_SONARS):',
+        "if False:",
+        ("test_urdf",),
+    ),
+    Mutation("xacro/functions", "if not isinstance(node, NODES):", "if False:", ("test_urdf",)),
+    Mutation(
+        "mujoco/groups",
+        "return model.geom_group[geom] <= VISIBLE_GROUPS and rgba[3] > 0",
+        "return rgba[3] > 0",
+        ("test_mujoco_model",),
+    ),
+    Mutation("mujoco/rows of a height field", "heights[::-1] * z_m", "heights * z_m", ("test_mujoco_model",)),
 )
 
 

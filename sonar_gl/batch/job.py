@@ -20,6 +20,7 @@ from sonar_gl.core.checks import is_number
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import colorize
+from sonar_gl.scene.sdf.xacro import split_arguments
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
@@ -253,7 +254,8 @@ class Job(Table):
 
     def files(self) -> list[Path]:
         """Return the scene, sonar and pose files that the job names."""
-        names = [*self.scenes, *(table.sonar.partition("#")[0] for table in self.sonars)]
+        scenes = [split_arguments(name)[0] for name in self.scenes]
+        names = [*scenes, *(table.sonar.partition("#")[0] for table in self.sonars)]
         names += [str(table.get("file", "")) for table in self.poses]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 

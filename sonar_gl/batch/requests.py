@@ -17,6 +17,7 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 VARY_STREAM, NOISE_STREAM = 101, 102  # of random numbers; never renumber: the bytes of data sets would change
@@ -178,9 +179,10 @@ class BatchRequests(Sequence):
         if index not in self._scenes:
             name = self.job.scenes[index]
             path = self.job.path(name)
+            is_file = self.job.path(split_arguments(name)[0]).is_file()
             folders = [self.job.path(folder) for folder in self.job.resource_paths]
             with errors_at(f"{self.job.where}: scenes[{index}]"):
-                scene = load_scene(str(path) if path.is_file() else name, folders, self.job.skip_missing)
+                scene = load_scene(str(path) if is_file else name, folders, self.job.skip_missing)
             while len(self._scenes) > 1:
                 self._scenes.pop(next(iter(self._scenes)))
             self._scenes[index] = scene

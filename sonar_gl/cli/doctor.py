@@ -27,6 +27,7 @@ PACKAGES = (  # name of the import, name of the package
     ("PIL", "pillow"),
     ("defusedxml", "defusedxml"),
     ("lxml", "lxml"),
+    ("xacro", "xacro"),
     ("mapbox_earcut", "mapbox_earcut"),
 )
 INSTALL_AGAIN = "install sonar_gl again"

@@ -32,7 +32,7 @@ HELP = {
     "formats": "File format; may be repeated. gif and mp4 need --poses.",
     "fps": "Frames per second of gif and mp4.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
-    "resource_path": "Folder to search for model:// URIs; may be repeated.",
+    "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
     "skip_missing": "Leave out models that are not found and shapes that are not known, with a warning.",
     "without": 'Leave out bodies of this name, such as "boat*"; may be repeated.',
     "only": "Leave out all bodies but those of this name; may be repeated.",

@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+MAX_NAMES = 10  # in a message
+
 
 class Error(ValueError):
     """A mistake that the caller can correct.
@@ -57,3 +59,13 @@ def nearest_names(name: str, known: Iterable[str]) -> str:
     if similar:
         return "did you mean " + " or ".join(repr(n) for n in similar) + "?"
     return "known are " + ", ".join(known)
+
+
+def some_names(names: list[str]) -> str:
+    """Return the first names of a list for a message, and how many there are beside them.
+
+    >>> some_names([f"pile_{k}" for k in range(12)][:3])
+    'pile_0, pile_1, pile_2'
+    """
+    more = len(names) - MAX_NAMES
+    return f"{', '.join(names[:MAX_NAMES])}{f' and {more} more' if more > 0 else ''}"

@@ -1,4 +1,4 @@
-"""Scenes by name, from files, and from objects of trimesh and pyrender."""
+"""Scenes by name, from files, and from objects of trimesh, pyrender and MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ import numpy as np
 
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names
-from sonar_gl.scene import mesh_files
+from sonar_gl.scene import mesh_files, mujoco_model
+from sonar_gl.scene.mujoco_model import convert_mujoco_model, is_mujoco_model
 from sonar_gl.scene.primitives import Shape, transform
 from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
 from sonar_gl.scene.scene import Body, Scene, body_at
 from sonar_gl.scene.sdf.reader import read_sdf
+from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.xacro import split_arguments
 
-SDF_SUFFIXES = (".sdf", ".world")
+SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+SUFFIXES = (*SDF_SUFFIXES, *mujoco_model.SUFFIXES, *mesh_files.SUFFIXES)
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -35,13 +40,15 @@ def scene_description(path) -> str:
 
 
 def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
-    """Load a scene by a bundled name, from a file, or from a scene or mesh of trimesh or pyrender.
+    """Load a scene by a bundled name, from a file, or from an object of trimesh, pyrender or MuJoCo.
 
     Parameters
     ----------
-    what : name of a bundled scene; path of an SDF file (.sdf .world), of a model's folder, or of a mesh
-        (.glb .gltf .obj .stl .ply .dae); trimesh.Trimesh; trimesh.Scene; pyrender.Scene
-    resource_paths, skip_missing : for SDF files, as in `read_sdf`
+    what : name of a bundled scene; path of a file of SDF (.sdf .world), URDF (.urdf) or xacro (.xacro, with
+        arguments after it as in "robot.xacro debug:=1"), of a model's folder, or of a mesh
+        (.glb .gltf .obj .stl .ply .dae), or of a MuJoCo model (.xml .mjcf); trimesh.Trimesh; trimesh.Scene;
+        pyrender.Scene; mujoco.MjModel; mujoco.MjData
+    resource_paths, skip_missing : for files but meshes, as in `read_sdf`
 
     Raises
     ------
@@ -53,34 +60,41 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     Convention: z is up. A glTF file, which is y-up by its standard, is turned by (x, y, z) -> (x, -z, y); all
     other files and objects keep their coordinates. Each placed geometry of a mesh file becomes a body of
     reflectivity 0.5. Objects of trimesh are shaded flat, because trimesh computes normals where a mesh has
-    none; those of pyrender keep the normals that pyrender renders with.
+    none; those of pyrender keep the normals that pyrender renders with. For objects and files of MuJoCo see
+    `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
     """
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
+    if is_mujoco_model(what):
+        return convert_mujoco_model(what)
     if hasattr(what, "graph") and hasattr(what, "geometry"):
         return _convert_trimesh_scene(what)
     if hasattr(what, "vertices") and hasattr(what, "faces"):
         return Scene([Body("mesh", what)])
     if not isinstance(what, (str, os.PathLike)):
         raise Error(
-            "a scene must be a bundled name, a path, or a scene or mesh of trimesh or pyrender "
+            "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo "
             f"(got {type(what).__name__})"
         )
-    path, bundled = Path(what), bundled_scenes()
+    path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)
     suffix = path.suffix.lower()
-    if suffix in SDF_SUFFIXES or suffix in mesh_files.SUFFIXES:
+    if suffix in SUFFIXES:
         if path.is_dir():
             raise Error(f"{path}: a scene must be a file, or the folder of a model (it has no model.sdf)")
         if not path.is_file():
             raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
         if suffix in mesh_files.SUFFIXES:
             return _read_mesh_scene(path)
-        return read_sdf(path, resource_paths, skip_missing)
-    endings = " ".join((*SDF_SUFFIXES, *mesh_files.SUFFIXES))
+        if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
+            return mujoco_model.read_mjcf(path, resource_paths)
+        return read_sdf(what, resource_paths, skip_missing)
+    endings = " ".join(SUFFIXES)
+    if suffix in USD_SUFFIXES:
+        raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     raise Error(

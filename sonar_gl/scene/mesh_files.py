@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.errors import Error
-from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
+from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
 Y_UP_SUFFIXES = (".glb", ".gltf")
@@ -64,17 +64,7 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
         )
     if not np.isfinite(image).all():
         raise Error(f"{path}: heights must be finite (got NaN or infinity; fill the gaps first)")
-    x, y = np.meshgrid(
-        pos[0] + np.linspace(-size[0] / 2, size[0] / 2, columns),
-        pos[1] + np.linspace(size[1] / 2, -size[1] / 2, rows),
-    )
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    below, right, across = corner + columns, corner + 1, corner + columns + 1
-    faces = np.empty((2, len(corner), 3), np.int64)
-    for column, vertices in enumerate(((corner, corner), (below, across), (across, right))):
-        faces[:, :, column] = vertices
-    vertices = np.stack([x.ravel(), y.ravel(), pos[2] + image.ravel() * size[2]], axis=1)
-    return make_shape(vertices, faces.reshape(-1, 3))
+    return terrain(image * size[2], size, pos)
 
 
 def read_mesh_parts(path) -> list[MeshPart]:

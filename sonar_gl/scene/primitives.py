@@ -201,6 +201,29 @@ def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_PLANE_M, INFINITE_PLANE_M)) -> 
     return make_shape(corners @ rotation.T, [(0, 1, 2), (0, 2, 3)])
 
 
+def terrain(heights, size, pos=(0.0, 0.0, 0.0)) -> Shape:
+    """Return a sheet of flat triangles over a grid of heights.
+
+    Parameters
+    ----------
+    heights : (R, C) metres; the first row is at +y, the first column at -x
+    size : x, y extent, metres; the outer heights lie on its edges
+    pos : centre, metres
+    """
+    rows, columns = heights.shape
+    x, y = np.meshgrid(
+        pos[0] + np.linspace(-size[0] / 2, size[0] / 2, columns),
+        pos[1] + np.linspace(size[1] / 2, -size[1] / 2, rows),
+    )
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    below, right, across = corner + columns, corner + 1, corner + columns + 1
+    faces = np.empty((2, len(corner), 3), np.int64)
+    for column, vertices in enumerate(((corner, corner), (below, across), (across, right))):
+        faces[:, :, column] = vertices
+    vertices = np.stack([x.ravel(), y.ravel(), pos[2] + heights.ravel()], axis=1)
+    return make_shape(vertices, faces.reshape(-1, 3))
+
+
 def transform(shape: Shape, matrix) -> Shape:
     """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside."""
     mesh, normals = shape

@@ -332,6 +332,22 @@ def test_the_size_of_parts_follows_from_that_of_pings():
     assert manifest.n_parts == 3 and list(manifest.numbers(2)) == [8, 9]
 
 
+def test_a_scene_may_be_a_xacro_file_with_arguments(tmp_path):
+    write_job(tmp_path, 2, "[labels]\n")
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "robots" / "wall.xacro").write_text(
+        "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'><link name='$(arg name)'><collision><geometry>"
+        "<box size='1 1 1'/></geometry></collision></link>"
+        "<gazebo reference='$(arg name)'><laserRetro>9</laserRetro></gazebo></robot>"
+    )
+    job = read_job(tmp_path / "job.toml").model_copy(
+        update={"scenes": ["robots/wall.xacro name:=a", "robots/wall.xacro name:=b"]}
+    )
+    assert tmp_path / "robots" / "wall.xacro" in job.files()
+    requests = BatchRequests(job)
+    assert [requests.scene(index).bodies[0].name for index in (0, 1)] == ["a", "b"]
+
+
 def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     write_job(tmp_path, 2, "[labels]\n")
     text = (tmp_path / "tank.sdf").read_text()

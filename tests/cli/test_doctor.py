@@ -85,7 +85,7 @@ def test_process_without_a_package(tmp_path):
     assert "FAIL OpenGL not tried (no trimesh here)" in lines
     assert "FAIL known scene not tried without OpenGL" in lines
     assert any(line.startswith("ok shaders ") for line in lines)
-    assert lines[-1] == "7 of 21 failed"
+    assert lines[-1] == "7 of 22 failed"
 
 
 def test_optional_packages_may_be_missing(monkeypatch):

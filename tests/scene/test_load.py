@@ -21,7 +21,7 @@ from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Scene
 
-ENDINGS = ".sdf .world .glb .gltf .obj .stl .ply .dae"
+ENDINGS = ".sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
 SDF = (
     "<sdf version='1.9'>{}<model name='m'><link name='l'><collision name='c'><geometry><box>"
     "<size>1 2 3</size></box></geometry><laser_retro>51</laser_retro></collision></link></model></sdf>"
@@ -86,8 +86,9 @@ def test_invalid_paths(two_scenes):
     assert (
         error_message(str(two_scenes)) == f"{two_scenes}: a scene file must end in one of {ENDINGS} (got '')"
     )
+    assert error_message("a.usdz") == "a.usdz: USD is not read; convert it to .glb, for instance by Blender"
     assert error_message(3) == (
-        "a scene must be a bundled name, a path, or a scene or mesh of trimesh or pyrender (got int)"
+        "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo (got int)"
     )
 
 

@@ -984,7 +984,7 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
         ("", "line 1, column 1: broken XML (no element found)"),
         ("<sdf><a b=c/></sdf>", "line 1, column 11: broken XML (not well-formed (invalid token))"),
         ("<sdf>&nothing;</sdf>", "line 1, column 6: broken XML (undefined entity)"),
-        ("<robot/>", "the root element must be <sdf> (got <robot>)"),
+        ("<scene/>", "the root element must be <sdf>, or <robot> of URDF (got <scene>)"),
         ("<sdf/>", "must hold a <world> or a <model>"),
     ],
 )

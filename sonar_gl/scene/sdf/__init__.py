@@ -1,9 +1,9 @@
-"""Reader of SDF, the scene format of Gazebo.
+"""Reader of SDF, the scene format of Gazebo, and of URDF and xacro, the robot formats of ROS.
 
 The flow of `reader.read_sdf`:
 
 1. Files: `resources.Resources` finds the files that a scene names, in its folder and the resource paths, and
-   parses their XML.
+   parses their XML. `xacro.expand` expands macros; `urdf.model_of` converts a robot to SDF.
 2. Tree: `reader.TreeReader` makes a tree of `frames.Scope` from the world, its models and includes. A scope
    resolves the poses of its frames.
 3. Links: `links.links_of` lists the links of the tree; `links.find_sonar` picks the one with the sonar.

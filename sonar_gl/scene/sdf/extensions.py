@@ -36,7 +36,7 @@ def declare_namespace(xml: bytes) -> bytes:
         return xml
     declaration = f'xmlns:sonar_gl="{NAMESPACE}"'.encode()
     xml, found = re.subn(rb"xmlns:sonar_gl\s*=\s*(\"[^\"]*\"|'[^']*')", declaration, xml)
-    return xml if found else re.sub(rb"<(sdf|gazebo)(?=[\s>])", rb"<\1 " + declaration, xml, count=1)
+    return xml if found else re.sub(rb"<(sdf|robot|gazebo)(?=[\s>])", rb"<\1 " + declaration, xml, count=1)
 
 
 def find_extension(element, name: str):

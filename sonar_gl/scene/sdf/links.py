@@ -10,6 +10,7 @@ import numpy as np
 from sonar_gl.scene.sdf.frames import Scope, read_pose
 
 SONAR_WORDS = ("sonar", "fls", "multibeam")
+OTHER_SONARS = ("dvl", "altimeter")  # which make no images
 # Types of sensor that Gazebo's users simulate sonars with. In a model that is named after a sonar only these
 # are taken for one: the model may hold an IMU as well.
 IMAGING_SENSORS = {"camera", "depth", "depth_camera", "rgbd_camera", "ray", "gpu_ray", "lidar", "gpu_lidar"}
@@ -24,7 +25,7 @@ class Link:
     scope : the model that holds it
     name : in that model
     element : its `<link>`
-    model : name of the model, "outer::inner" if nested
+    model : name of the model, "outer::inner" if nested; "" in a URDF file
     world_from_model : (4, 4)
     """
 
@@ -33,6 +34,11 @@ class Link:
     element: object
     model: str
     world_from_model: np.ndarray
+
+    @property
+    def path(self) -> str:
+        """`model::link`."""
+        return f"{self.model}::{self.name}" if self.model else self.name
 
     @property
     def location(self) -> str:
@@ -66,7 +72,8 @@ def find_sonar(links) -> tuple[Link | None, np.ndarray | None]:
     """Return the link that carries the sonar and the sonar's (4, 4) world pose, or (None, None).
 
     The sonar is the first `<sensor type="custom">`; else the first sensor whose own name or plugin contains
-    one of SONAR_WORDS; else the first of IMAGING_SENSORS in a model whose name contains one.
+    one of SONAR_WORDS; else the first of IMAGING_SENSORS in a model whose name contains one, or in a link of
+    a URDF file. By their names, DVLs and altimeters are none.
     """
     found = []
     for link in links:
@@ -74,9 +81,12 @@ def find_sonar(links) -> tuple[Link | None, np.ndarray | None]:
             names = [sensor.get("name") or ""]
             names += [p.get(key) or "" for p in sensor.findall("plugin") for key in ("name", "filename")]
             kind = (sensor.get("type") or "").strip()
+            owner = link.model or link.name
             by_sensor, by_model = (
-                any(word in text.lower() for word in SONAR_WORDS) for text in (" ".join(names), link.model)
+                any(word in text.lower() for word in SONAR_WORDS) for text in (" ".join(names), owner)
             )
+            if any(word in f"{names[0]} {owner}".lower() for word in OTHER_SONARS):
+                by_sensor = by_model = False
             if kind == "custom" or by_sensor or (by_model and kind in IMAGING_SENSORS):
                 rank = 0 if kind == "custom" else 1 if by_sensor else 2
                 found.append((rank, len(found), link, sensor))

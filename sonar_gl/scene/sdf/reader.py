@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, some_names
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
@@ -16,11 +16,19 @@ from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, find_sonar, links_of
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
+from sonar_gl.scene.sdf.urdf import model_of
 from sonar_gl.scene.sdf.water import is_mark, is_water
+from sonar_gl.scene.sdf.xacro import expand, split_arguments
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
-MAX_NAMES_IN_WARNING = 10
+OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
+    "COLLADA": "this is a mesh: name it .dae",
+    "launch": "this is a launch file of ROS: give the world or robot that it starts",
+    "mujoco": "this is a model of MuJoCo: name it .xml",
+    "world": "put it into <sdf>",
+    "model": "put it into <sdf>; or give the folder, if it is a model.config",
+}
 
 
 def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
@@ -28,9 +36,10 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Parameters
     ----------
-    path : an .sdf or .world file, or the folder of a model
-    resource_paths : folders in which `model://` is searched, before those of the environment variables
-        GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH and the file's own folder; no file outside them is read
+    path : a file of SDF (.sdf, .world) or URDF (.urdf), or one of xacro that expands to one of them (.xacro),
+        with arguments after it as in "robot.xacro debug:=1"; or the folder of a model
+    resource_paths : folders in which `model://` and `package://` are searched, before those of environment
+        variables and the file's own folder, as in `Resources`; no file outside them is read
     skip_missing : warn of missing models and meshes, and of unknown shapes, and leave them out, in place of an
         error
 
@@ -42,8 +51,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     Notes
     -----
     Bodies. A link becomes a body, named after its model, or `model::link` if several links of the model have
-    geometry. The collisions of a link make its body; its visuals if it has no collisions, or if only visuals
-    have surface properties. The link that carries the sonar makes no body.
+    geometry; in a URDF file, named after the link, with all joints at zero. The collisions of a link make its
+    body; its visuals if it has no collisions, or if only visuals have surface properties. The link that
+    carries the sonar makes no body.
 
     Surface properties of a collision or visual: reflectivity is `<laser_retro>` / 255, or 0.5, with one
     warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and
@@ -62,13 +72,15 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
-    path, name = Path(path), Path(path).stem
+    text, arguments = split_arguments(str(path))
+    path = Path(text)
+    name = path.stem.removesuffix(".urdf")
     if path.is_dir():
         resources, name = Resources(path / "model.sdf", resource_paths), path.resolve().name
         path = resources.file_of_model(path)
     else:
         resources = Resources(path, resource_paths)
-    top, scope = _read_root(resources, path)
+    top, scope = _read_root(resources, path, arguments)
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
@@ -84,7 +96,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     left_out, height_m = _read_water(links, resources)
     said = []
     if left_out:
-        said.append(f"water and marks are no bodies, and are left out ({_some_of(left_out)})")
+        said.append(f"water and marks are no bodies, and are left out ({some_names(left_out)})")
     if height_m is not None and not surface:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
@@ -103,14 +115,14 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         warnings.warn(f"{path}: read without {', and without '.join(without)}", stacklevel=2)
     if unspecified:
         warnings.warn(
-            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({_some_of(unspecified)}); "
+            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
             f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
             stacklevel=2,
         )
     if saturated:
         warnings.warn(
             f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
-            f"({_some_of(saturated)}); their reflectivity is taken as 1",
+            f"({some_names(saturated)}); their reflectivity is taken as 1",
             stacklevel=2,
         )
     plumes = _read_plumes(links)
@@ -118,16 +130,19 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         return Scene([*bodies, *plumes], sonar_pose, name, **surface)
 
 
-def _some_of(names: list[str]) -> str:
-    more = len(names) - MAX_NAMES_IN_WARNING
-    return f"{', '.join(names[:MAX_NAMES_IN_WARNING])}{f' and {more} more' if more > 0 else ''}"
-
-
-def _read_root(resources: Resources, path: Path):
-    """Return the element that holds the models of a file, and an empty scope for it."""
-    root = resources.parse(path)
+def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
+    """Return the element that holds the models of a file, or the links of a robot, and an empty scope for it."""
+    if path.suffix.lower() == ".xacro":
+        root = resources.parse_xml(expand(path, arguments, resources), path)
+    else:
+        if arguments:
+            raise Error(f"{path}: only a .xacro file takes arguments (got {', '.join(arguments)})")
+        root = resources.parse(path)
+    if root.tag == "robot":
+        return model_of(root, str(path)), Scope(f"{path}: ", path.parent, is_world=True)
     if root.tag not in ("sdf", "gazebo"):
-        raise Error(f"{path}: the root element must be <sdf> (got <{root.tag}>)")
+        known = f"; {OTHER_ROOTS[root.tag]}" if root.tag in OTHER_ROOTS else ""
+        raise Error(f"{path}: the root element must be <sdf>, or <robot> of URDF (got <{root.tag}>{known})")
     world = root.find("world")
     if world is None and all(root.find(tag) is None for tag in ("model", "include", "light", "actor")):
         raise Error(f"{path}: must hold a <world> or a <model>")
@@ -145,7 +160,7 @@ def _read_bodies(
     for link in links:
         if link is carrier:
             continue
-        name = link.model if n_with_geometry[link.model] == 1 else f"{link.model}::{link.name}"
+        name = link.model if n_with_geometry[link.model] == 1 and link.model else link.path
         found, complete = reader.read(link, name)
         bodies += found
         if not complete:
@@ -158,7 +173,7 @@ def _read_water(links: list[Link], resources: Resources) -> tuple[list[str], flo
     reader, names, heights = BodyReader(resources), {}, []
     for link in links:
         if left_out_shapes(link):
-            names[f"{link.model}::{link.name}"] = None
+            names[link.path] = None
         for element in link.element.findall("collision") + link.element.findall("visual"):
             if is_water(link, element) and not is_mark(link):
                 heights.append(reader.height_of_water(link, element))
@@ -172,7 +187,7 @@ def _read_plumes(links: list[Link]) -> list[Bubbles]:
     for link in links:
         for child in check_extensions(link.element, ("bubbles",), link.location):
             location = f"{link.location}/sonar_gl:bubbles"
-            name = child.get("name") or f"{link.model}::bubbles"
+            name = child.get("name") or f"{link.model or link.name}::bubbles"
             pose = link.world_pose() @ link.pose_in_link(child, location)
             out.append(read_bubbles(child, name, pose, location))
     return out
@@ -247,7 +262,7 @@ class TreeReader:
             names = " -> ".join(str(f) for f in [*stack[stack.index(file) :], file] if f is not None)
             raise Error(f"{location}: a model must not include itself (got {names})")
         root = self.resources.parse(path)
-        model = root.find("model")
+        model = model_of(root, str(path)) if root.tag == "robot" else root.find("model")
         if model is None:
             if root.find("light") is None and root.find("actor") is None:
                 raise Error(f"{path}: must hold a <model> (included by {location})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
@@ -13,6 +14,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.extensions import declare_namespace
 
 MAX_XML_BYTES = 50_000_000
+MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # What Gazebo's parser, tinyxml2, accepts against the rules of XML, by libxml2's numbers: a declaration that is not
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
@@ -23,6 +25,8 @@ BUILT_IN = {  # models that come with Gazebo, so that worlds name them without t
     "<geometry><plane/></geometry></collision></link></model></sdf>",
 }
 
+SEARCH_PATHS = "GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "ROS_PACKAGE_PATH"
+PACKAGE_FILE = "package.xml"
 FUEL_URI = r"https?://([^/]+)/(?:[0-9.]+/)?([^/]+)/models/([^/]+)(?:/([0-9]+|tip))?(?:/files/(.+))?/?"
 FUEL_CACHES = {  # environment variable: where the cache is without it
     "GZ_FUEL_CACHE_PATH": "~/.gz/fuel",
@@ -48,8 +52,8 @@ class Resources:
 
     Parameters
     ----------
-    scene_path : the scene's file; its folder is searched last
-    resource_paths : folders to search first; those of GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH follow
+    scene_path : the scene's file; its folder is searched last, with that of the ROS package that holds the file
+    resource_paths : folders to search first; those of SEARCH_PATHS and of AMENT_PREFIX_PATH follow
 
     Raises
     ------
@@ -64,9 +68,14 @@ class Resources:
         for root in roots:
             if not root.is_dir():
                 raise Error(f"resource path {str(root)!r} must be a folder (there is none of that name)")
-        for key in ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"):
+        for key in SEARCH_PATHS:
             roots += [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
-        self.roots = list(dict.fromkeys(root.resolve() for root in [*roots, scene_path.parent]))
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        roots += [Path(prefix, "share") for prefix in prefixes if prefix]
+        folder = scene_path.parent.resolve()
+        own_package = [one for one in (folder, *folder.parents) if (one / PACKAGE_FILE).is_file()]
+        self.roots = list(dict.fromkeys([*(root.resolve() for root in roots), folder, *own_package[:1]]))
+        self._packages: dict[str, Path] | None = None
         self._missing: dict[str, tuple[list, list]] = {}  # uri -> locations that name it, paths searched
         self._parsed, self.recovered, self._unsupported = {}, {}, []
 
@@ -78,33 +87,40 @@ class Resources:
         Error
             with the name of the file, and line and column of broken XML.
         """
-        from defusedxml import DefusedXmlException
-        from defusedxml.ElementTree import ParseError, fromstring, parse
+        from defusedxml.ElementTree import fromstring
 
         if path in BUILT_IN:
             return fromstring(BUILT_IN[path])
-        if path in self._parsed:
-            return self._parsed[path]
+        if path not in self._parsed:
+            self._parsed[path] = self.parse_xml(self.read(path), path)
+        return self._parsed[path]
+
+    def read(self, path: Path) -> bytes:
+        """Return the XML of a file, with the prefix sonar_gl declared; huge files are refused."""
         try:
             if path.stat().st_size > MAX_XML_BYTES:
                 raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
-            xml = declare_namespace(path.read_bytes())
-            root = parse(io.BytesIO(xml), forbid_dtd=True).getroot()
+            return declare_namespace(path.read_bytes())
+        except OSError as why:
+            raise Error(f"{path}: {why.strerror or why}") from None
+
+    def parse_xml(self, xml: bytes, path: Path):
+        """Return the root element of the XML of a file; errors are those of `parse`."""
+        from defusedxml import DefusedXmlException
+        from defusedxml.ElementTree import ParseError, parse
+
+        try:
+            return parse(io.BytesIO(xml), forbid_dtd=True).getroot()
         except ParseError as why:
             root = self._recover(xml, path)
             if root is None:
                 (line, column), text = why.position, expat.ErrorString(why.code)
                 raise Error(f"{path}: line {line}, column {column + 1}: broken XML ({text})") from None
+            return root
         except DefusedXmlException:
             raise Error(f"{path}: a document type or entities must not be declared (refused)") from None
-        except OSError as why:
-            raise Error(f"{path}: {why.strerror or why}") from None
-        except Error:
-            raise
         except (LookupError, ValueError) as why:  # an unknown encoding
             raise Error(f"{path}: broken XML ({why})") from None
-        self._parsed[path] = root
-        return root
 
     def _recover(self, xml: bytes, path: Path):
         """Return the root element of a file that Gazebo reads though it is no proper XML; None if it does not."""
@@ -133,8 +149,9 @@ class Resources:
     def find(self, uri: str, base: Path, location: str) -> Path | None:
         """Return the file or folder of a URI; None if it is missing, which is noted for `missing`.
 
-        URIs of `model://` (and ROS's `package://`) are searched in the resource paths, which may also be the
-        folders of models themselves; relative URIs in `base`, then in the resource paths.
+        URIs of `model://` are searched in the resource paths, which may also be the folders of models
+        themselves; those of `package://` in the ROS package; relative URIs in `base`, then in the resource
+        paths.
 
         Parameters
         ----------
@@ -161,6 +178,8 @@ class Resources:
         if not rest.startswith("/"):
             candidates += [root / rest for root in self.roots]
             head, _, tail = rest.partition("/")
+            if scheme == "package" and (package := self.find_package(head)) is not None:
+                candidates.insert(0, package / tail)
             candidates += [root / tail for root in self.roots if scheme and root.name == head]
         candidates = list(dict.fromkeys(candidates))
         try:
@@ -179,6 +198,32 @@ class Resources:
         if found is None and uri not in BUILT_IN:
             self._note(uri, location, inside)
         return found
+
+    def find_package(self, name: str) -> Path | None:
+        """Return the folder of a ROS package in or below the resource paths, by its own name or its folder's."""
+        for root in self.roots:
+            for folder in (root / name, root):
+                if folder.name == name and folder.is_dir() and self._is_inside(folder):
+                    return folder
+        if self._packages is None:
+            self._packages = {}
+            for root in self.roots:
+                self._list_packages(root)
+        return self._packages.get(name)
+
+    def _list_packages(self, root: Path) -> None:
+        """Add the ROS packages below a folder; packages hold no packages."""
+        for folder, inner, files in os.walk(root):
+            path = Path(folder)
+            if PACKAGE_FILE in files and self._is_inside(path / PACKAGE_FILE):
+                with suppress(Error):  # one that cannot be read is known by its folder's name alone
+                    name = (self.parse(path / PACKAGE_FILE).findtext("name") or "").strip()
+                    self._packages.setdefault(name, path)
+                self._packages.setdefault(path.name, path)
+                inner.clear()
+            if len(path.relative_to(root).parts) >= MAX_PACKAGE_DEPTH:
+                inner.clear()
+            inner[:] = sorted(one for one in inner if not one.startswith("."))
 
     def _find_on_fuel(self, uri: str, location: str) -> Path | None:
         """Return the file or folder of a URI of Gazebo Fuel, from Gazebo's caches or the resource paths.
@@ -263,6 +308,10 @@ class Resources:
                 lines.append(
                     f"    'gz fuel download -u \"{uri}\"' downloads it to where it is found; "
                     f"or put the model's folder, named {found[3]!r}, into a folder of the resource paths"
+                )
+            elif package := re.match("package://([^/]+)", uri):
+                lines.append(
+                    f"    give the folder that holds the ROS package {package[1]!r} as resource path"
                 )
             elif not searched:
                 lines.append("    not fetched: download it, and let the scene name the file")

@@ -159,7 +159,7 @@ class BodyReader:
             groups.setdefault(lobe, []).append(ShapeOfLink(shape, reflectivity, surface.material))
         pose = link.world_pose()
         with errors_at(link.location):
-            return [_join(names[lobe], group, pose, lobe) for lobe, group in groups.items()], complete
+            return [join_shapes(names[lobe], group, pose, lobe) for lobe, group in groups.items()], complete
 
     def height_of_water(self, link: Link, element) -> float | None:
         """Return the height of the surface that a shape of water has, metres; None of a wall.
@@ -266,7 +266,7 @@ def _read_polylines(elements, location: str, height_m: float) -> Shape:
     return primitives.extrude(rings, height_m)
 
 
-def _join(name: str, group: list[ShapeOfLink], pose, lobe: tuple) -> Body:
+def join_shapes(name: str, group: list[ShapeOfLink], pose, lobe: tuple) -> Body:
     """Return one body from shapes in the frame of their link that have the same specular lobe."""
     shapes, reflectivities, materials = zip(*group, strict=True)
     mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)

@@ -1,0 +1,363 @@
+"""Scenes from models of MuJoCo, and the poses of their bodies in a simulation."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.core.errors import Error, errors_at, some_names
+from sonar_gl.core.extras import missing_extra
+from sonar_gl.scene import primitives
+from sonar_gl.scene.materials import Material, material
+from sonar_gl.scene.primitives import Shape, make_shape
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
+from sonar_gl.scene.sdf.links import SONAR_WORDS
+from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.shapes import ShapeOfLink, join_shapes
+
+SUFFIXES = (".xml", ".mjcf")
+VISIBLE_GROUPS = 2  # geoms of groups 0 to 2 are what MuJoCo's viewer shows; models keep collisions in group 3
+DEFAULT_RGBA = np.float32([0.5, 0.5, 0.5, 1.0])  # of a geom that leaves the colour to its material
+FOLDERS = {"texture": ("texturedir", "assetdir")}  # attributes of <compiler>; other files are in these:
+MESH_FOLDERS = "meshdir", "assetdir"
+# A camera looks along -z with x to the right and y up; a sonar along x with y to port and z up.
+CAMERA_FROM_SONAR = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
+
+
+class Part(NamedTuple):
+    """The geoms that make one body of the scene.
+
+    Attributes
+    ----------
+    name : of the body
+    body : number of MuJoCo's body; 0 is the world
+    geoms : numbers of the geoms
+    """
+
+    name: str
+    body: int
+    geoms: list[int]
+
+
+def is_mujoco_model(what) -> bool:
+    """Return whether an object is a mujoco.MjModel or mujoco.MjData, without importing mujoco."""
+    kind = type(what)
+    return kind.__module__.partition(".")[0] == "mujoco" and kind.__name__ in ("MjModel", "MjData")
+
+
+def convert_mujoco_model(what, name: str = "scene") -> Scene:
+    """Return the scene of a mujoco.MjModel at its reference configuration, or of a mujoco.MjData as it is now.
+
+    Raises
+    ------
+    Error
+        if a geom that MuJoCo shows has no surface.
+
+    Notes
+    -----
+    Each MuJoCo body becomes a body of its name, or `body_3` by its number; each geom of the world becomes one,
+    too. Geoms of a body whose smoothness differs from its first one's are bodies `body::geom`. Geoms of groups
+    3 to 5 and transparent ones are left out, and those of the body that carries the sonar.
+
+    A geom whose material has the name of one of `materials` gets its acoustic properties; others have
+    reflectivity 0.5.
+
+    The sonar is the first site whose name contains one of SONAR_WORDS, its axes x ahead, y to port and z up;
+    else the first such camera, looking along the boresight.
+    """
+    import mujoco
+
+    model = what.model if hasattr(what, "model") else what
+    data = mujoco.MjData(model)  # a simulation of its own: that of the caller stays as it is
+    if what is not model:
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = what.qpos, what.mocap_pos, what.mocap_quat
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    bodies, unspecified = [], []
+    for part in _parts(model):
+        group = [ShapeOfLink(_shape_in_body(model, g), *_reflectivity(model, g)) for g in part.geoms]
+        found = _material(model, part.geoms[0])
+        with errors_at(f"body {part.name!r} of the MuJoCo model"):
+            pose = _pose(data.xpos[part.body], data.xmat[part.body])
+            bodies.append(join_shapes(part.name, group, pose, _lobe(found)))
+        if any(_material(model, g) is None for g in part.geoms):
+            unspecified.append(part.name)
+    if unspecified:
+        warnings.warn(
+            f"no material of a known name in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
+            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
+            stacklevel=3,
+        )
+    if model.nflex or model.nskin:
+        warnings.warn("flexes and skins of the MuJoCo model are left out (they deform)", stacklevel=3)
+    carrier = _sonar(model)
+    return Scene(bodies, None if carrier is None else _sonar_pose(data, carrier), name)
+
+
+def mujoco_poses(scene: Scene, data) -> dict[str, np.ndarray]:
+    """Return the poses of a scene's bodies in a MuJoCo simulation, for `Simulator.ping` and `Simulator.place`.
+
+    Parameters
+    ----------
+    scene : made by `load_scene` of the model; bodies may have been left out or added
+    data : mujoco.MjData after mj_step or mj_forward, whose positions are taken as they are
+
+    Returns
+    -------
+    dict
+        name -> (4, 4) world_from_body, for the bodies that MuJoCo can move: not for geoms of the world.
+
+    Raises
+    ------
+    Error
+        if `data` is no mujoco.MjData, or has no positions yet.
+    """
+    _check_data(data)
+    numbers = {body.name: _body_number(data.model, body.name) for body in scene.bodies}
+    return {name: _pose(data.xpos[number], data.xmat[number]) for name, number in numbers.items() if number}
+
+
+def mujoco_sonar_pose(data) -> np.ndarray:
+    """Return the (4, 4) world_from_sonar of the model's sonar in a MuJoCo simulation; see `load_scene`.
+
+    Parameters
+    ----------
+    data : mujoco.MjData after mj_step or mj_forward, whose positions are taken as they are
+
+    Raises
+    ------
+    Error
+        if the model has no site or camera named after a sonar, or `data` has no positions yet.
+    """
+    _check_data(data)
+    carrier = _sonar(data.model)
+    if carrier is None:
+        words = ", ".join(SONAR_WORDS)
+        raise Error(
+            f"a MuJoCo model must have a site or camera for the sonar, named after it ({words}; got none)"
+        )
+    return _sonar_pose(data, carrier)
+
+
+def read_mjcf(path: Path, resource_paths=()) -> Scene:
+    """Read a scene from a MuJoCo model in a file.
+
+    Parameters
+    ----------
+    path : of an MJCF file
+    resource_paths : folders from which the model may read files, besides its own
+
+    Raises
+    ------
+    Error
+        if MuJoCo is not installed or cannot read the model, or the model names files that are missing or
+        elsewhere.
+    """
+    resources = Resources(path, resource_paths)
+    _check_files(path, resources, set())
+    if missing := resources.missing(path):
+        raise Error(f"{missing}\nMuJoCo reads no model without them.")
+    try:
+        import mujoco
+    except ModuleNotFoundError as why:
+        raise missing_extra(
+            "mujoco", f"{path}: a model of MuJoCo needs MuJoCo (got no module {why.name})"
+        ) from None
+    except Exception as why:  # its OpenGL, which nothing here needs
+        raise Error(f"{path}: MuJoCo cannot be imported ({why}); try another value of MUJOCO_GL") from None
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as why:
+        raise Error(f"{path}: MuJoCo cannot read this model ({' '.join(str(why).split())})") from None
+    with errors_at(str(path)):
+        return convert_mujoco_model(model, path.stem)
+
+
+def _check_files(main: Path, resources: Resources, checked: set[Path]) -> None:
+    """Raise an Error if a model names a file outside the resource paths; note missing files in `resources`.
+
+    All names are relative to the folder of the main file, also those in files that it includes.
+    """
+    documents, models = {}, []
+    waiting = [main]
+    while waiting:
+        path = waiting.pop()
+        if path.resolve() in checked:
+            continue
+        checked.add(path.resolve())
+        documents[path] = resources.parse(path)
+        for element in documents[path].iter():
+            if (file := element.get("file")) and element.tag in ("include", "model"):
+                found = _find(file, main, resources, f"{path}: {element.tag}[{file}]")
+                (waiting if element.tag == "include" else models).extend([] if found is None else [found])
+    compilers = [element for root in documents.values() for element in root.iter("compiler")]
+    settings = {key: text for compiler in compilers for key, text in compiler.attrib.items()}
+    for path, root in documents.items():
+        for element in root.iter():
+            if not element.get("file") or element.tag in ("include", "model"):
+                continue
+            file = Path(element.get("file"))
+            if settings.get("strippath") == "true":
+                file = Path(file.name)
+            keys = FOLDERS.get(element.tag, MESH_FOLDERS)
+            folder = next((settings[key] for key in keys if key in settings), "")
+            _find(
+                Path(folder, file), main, resources, f"{path}: {element.tag}[{element.get('name') or file}]"
+            )
+    for model in models:
+        _check_files(model, resources, checked)
+
+
+def _find(file, main: Path, resources: Resources, location: str) -> Path | None:
+    return resources.find(str(main.parent.absolute() / file), main.parent, location)
+
+
+def _check_data(data) -> None:
+    if not (is_mujoco_model(data) and hasattr(data, "model")):
+        raise Error(f"data must be a mujoco.MjData (got {type(data).__name__})")
+    if not data.xmat[0].any():
+        raise Error("data must have positions; call mujoco.mj_forward(model, data) first")
+
+
+def _parts(model) -> Iterator[Part]:
+    """Yield what becomes of the model's geoms, in their order."""
+    carrier = _sonar(model)
+    left_out = 0 if carrier is None else _owner(model, carrier)
+    names = {_name(model, "body", body) for body in range(1, model.nbody)}
+    parts: dict[tuple, Part] = {}
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if not _echoes(model, geom) or (body and body == left_out):
+            continue
+        own = _name(model, "geom", geom)
+        if body == 0:
+            parts[0, geom] = Part(f"world::{own}" if own in names else own, 0, [geom])
+            continue
+        key = body, _lobe(_material(model, geom))
+        if key not in parts:
+            name = _name(model, "body", body)
+            is_first = not any(number == body for number, _ in parts)
+            parts[key] = Part(name if is_first else f"{name}::{own}", body, [])
+        parts[key].geoms.append(geom)
+    yield from parts.values()
+
+
+def _name(model, kind: str, number: int) -> str:
+    return getattr(model, kind)(number).name or f"{kind}_{number}"
+
+
+def _body_number(model, name: str) -> int:
+    """Return the number of MuJoCo's body from which `_parts` made a body of this name; 0 if there is none."""
+    import mujoco
+
+    for candidate in (name, name.rpartition("::")[0]):
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, candidate)
+        if number >= 0:
+            return number
+        found = re.fullmatch(r"body_(\d+)", candidate)
+        if found and int(found[1]) < model.nbody and not model.body(int(found[1])).name:
+            return int(found[1])
+    return 0
+
+
+def _echoes(model, geom: int) -> bool:
+    """Return whether a geom is one that MuJoCo's viewer shows."""
+    rgba, material = model.geom_rgba[geom], model.geom_matid[geom]
+    if material >= 0 and np.array_equal(rgba, DEFAULT_RGBA):
+        rgba = model.mat_rgba[material]
+    return model.geom_group[geom] <= VISIBLE_GROUPS and rgba[3] > 0
+
+
+def _material(model, geom: int) -> Material | None:
+    """Return the acoustic material of a geom, if its MuJoCo material has the name of one."""
+    number = model.geom_matid[geom]
+    try:
+        return material(model.mat(number).name) if number >= 0 else None
+    except Error:  # a name without acoustic meaning
+        return None
+
+
+def _lobe(found: Material | None) -> tuple:
+    """Return specular and roughness_rad as `Body` takes them."""
+    return (found.specular, found.roughness_rad) if found is not None and found.specular else (0.0, None)
+
+
+def _reflectivity(model, geom: int) -> tuple[float, str | None]:
+    found = _material(model, geom)
+    return (DEFAULT_REFLECTIVITY, None) if found is None else (found.reflectivity, found.name)
+
+
+def _shape_in_body(model, geom: int) -> Shape:
+    """Return the surface of a geom in the frame of its body; of one of the world, in the world's."""
+    import mujoco
+
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    return primitives.transform(_shape(model, geom), _pose(model.geom_pos[geom], rotation))
+
+
+def _shape(model, geom: int) -> Shape:
+    """Return the surface of a geom in its own frame."""
+    import mujoco
+
+    kind, size, number = int(model.geom_type[geom]), model.geom_size[geom], int(model.geom_dataid[geom])
+    kinds = mujoco.mjtGeom
+    if kind == kinds.mjGEOM_PLANE:
+        return primitives.plane(size=np.where(size[:2] > 0, 2 * size[:2], primitives.INFINITE_PLANE_M))
+    if kind == kinds.mjGEOM_SPHERE:
+        return primitives.sphere(size[0])
+    if kind == kinds.mjGEOM_CAPSULE:
+        return primitives.capsule(size[0], 2 * size[1])
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return primitives.ellipsoid(size)
+    if kind == kinds.mjGEOM_CYLINDER:
+        return primitives.cylinder(size[0], 2 * size[1])
+    if kind == kinds.mjGEOM_BOX:
+        return primitives.box(2 * size)
+    if kind == kinds.mjGEOM_HFIELD:
+        first, rows, columns = model.hfield_adr[number], model.hfield_nrow[number], model.hfield_ncol[number]
+        heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+        x_m, y_m, z_m, _ = model.hfield_size[number]
+        return primitives.terrain(heights[::-1] * z_m, (2 * x_m, 2 * y_m))  # its first row is at -y
+    if number >= 0:  # a mesh, or a signed distance field with the mesh that MuJoCo draws
+        first, count = model.mesh_vertadr[number], model.mesh_vertnum[number]
+        start, n_faces = model.mesh_faceadr[number], model.mesh_facenum[number]
+        return make_shape(model.mesh_vert[first : first + count], model.mesh_face[start : start + n_faces])
+    raise Error(
+        f"geom {_name(model, 'geom', geom)!r} must be of a kind with a surface (got {kinds(kind).name})"
+    )
+
+
+def _sonar(model) -> tuple[str, int] | None:
+    """Return the kind and number of the site or camera that is the sonar."""
+    for kind, count in (("site", model.nsite), ("camera", model.ncam)):
+        for number in range(count):
+            name = getattr(model, kind)(number).name.lower()
+            if any(word in name for word in SONAR_WORDS):
+                return kind, number
+    return None
+
+
+def _owner(model, carrier: tuple[str, int]) -> int:
+    """Return the number of the body that holds the sonar."""
+    kind, number = carrier
+    return int((model.site_bodyid if kind == "site" else model.cam_bodyid)[number])
+
+
+def _sonar_pose(data, carrier: tuple[str, int]) -> np.ndarray:
+    kind, number = carrier
+    if kind == "site":
+        return _pose(data.site_xpos[number], data.site_xmat[number])
+    return _pose(data.cam_xpos[number], data.cam_xmat[number].reshape(3, 3) @ CAMERA_FROM_SONAR)
+
+
+def _pose(position, rotation) -> np.ndarray:
+    """Return the (4, 4) matrix of a position and a rotation of nine numbers."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = np.reshape(rotation, (3, 3)), position
+    return out

@@ -1,0 +1,137 @@
+"""URDF, the robot format of ROS: converted to SDF, as Gazebo does it, so that one reader serves both."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.sdf.extensions import list_extensions
+
+XACRO = "{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}"  # namespace of macros
+SIZES = {  # geometry: attributes that it must have; each is an element of this name in SDF
+    "box": ("size",),
+    "capsule": ("radius", "length"),
+    "cylinder": ("radius", "length"),
+    "ellipsoid": ("radii",),
+    "sphere": ("radius",),
+}
+RETRO = "laserRetro", "laser_retro"
+
+
+def model_of(robot, location: str):
+    """Return the SDF `<model>` element of a `<robot>`, its joints at zero.
+
+    Parameters
+    ----------
+    robot : root element of a URDF file
+    location : the file, with which messages begin
+
+    Raises
+    ------
+    Error
+        if there are no links, a link has two parents or is unknown, or a geometry lacks a size.
+
+    Notes
+    -----
+    Each link stays a link of its own, also at fixed joints. Of `<gazebo reference="link">` the sensors and
+    bubbles go to the link; laserRetro (or laser_retro) and the other elements of namespace sonar_gl to its
+    shapes.
+    """
+    for element in robot.iter():
+        if isinstance(element.tag, str) and element.tag.startswith(XACRO):
+            name = element.tag.partition("}")[2]
+            raise Error(
+                f"{location}: holds xacro macros (<xacro:{name}>), which are expanded only in a .xacro file that "
+                "is itself the scene"
+            )
+    links = {(link.get("name") or "").strip(): link for link in robot.findall("link")}
+    if not links:
+        raise Error(
+            f"{location}: <robot> must hold a <link> (got none; a file of macros has none: give the file "
+            "that includes it)"
+        )
+    joints = _joints_by_child(robot, links, location)
+    model = robot.makeelement("model", {"name": (robot.get("name") or "").strip()})
+    for link in robot.findall("link"):
+        name = (link.get("name") or "").strip()
+        converted = _add(model, "link", name=name)
+        if (joint := joints.get(name)) is not None:
+            parent = joint.find("parent")
+            parent = "" if parent is None else (parent.get("link") or "").strip()
+            if parent not in links:
+                raise Error(f"{location}: joint[{joint.get('name') or ''}]: unknown link (got {parent!r})")
+            _add_pose(converted, joint, relative_to=parent)
+        if link.find("inertial") is not None:
+            _add(converted, "inertial")
+        for kind in ("collision", "visual"):
+            for number, shape in enumerate(link.findall(kind)):
+                where = f"{location}: link[{name}]/{kind}[{shape.get('name') or number}]"
+                _add_shape(converted, shape, where)
+        for block in robot.findall("gazebo"):
+            if (block.get("reference") or "").strip() == name:
+                _add_properties(converted, block)
+    return model
+
+
+def _joints_by_child(robot, links: dict, location: str) -> dict:
+    """Return name of a link -> the `<joint>` that holds it."""
+    joints = {}
+    for joint in robot.findall("joint"):
+        where, child = f"{location}: joint[{joint.get('name') or ''}]", joint.find("child")
+        name = "" if child is None else (child.get("link") or "").strip()
+        if name not in links:
+            raise Error(f"{where}: unknown link (got {name!r})")
+        if name in joints:
+            raise Error(
+                f"{where}: a link must have one parent (got link {name!r} as the child of two joints)"
+            )
+        joints[name] = joint
+    return joints
+
+
+def _add(parent, tag: str, text: str | None = None, **attributes: str):
+    """Add a child to an element, and return it."""
+    child = parent.makeelement(tag, attributes)
+    child.text = text
+    parent.append(child)
+    return child
+
+
+def _add_pose(converted, element, **attributes: str) -> None:
+    """Add the `<pose>` of an element that may have an `<origin>`."""
+    origin = element.find("origin")
+    xyz, rpy = ("0 0 0" if origin is None else origin.get(key) or "0 0 0" for key in ("xyz", "rpy"))
+    _add(converted, "pose", f"{xyz} {rpy}", **attributes)
+
+
+def _add_shape(link, shape, location: str) -> None:
+    """Add a collision or visual of URDF to a link of SDF."""
+    converted = _add(link, shape.tag, name=location.rpartition("[")[2][:-1])
+    _add_pose(converted, shape)
+    geometry = _add(converted, "geometry")
+    for form in [] if shape.find("geometry") is None else shape.find("geometry"):
+        if not isinstance(form.tag, str):  # a comment
+            continue
+        kind = _add(geometry, form.tag)
+        for key in SIZES.get(form.tag, ()):
+            if form.get(key) is None:
+                raise Error(f"{location}/geometry/{form.tag}: must have the attribute {key!r}")
+            _add(kind, key, form.get(key))
+        if form.tag == "mesh":
+            _add(kind, "uri", form.get("filename") or "")
+            if form.get("scale"):
+                _add(kind, "scale", form.get("scale"))
+
+
+def _add_properties(link, block) -> None:
+    """Add what a `<gazebo reference="link">` says of a link and its surfaces."""
+    for sensor in block.findall("sensor"):
+        link.append(deepcopy(sensor))
+    surface = [("laser_retro", child) for child in block if child.tag in RETRO]
+    surface += [(child.tag, child) for child in list_extensions(block)]
+    for tag, child in surface:
+        if tag.endswith("}bubbles"):
+            link.append(deepcopy(child))
+            continue
+        for shape in link.findall("collision") + link.findall("visual"):
+            _add(shape, tag, child.text)
