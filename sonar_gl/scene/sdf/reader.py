@@ -110,7 +110,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             raise Error(
                 f"{message}\n{folders if missing else 'Carry'} on without them (--skip-missing, skip_missing=True)."
             )
-        without = [f"what is missing ({_some_of(resources.missing_uris())})"] if missing else []
+        without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
         without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
         warnings.warn(f"{path}: read without {', and without '.join(without)}", stacklevel=2)
     if unspecified:
