@@ -583,6 +583,18 @@ def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
     np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
 
 
+def test_a_shape_of_water_that_is_unknown_or_missing_is_named_once(tmp_path):
+    """The height of water needs the geometry a second time."""
+    torus = shape(RETRO, "water", geometry="<geometry><torus/></geometry>")
+    field = "<geometry><heightmap><uri>model://sea/a.png</uri></heightmap></geometry>"
+    inside = link(shape=torus + shape(RETRO, "waves", geometry=field))
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(write(tmp_path / "a.sdf", model(inside, "tank")), skip_missing=True)
+    text = str(caught[0].message)
+    assert text.count("collision[water]/geometry/torus: unknown geometry") == 1
+    assert text.count("collision[waves]/geometry/heightmap/uri") == 1
+
+
 FUEL = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Big Rock"
 
 
