@@ -272,7 +272,8 @@ def test_an_index_that_is_none_names_the_devices(index):
     there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}: 0 {found[0].name}"
     with pytest.raises(gl.Error) as why:
         gl.create_context(index)
-    message = f"the OpenGL device must be the index of an EGL device (got {index!r}; {there}"
+    indices = "0" if len(found) == 1 else f"0 to {len(found) - 1}"
+    message = f"the OpenGL device must be {indices} (got {index!r}; {there}"
     assert str(why.value).startswith(message)
 
 
@@ -282,7 +283,8 @@ def test_a_variable_that_means_no_device_is_named(several, monkeypatch, variable
     monkeypatch.setenv(variable, text)
     with pytest.raises(gl.Error) as why:
         gl.create_context()
-    message = f"the OpenGL device must be the index of an EGL device (got {variable}={text}; there are 3: "
+    where = "--device or the variable " if variable == "SONAR_GL_DEVICE" else "the variable "
+    message = f"the OpenGL device must be 0 to 2 (got {text}, by {where}{variable}; there are 3: "
     assert str(why.value).startswith(message + "0 /dev/dri/card0 (not to be used: eglInitialize failed")
 
 
@@ -291,7 +293,7 @@ def test_a_device_that_does_not_work_names_those_that_do(several):
         gl.create_context()
     assert str(why.value) == (
         "OpenGL device 0 must work (got: eglInitialize failed (0x3001)); "
-        f"set SONAR_GL_DEVICE to one that does: 1 {gl.devices()[1].name}"
+        f"give --device or SONAR_GL_DEVICE one that does: 1 {gl.devices()[1].name}"
     )
 
 
@@ -305,7 +307,10 @@ def test_doctor_lists_devices_and_which_is_used(several, monkeypatch):
     monkeypatch.setenv("SONAR_GL_DEVICE", "first")
     findings = {finding.what: finding for finding in examine()}
     assert findings["EGL"].ok and ", used" not in findings["EGL"].detail
-    assert findings["OpenGL"].ok is False and "got SONAR_GL_DEVICE=first" in findings["OpenGL"].detail
+    assert (
+        findings["OpenGL"].ok is False
+        and "got first, by --device or the variable SONAR_GL_DEVICE" in findings["OpenGL"].detail
+    )
 
 
 @pytest.mark.parametrize(
@@ -332,5 +337,5 @@ def test_commands_take_a_device(several, monkeypatch, tmp_path):
         assert result.exit_code in (0, 1) and set(several) == {1}, (command, result.output)
         assert os.environ["SONAR_GL_DEVICE"] == "2"  # as it was
     result = CliRunner().invoke(cli.main, ["plan", *ping, "--device", "7"])
-    told = "error: the OpenGL device must be the index of an EGL device (got SONAR_GL_DEVICE=7; there are 3: "
+    told = "error: the OpenGL device must be 0 to 2 (got 7, by --device or the variable SONAR_GL_DEVICE; there are 3: "
     assert result.exit_code == 2 and told in result.output
