@@ -18,6 +18,7 @@ from .scene.load import bundled_scenes, load_scene
 from .scene.plume import Bubbles
 from .scene.reflectivity_map import textured_body
 from .scene.scene import Body, Scene
+from .scene.sonar_sensor import SonarSensor
 from .simulator import Simulator
 from .sonar.sampling import Sampling
 from .sonar.sonar import Sonar, load_sonar, presets
@@ -37,6 +38,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "Sonar",
+    "SonarSensor",
     "__version__",
     "bundled_scenes",
     "colorize",

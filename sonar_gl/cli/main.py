@@ -85,7 +85,7 @@ Examples:
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
 @click.argument("scene")
-@option("sonar", default="p900-45")
+@option("sonar", show_default="the scene's, or p900-45")
 @option("pose", show_default="the scene's")
 @option("poses")
 @option("range", type=float)
