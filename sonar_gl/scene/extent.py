@@ -33,10 +33,9 @@ def bounds_of(bodies: Iterable[Body]) -> np.ndarray | None:
 
 
 def size_text(size_m) -> str:
-    """Return three lengths in words, in a unit that suits the longest.
+    """Return three lengths in words.
 
     >>> size_text([1, 20, 20.5]), size_text([12000, 3000, 45])
-    ('1 x 20 x 20.5 m', '12 x 3 x 0.045 km')
+    ('1 x 20 x 20.5 m', '12000 x 3000 x 45 m')
     """
-    unit, scale = ("km", 1e-3) if max(size_m) >= 1000 else ("m", 1.0)
-    return " x ".join(f"{scale * length:.3g}" for length in size_m) + f" {unit}"
+    return " x ".join(f"{length:.0f}" if length >= 1000 else f"{length:.3g}" for length in size_m) + " m"

@@ -265,7 +265,7 @@ def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_de
         it.ping(sg.pose(yaw=direction))
     assert [str(w.message) for w in caught] == [
         "no echo came back: the nearest surface in the fan lies at 2.00 km, beyond range_max_m = 20; the scene "
-        f"measures 1 x 4 x 3 km: {MILLIMETRES}"
+        f"measures 1000 x 4000 x 3000 m: {MILLIMETRES}"
     ]
 
 

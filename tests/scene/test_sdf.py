@@ -743,6 +743,17 @@ def test_marks_are_left_out(tmp_path, name):
     assert texts == [f"water and marks are no bodies, and are left out ({name}::link)"]
 
 
+@pytest.mark.parametrize(("transparency", "is_left_out"), [("1.0", True), ("0.9", False), ("all", False)])
+def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
+    """Worlds of Gazebo put one above the sea's floor, 300 km wide."""
+    seen = visual("v").replace("</visual>", f"<transparency>{transparency}</transparency></visual>")
+    scene, texts = read_wet(tmp_path, model(link(shape=seen), "plane") + model(link(shape=SHAPE + seen)))
+    assert [body.name for body in scene.bodies] == (["m"] if is_left_out else ["plane", "m"])
+    assert (
+        len(texts) == 1 and ("marks are no bodies, and are left out (plane::link)" in texts[0]) == is_left_out
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "inside"),
     [
