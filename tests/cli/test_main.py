@@ -436,7 +436,7 @@ def test_examples_of_the_help_show_something(line, monkeypatch):
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
     status, out, err = run(*shlex.split(line))
-    says_preset = not line.startswith("doctor") and "--sonar" not in line
+    says_preset = line.startswith(("render", "plan", "verify")) and "--sonar" not in line
     assert (status, err) == (0, PRESET_NOTE if says_preset else "")
     if line.startswith("verify"):
         rays = re.search(r'"reference_rays": (\d+)|([\d.]+) million rays', out)
