@@ -191,6 +191,10 @@ class Scene:
         self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         self.name, self.sensors = name, tuple(sensors)
+        for sensor in self.sensors:
+            check_kind(
+                "a sensor of a scene", sensor, SonarSensor, "those of another scene are `scene.sensors`"
+            )
         self.surface_z_m = surface_z_m
         if surface_z_m is not None:
             self.surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")

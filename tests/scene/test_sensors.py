@@ -223,6 +223,8 @@ def test_scenes_made_from_a_scene_keep_its_sensors(read):
         assert other.sensors == scene.sensors and other.sonar == scene.sonar
     assert scene.with_surface(None).surface_z_m is None and scene.without("rock").surface_z_m is None
     assert sg.Scene([]).sonar is None
+    with pytest.raises(sg.Error, match="a sensor of a scene must be a SonarSensor"):
+        sg.Scene([], sensors=[scene.sonar])
 
 
 def test_bundled_scenes_state_no_sonar():
