@@ -19,6 +19,7 @@ from .scene.mujoco_model import mujoco_poses, mujoco_sonar_pose
 from .scene.plume import Bubbles
 from .scene.reflectivity_map import textured_body
 from .scene.scene import Body, Scene
+from .scene.sonar_sensor import SonarSensor
 from .simulator import Simulator
 from .sonar.sampling import Sampling
 from .sonar.sonar import Sonar, load_sonar, presets
@@ -38,6 +39,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "Sonar",
+    "SonarSensor",
     "__version__",
     "bundled_scenes",
     "colorize",

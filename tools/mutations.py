@@ -69,7 +69,7 @@ NOISE = (
 )
 STORE = ("test_batch", "test_runs|test_batch_runs")
 GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
-SDF = ("test_sdf",)
+SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 
 MUTATIONS = (
     # footprints of samples into columns and bins
@@ -524,15 +524,34 @@ MUTATIONS = (
     Mutation("sdf/newest version", "max(names, key=lambda n: n[0])", "min(names, key=lambda n: n[0])", SDF),
     Mutation(
         "sdf/order of the sonar's signs",
-        '0 if kind == "custom" else 1 if by_sensor else 2',
-        '0 if by_sensor else 1 if kind == "custom" else 2',
+        "rank = 0\n            elif by_sensor:\n                rank = 1",
+        "rank = 1\n            elif by_sensor:\n                rank = 0",
         SDF,
         (
+            (
+                '0 if kind == "custom" else 1 if by_sensor else 2',
+                '0 if by_sensor else 1 if kind == "custom" else 2',
+            ),
             (
                 '0 if kind == "custom" else 1 if speaks[0] else 2',
                 '0 if speaks[0] else 1 if kind == "custom" else 2',
             ),
         ),
+    ),
+    Mutation(
+        "sdf/precedence of a plugin",
+        "self._camera() | self._scan() | self._plugin()",
+        "self._plugin() | self._scan() | self._camera()",
+        SENSORS,
+    ),
+    Mutation(
+        "sdf/bin of a bandwidth",
+        "(sound_speed_m_s or PLUGIN_SOUND_SPEED_M_S) / (2 * bandwidth_hz)",
+        "(sound_speed_m_s or PLUGIN_SOUND_SPEED_M_S) / bandwidth_hz",
+        SENSORS,
+    ),
+    Mutation(
+        "sdf/side of a scan", "middle_deg + offset for offset", "offset - middle_deg for offset", SENSORS
     ),
     Mutation(
         "sdf/one link",

@@ -38,6 +38,7 @@ from sonar_gl.sonar.sonar import Sonar
 
 AGREEMENT = 10  # the difference of the two halves is this many times smaller than the error that they judge
 MIN_BODY_SHARE = 1e-3  # of the total echo: the error of a body that returns less is not judged by itself
+MAX_RAYS = 400_000_000
 FIRST_RAYS = 2**19  # of each half, before the halves are compared for the first time
 BATCH = 2**13  # rays at once: they and their hits fit the processor's cache
 NODES_PER_WIDTH = 64  # linear interpolation of a smooth pattern is then off by 2e-4 of its peak at most
@@ -50,8 +51,9 @@ def reference_ping(
     pose,
     acoustics: Acoustics | None = None,
     error: float = 0.01,
-    max_rays: int = 400_000_000,
+    max_rays: int = MAX_RAYS,
     seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Ping:
     """Return a ping by ray casting, to judge those of `Simulator`: slow, and as exact as requested.
 
@@ -63,6 +65,7 @@ def reference_ping(
         differ by no more than a tenth of it, and by half of it in the echo of any single body
     max_rays : 1e6 or more, the limit on the number of rays
     seed : seed of the rays; the same seed gives the same bytes
+    progress : called as rays are cast, by one thread at a time, with how many are cast and how many are expected
 
     Returns
     -------
@@ -88,7 +91,8 @@ def reference_ping(
     _check_bubbles(scene, acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
     ray_scene, fan = RayScene(scene, pose, acoustics.specular), _make_fan(sonar, acoustics)
-    halves = [_Half(ray_scene, fan, key) for key in np.random.SeedSequence(seed).spawn(2)]
+    report = _Progress(progress or _ignore)
+    halves = [_Half(ray_scene, fan, key, report) for key in np.random.SeedSequence(seed).spawn(2)]
     found = _refine(halves, fan, error, max_rays) if scene.bodies else _Convergence(0, 0.0, 0.0)
     if found.difference > error / AGREEMENT:
         warnings.warn(
@@ -129,6 +133,32 @@ def reference_ping(
         sonar=sonar,
         acoustics=acoustics,
     )
+
+
+def _ignore(_cast: int, _expected: int) -> None:
+    """Report nothing."""
+
+
+class _Progress:
+    """Counts the rays of both halves, and reports their number.
+
+    Parameters
+    ----------
+    report : function (rays cast, rays expected)
+
+    Attributes
+    ----------
+    expected : rays of both halves until they agree, as estimated so far
+    """
+
+    def __init__(self, report: Callable[[int, int], None]):
+        self.expected, self._cast, self._report, self._lock = 0, 0, report, threading.Lock()
+
+    def add(self, n_rays: int) -> None:
+        """Count more rays; may be called by both threads."""
+        with self._lock:
+            self._cast += n_rays
+            self._report(self._cast, max(self._cast, self.expected))
 
 
 def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
@@ -184,7 +214,8 @@ def _refine(halves: list[_Half], fan: _Fan, error: float, max_rays: int) -> _Con
     n_blocks = len(fan.blocks)
     most = max(1, int(max_rays) // (2 * n_blocks))
     per_block = min(most, max(1, FIRST_RAYS // n_blocks))
-    stop = threading.Event()
+    stop, progress = threading.Event(), halves[0].progress
+    progress.expected = 2 * n_blocks * per_block
     with ThreadPoolExecutor(2) as pool:
         try:
             while True:
@@ -195,6 +226,7 @@ def _refine(halves: list[_Half], fan: _Fan, error: float, max_rays: int) -> _Con
                     return found
                 # The difference falls about as n^-0.75. The first estimates of it are poor, so n at most doubles.
                 growth = excess ** (4 / 3)
+                progress.expected = 2 * n_blocks * min(int(per_block * growth), most)
                 per_block = min(int(per_block * np.clip(growth, 1.25, 2)) + 1, most)
         finally:
             stop.set()  # on an interrupt the threads need not finish their rays
@@ -322,9 +354,11 @@ class _Half:
     ----------
     beam_sums : (B, K) float64 echo of the rays so far, without gain
     body_sums : (M + 1,) float64 echo by number of the body, with gain
+    progress : _Progress of both halves
     """
 
-    def __init__(self, scene: RayScene, fan: _Fan, seeds: np.random.SeedSequence):
+    def __init__(self, scene: RayScene, fan: _Fan, seeds: np.random.SeedSequence, progress: _Progress):
+        self.progress = progress
         self.beam_sums = np.zeros((fan.n_beams, len(fan.bins.gain)))
         self.body_sums = np.zeros(scene.n_bodies + 1)
         self._scene, self._fan, self._keys = scene, fan, seeds.generate_state(4, np.uint32)
@@ -346,6 +380,7 @@ class _Half:
                 surfaces = self._scene.surfaces
                 add_echoes(rays, hits, weights, surfaces, block.nodes, fan.bins, node_sums, self.body_sums)
             form_beams(node_sums, block.beams, block.weights, self.beam_sums)
+            self.progress.add(per_block - self._done)
         self._done = per_block
 
     def _weights(self, rays: Rays) -> np.ndarray:

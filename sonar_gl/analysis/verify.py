@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -109,6 +110,7 @@ def verify(
     acoustics: Acoustics | None = None,
     tolerance: float = 0.01,
     sampling: Sampling | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Verification:
     """Judge a ping by the reference, which is refined until its own error is well below the one found.
 
@@ -116,6 +118,7 @@ def verify(
     ----------
     scene, sonar, acoustics, tolerance, sampling : as for `Simulator`
     pose : (4, 4) world_from_sonar
+    progress : as for `reference_ping`; the rays of each refinement are counted from 0
 
     Raises
     ------
@@ -134,7 +137,7 @@ def verify(
         with warnings.catch_warnings():
             # `Verification.certain` reports too few rays
             warnings.filterwarnings("ignore", "the reference can judge")
-            truth = reference_ping(scene, sonar, pose, acoustics, error)
+            truth = reference_ping(scene, sonar, pose, acoustics, error, progress=progress)
         error = ping_error(ping, truth)
         if truth.meta["difference"] * AGREEMENT <= error or not truth.meta["converged"]:
             break

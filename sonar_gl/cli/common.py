@@ -15,7 +15,10 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
 from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+MAX_NAMED = 3  # sensors that are not taken
 
 
 def scene_from(scene_name: str, options) -> Scene:
@@ -28,11 +31,27 @@ def scene_from(scene_name: str, options) -> Scene:
     return scene if options.surface is None else scene.with_surface(options.surface)
 
 
-def sonar_from(options) -> Sonar:
-    """Return the sonar of --sonar, --range and --bins."""
-    sonar = load_sonar(options.sonar)
+def sonar_from(options, scene: Scene) -> Sonar:
+    """Return the sonar of --sonar, --range and --bins; without --sonar the scene's or a preset, and say which."""
+    if options.sonar is None:
+        click.echo(f"sonar: {describe_sonar(scene)}", err=True)
+        sonar = scene.sonar or load_sonar(DEFAULT_SONAR)
+    else:
+        sonar = load_sonar(options.sonar)
     sonar = sonar if options.range is None else sonar.with_range(options.range)
     return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
+
+
+def describe_sonar(scene: Scene) -> str:
+    """Return which sonar a command takes for a scene without --sonar."""
+    if scene.sonar is None:
+        return f"preset {DEFAULT_SONAR}, as the scene states none"
+    first, *others = scene.sensors
+    text = f"the scene's own, {first}: {first.describe()}"
+    if not others:
+        return text
+    more = f" and {len(others) - MAX_NAMED} more" if len(others) > MAX_NAMED else ""
+    return f"{text}; not taken: {', '.join(map(str, others[:MAX_NAMED]))}{more}"
 
 
 def acoustics_from(options, profile: str) -> Acoustics | None:

@@ -85,7 +85,7 @@ Examples:
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
 @click.argument("scene")
-@option("sonar", default="p900-45")
+@option("sonar", show_default="the scene's, or p900-45")
 @option("pose", show_default="the scene's")
 @option("poses")
 @option("range", type=float)
@@ -239,16 +239,36 @@ def sonars():
     click.echo(cli.listings.sonars_text())
 
 
-@main.command(
-    epilog="Example: sonar-gl doctor", short_help="Check the installation, and compile what is needed."
-)
+DOCTOR_EPILOG = """\b
+Examples:
+  sonar-gl doctor
+  sonar-gl doctor --scene pylon
+"""
+
+
+@main.command(epilog=DOCTOR_EPILOG, short_help="Check the installation, or say what a scene holds.")
+@click.option("--scene", metavar="SCENE", help="Say what this scene holds; check nothing else.")
+@option("resource_path", multiple=True)
+@option("skip_missing", is_flag=True)
+@option("without", multiple=True)
+@option("only", multiple=True)
+@option("surface", type=float, show_default="the scene's")
 @click.pass_context
-def doctor(ctx):
+def doctor(ctx, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
     half a minute, later commands then start fast.
+
+    With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
+    its sonars, and everything that was left out or assumed as it was read.
     """
+    if scene is not None:
+        click.echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
+        return
+    for name in options:
+        if ctx.get_parameter_source(name).name == "COMMANDLINE":
+            raise Error(f"--{name.replace('_', '-')} needs --scene (it says how a scene is read)")
     found = cli.doctor.examine()
     click.echo(cli.doctor.report_text(found))
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)

@@ -76,7 +76,7 @@ DEVICE = {
     "expose_value": False,
 }
 PING_OPTIONS = {
-    "sonar": {"default": "p900-45"},
+    "sonar": {"show_default": "the scene's, or p900-45"},
     "pose": {"show_default": "the scene's"},
     "range": {"type": float},
     "bins": {"type": int},

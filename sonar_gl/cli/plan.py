@@ -36,9 +36,10 @@ BOUND_BY = {
 def plan(scene_name: str, options) -> dict:
     """Return the plan of a scene for the tolerance of the options, as plain values."""
     load_numba()
-    sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
+    acoustics = acoustics_from(options, options.profile)
     scene = scene_from(scene_name, options)
     poses = poses_from(options, scene)[1]
+    sonar = sonar_from(options, scene)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
     return compare_plans(scene, sonar, acoustics, poses, options.tolerance)
 

@@ -52,7 +52,6 @@ def render(scene_name: str, options, given: set[str]) -> str:
         acoustics = replace(acoustics, range_law=options.range_law)
     default_noise = "demarco2015" if in_demarco else "none"
     noise = Noise.parse(default_noise if options.noise is None else options.noise)
-    sonar = sonar_from(options)
     if in_demarco:
         style = DemarcoStyle(options.height, options.form, options.join, noise, options.seed)
         darkest_db = None
@@ -64,6 +63,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
         darkest_db = None
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
+    sonar = sonar_from(options, scene)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:

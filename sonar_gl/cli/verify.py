@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 
 import click
 import numpy as np
 
-from sonar_gl.analysis.reference import check_known
+from sonar_gl.analysis.reference import MAX_RAYS, check_known
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.analysis.verify import Verification, error_picture
+from sonar_gl.analysis.verify import MAX_ROUNDS, Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
@@ -23,23 +24,44 @@ MAX_LISTED_BODIES = 12  # a report lists the bodies of scenes with no more
 
 def verify(scene_name: str, options) -> dict:
     """Verify a ping, write the picture, and return the findings as plain values."""
-    sonar, acoustics = sonar_from(options), acoustics_from(options, options.profile)
-    empty = Ping(np.zeros((sonar.n_beams, sonar.n_bins)), sonar.azimuth_rad, sonar.range_m)
-    fan_geometry(empty, options.height)  # refuses a wrong height before the work begins
+    acoustics = acoustics_from(options, options.profile)
     scene = scene_from(scene_name, options)
     _, (pose,) = poses_from(options, scene)
+    sonar = sonar_from(options, scene)
+    empty = Ping(np.zeros((sonar.n_beams, sonar.n_bins)), sonar.azimuth_rad, sonar.range_m)
+    fan_geometry(empty, options.height)  # refuses a wrong height before the work begins
     acoustics = acoustics or replace(
         needed_acoustics(scene, sonar, options.tolerance, pose), multipath="none"
     )
     check_known(acoustics)
     acoustics = replace(acoustics, bubbles=False)
     folder = output_folder(options.out)
-    if sys.stderr.isatty():
-        click.echo("casting rays ...", err=True)
-    result = verify_ping(scene, sonar, pose, acoustics, options.tolerance)
+    with _ray_progress() as progress:
+        result = verify_ping(scene, sonar, pose, acoustics, options.tolerance, progress=progress)
     path = folder / f"{scene.name}_error.png"
     save_png(path, error_picture(result, options.height))
     return _findings(result, str(path))
+
+
+@contextmanager
+def _ray_progress():
+    """Return a context manager that yields a function (rays cast, rays expected): a bar on a terminal, else None."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    most = f"{MAX_RAYS / 1e6:g} million"
+    click.echo(f"casting rays, {most} at most in each of up to {MAX_ROUNDS} rounds; Ctrl-C stops", err=True)
+    bar = click.progressbar(
+        length=1, show_eta=False, show_percent=False, file=sys.stderr, item_show_func=lambda text: text
+    )
+    with bar:
+
+        def show(cast: int, expected: int) -> None:
+            if abs(cast - bar.pos) >= expected / 100:  # fewer lines than blocks of rays
+                bar.length = expected
+                bar.update(cast - bar.pos, f"{cast / 1e6:.1f} of about {expected / 1e6:.3g} million rays")
+
+        yield show
 
 
 def _findings(result: Verification, picture: str) -> dict:

@@ -7,10 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.scene.extent import bounds_of, size_text
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
+
+WIDEST_WEDGE_DEG = 90.0
+SUSPICIOUS_M = 500.0  # no imaging sonar sees as far: a scene in other units
 
 
 def why_no_echo(
@@ -26,27 +31,50 @@ def why_no_echo(
         return "no echo came back: the scene has no bodies"
     if not state.present.any():
         return "no echo came back: all bodies of the scene are absent"
-    reason = why_view_has_no_echo(sonar, true_range, samples)
-    if reason is not None:
-        return reason
+    inside = _nearest_in_view(samples)
+    if inside is not None:
+        return _why_nearest_has_no_echo(sonar, true_range, *inside) + _scale_hint(scene, inside[0])
+    beyond_m = _nearest_beyond(scene, state, pose, sonar)
+    if beyond_m is not None:
+        nearest = f"the nearest surface in the fan lies at {_length(beyond_m)}"
+        reason = f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
+        return reason + _scale_hint(scene, beyond_m)
     name, point = _nearest_body(scene, state, pose)
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
     elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
     return (
-        f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {range_m:.2f} m away at "
+        f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {_length(range_m)} away at "
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
         f"±{sonar.azimuth_fov_deg / 2:g}° and ±{true_range.elevation_fov_deg / 2:.4g}°; turn or move the sonar"
+        + _scale_hint(scene, range_m)
+    )
+
+
+def _length(length_m: float) -> str:
+    return f"{length_m:.2f} m" if length_m < 1000 else f"{length_m / 1000:.2f} km"
+
+
+def _scale_hint(scene: Scene, range_m: float) -> str:
+    """Return the size of a scene that is suspiciously far away, and how to scale it; else ""."""
+    bounds = None if range_m < SUSPICIOUS_M else bounds_of(scene.bodies)
+    if bounds is None:
+        return ""
+    return (
+        f"; the scene measures {size_text(np.ptp(bounds, axis=0))}: if it was made in millimetres, scale it by 0.001 "
+        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
     )
 
 
 def why_view_has_no_echo(sonar: Sonar, true_range: Sonar, samples: Sequence[SectorSamples]) -> str | None:
     """Return why the nearest surface in the fan returned no echo, or None if there is none; as `why_no_echo`."""
     inside = _nearest_in_view(samples)
-    if inside is None:
-        return None
-    range_m, echo = inside[0] * sonar.range_max_m / true_range.range_max_m, inside[1]
-    nearest = f"the nearest surface in the fan lies at {range_m:.2f} m"
+    return None if inside is None else _why_nearest_has_no_echo(sonar, true_range, *inside)
+
+
+def _why_nearest_has_no_echo(sonar: Sonar, true_range: Sonar, true_range_m: float, echo: float) -> str:
+    range_m = true_range_m * sonar.range_max_m / true_range.range_max_m
+    nearest = f"the nearest surface in the fan lies at {_length(range_m)}"
     if range_m >= sonar.range_max_m:
         return f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
     if range_m < sonar.range_min_m:
@@ -69,6 +97,39 @@ def _nearest_in_view(samples):
             if best is None or ranges[at] < best[0]:
                 best = (float(ranges[at]), float(plane_echo[..., 3][at]))
     return best
+
+
+def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar) -> float | None:
+    """Return the range of the nearest surface in the fan that is too far to be drawn, metres; None if there is none.
+
+    The fan is cut into wedges between four planes, which the bodies are cut by.
+    """
+    from trimesh.intersections import slice_faces_plane
+    from trimesh.triangles import closest_point
+
+    n_wedges = math.ceil(sonar.azimuth_fov_deg / WIDEST_WEDGE_DEG)
+    half, top = np.radians([sonar.azimuth_fov_deg / 2 / n_wedges, sonar.elevation_fov_deg / 2])
+    inward = [[math.sin(half), math.cos(half), 0], [math.sin(half), -math.cos(half), 0]]
+    inward += [[math.sin(top), 0, math.cos(top)], [math.sin(top), 0, -math.cos(top)]]
+    sonar_from_world, nearest_m = np.linalg.inv(pose), math.inf
+    for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
+        sonar_from_body = sonar_from_world @ body_pose
+        vertices = (
+            np.asarray(body.surface.vertices, np.float64) @ sonar_from_body[:3, :3].T + sonar_from_body[:3, 3]
+        )
+        if not is_present or not np.isfinite(vertices).all():
+            continue
+        if np.linalg.norm(vertices, axis=1).max() < sonar.range_max_m:
+            continue  # it was drawn, and is not in the fan
+        for wedge in range(n_wedges):
+            turn = make_pose(yaw=(2 * wedge + 1 - n_wedges) * half)[:3, :3]
+            corners, faces = vertices, np.asarray(body.surface.faces)
+            for normal in np.array(inward) @ turn.T:
+                corners, faces = slice_faces_plane(corners, faces, normal, np.zeros(3))[:2]
+            if len(faces):
+                points = closest_point(corners[faces], np.zeros((len(faces), 3)))
+                nearest_m = min(nearest_m, float(np.linalg.norm(points, axis=1).min()))
+    return nearest_m if sonar.range_max_m <= nearest_m < math.inf else None
 
 
 def _nearest_body(scene: Scene, state: SceneState, pose):

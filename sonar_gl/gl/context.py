@@ -18,7 +18,11 @@ from sonar_gl.gl.egl import LIBRARIES
 from sonar_gl.gl.lifetime import release_waiting
 
 REQUIRED_GL = 330
-DEVICE_VARIABLES = ("SONAR_GL_DEVICE", "GLCONTEXT_DEVICE_INDEX")  # ours, and the one that glcontext reads
+SETTINGS = {  # environment variable: where its value may come from; ours, and the one that glcontext reads
+    "SONAR_GL_DEVICE": "--device or the variable SONAR_GL_DEVICE",
+    "GLCONTEXT_DEVICE_INDEX": "the variable GLCONTEXT_DEVICE_INDEX",
+}
+DEVICE_VARIABLES = tuple(SETTINGS)
 EGL_DRM_DEVICE_FILE_EXT, EGL_RENDERER_EXT = 0x3233, 0x335F  # names for eglQueryDeviceStringEXT
 NO_EGL = (
     "OpenGL must be reachable through EGL, without a display (got: {why}); on Debian or Ubuntu install it "
@@ -97,7 +101,7 @@ def devices() -> list[Device]:
 
 
 def chosen_device(device: int | None = None) -> tuple[int | None, str]:
-    """Return the index of the device to use, or None for EGL's first, and the setting that chose it, or ''.
+    """Return the index of the device to use, or None for EGL's first, and the index with what chose it, or ''.
 
     Parameters
     ----------
@@ -115,17 +119,19 @@ def chosen_device(device: int | None = None) -> tuple[int | None, str]:
     for variable in DEVICE_VARIABLES:
         if text := os.environ.get(variable, "").strip():
             if not re.fullmatch("[0-9]{1,9}", text):
-                raise Error(no_device_message(f"{variable}={text}"))
-            return int(text), f"{variable}={text}"
+                raise Error(no_device_message(f"{text}, by {SETTINGS[variable]}"))
+            return int(text), f"{text}, by {SETTINGS[variable]}"
     return None, ""
 
 
 def no_device_message(got: str) -> str:
     """Return the error message for an index that is no device's; it lists those that there are."""
     found = devices()
-    there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}"
-    names = ": " + ", ".join(str(one) for one in found) if found else ""
-    return f"the OpenGL device must be the index of an EGL device (got {got}; {there}{names})"
+    if not found:
+        return f"the OpenGL device must be the index of an EGL device (got {got}; there are 0)"
+    indices = "0" if len(found) == 1 else f"0 to {len(found) - 1}"
+    there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}: {', '.join(map(str, found))}"
+    return f"the OpenGL device must be {indices} (got {got}; {there})"
 
 
 @contextmanager
@@ -203,7 +209,7 @@ def create_context(device: int | None = None) -> moderngl.Context:
             raise Error(too_old_message("an older one")) from None
         if others := [str(one) for one in devices() if not one.trouble]:
             raise Error(
-                f"OpenGL device {index or 0} must work (got: {text}); set SONAR_GL_DEVICE to one that does: "
+                f"OpenGL device {index or 0} must work (got: {text}); give --device or SONAR_GL_DEVICE one that does: "
                 + ", ".join(others)
             ) from None
         raise Error(NO_EGL.format(why=text)) from None

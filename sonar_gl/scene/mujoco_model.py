@@ -16,8 +16,8 @@ from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
-from sonar_gl.scene.sdf.links import SONAR_WORDS
 from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.sensors import SONAR_WORDS
 from sonar_gl.scene.sdf.shapes import ShapeOfLink, join_shapes
 
 SUFFIXES = (".xml", ".mjcf")

@@ -15,6 +15,8 @@ from sonar_gl.core.poses import check_pose
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import Shape, Triangles, transform
+from sonar_gl.scene.sonar_sensor import SonarSensor
+from sonar_gl.sonar.sonar import Sonar
 
 if TYPE_CHECKING:
     import trimesh
@@ -160,10 +162,12 @@ class Scene:
     surface_z_m : height of the water's surface, metres, a planar reflector; None = out of reach
     surface_roughness_m : rms height of the surface's waves, metres; at 900 kHz a millimetre is enough to
         leave no coherent reflection
+    sensors : SonarSensor objects, the one at `sonar_pose` first
 
     Attributes
     ----------
     bodies, plumes : tuples of Body and of Bubbles
+    sensors : tuple of SonarSensor: the sensors of the scene's file that stand for sonars
 
     Raises
     ------
@@ -178,6 +182,7 @@ class Scene:
         name: str = "scene",
         surface_z_m: float | None = None,
         surface_roughness_m: float = 1e-4,
+        sensors: Iterable[SonarSensor] = (),
     ):
         things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
         for thing in things:
@@ -185,7 +190,11 @@ class Scene:
         self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
         self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
-        self.name = name
+        self.name, self.sensors = name, tuple(sensors)
+        for sensor in self.sensors:
+            check_kind(
+                "a sensor of a scene", sensor, SonarSensor, "those of another scene are `scene.sensors`"
+            )
         self.surface_z_m = surface_z_m
         if surface_z_m is not None:
             self.surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
@@ -227,11 +236,11 @@ class Scene:
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
-        things = (*self.bodies, *self.plumes)
-        return Scene(things, self.sonar_pose, self.name, surface_z_m, self.surface_roughness_m)
+        return self._with((*self.bodies, *self.plumes), surface_z_m)
 
-    def _with(self, things) -> Scene:
-        return Scene(things, self.sonar_pose, self.name, self.surface_z_m, self.surface_roughness_m)
+    def _with(self, things, *surface_z_m: float | None) -> Scene:
+        (height_m,) = surface_z_m or (self.surface_z_m,)
+        return Scene(things, self.sonar_pose, self.name, height_m, self.surface_roughness_m, self.sensors)
 
     def _matching(self, patterns) -> set[str]:
         names, found = [thing.name for thing in (*self.bodies, *self.plumes)], set()
@@ -243,6 +252,11 @@ class Scene:
                 raise Error(f"names must be those of bodies of the scene (got {pattern!r}; {hint})")
             found.update(matching)
         return found
+
+    @property
+    def sonar(self) -> Sonar | None:
+        """The sonar that the scene's file describes, at `sonar_pose`; None if it describes none."""
+        return self.sensors[0].sonar if self.sensors else None
 
     @property
     def n_triangles(self) -> int:

@@ -303,6 +303,14 @@ def test_a_smaller_error_takes_more_rays():
     assert fine.meta["difference"] <= 0.003 < coarse.meta["difference"] <= 0.03
 
 
+def test_progress_counts_all_rays_and_changes_no_byte():
+    floor, told = [plane_body((0.3, 0.2, -1) / np.sqrt(1.13), 3.0)], []
+    counted = truth(floor, sonar(), progress=lambda cast, expected: told.append((cast, expected)))
+    assert told[-1][0] == counted.meta["n_rays"] and all(cast <= expected for cast, expected in told)
+    assert [cast for cast, _ in told] == sorted(cast for cast, _ in told)
+    assert counted.intensity.tobytes() == truth(floor, sonar()).intensity.tobytes()
+
+
 def test_too_few_rays_warn():
     with pytest.warns(UserWarning) as caught:
         ping = sg.reference_ping(

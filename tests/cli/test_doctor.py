@@ -20,6 +20,8 @@ from sonar_gl.core.extras import pip_install
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl
 from sonar_gl.simulator import Simulator
+from tests.support import command_line
+from tests.support.command_line import BODY, BOX, SENSOR, WALL
 
 pytestmark = pytest.mark.timeout(600)  # the first test of all may have to compile everything
 
@@ -272,7 +274,8 @@ def test_an_index_that_is_none_names_the_devices(index):
     there = f"there {'is' if len(found) == 1 else 'are'} {len(found)}: 0 {found[0].name}"
     with pytest.raises(gl.Error) as why:
         gl.create_context(index)
-    message = f"the OpenGL device must be the index of an EGL device (got {index!r}; {there}"
+    indices = "0" if len(found) == 1 else f"0 to {len(found) - 1}"
+    message = f"the OpenGL device must be {indices} (got {index!r}; {there}"
     assert str(why.value).startswith(message)
 
 
@@ -282,7 +285,8 @@ def test_a_variable_that_means_no_device_is_named(several, monkeypatch, variable
     monkeypatch.setenv(variable, text)
     with pytest.raises(gl.Error) as why:
         gl.create_context()
-    message = f"the OpenGL device must be the index of an EGL device (got {variable}={text}; there are 3: "
+    where = "--device or the variable " if variable == "SONAR_GL_DEVICE" else "the variable "
+    message = f"the OpenGL device must be 0 to 2 (got {text}, by {where}{variable}; there are 3: "
     assert str(why.value).startswith(message + "0 /dev/dri/card0 (not to be used: eglInitialize failed")
 
 
@@ -291,7 +295,7 @@ def test_a_device_that_does_not_work_names_those_that_do(several):
         gl.create_context()
     assert str(why.value) == (
         "OpenGL device 0 must work (got: eglInitialize failed (0x3001)); "
-        f"set SONAR_GL_DEVICE to one that does: 1 {gl.devices()[1].name}"
+        f"give --device or SONAR_GL_DEVICE one that does: 1 {gl.devices()[1].name}"
     )
 
 
@@ -305,7 +309,10 @@ def test_doctor_lists_devices_and_which_is_used(several, monkeypatch):
     monkeypatch.setenv("SONAR_GL_DEVICE", "first")
     findings = {finding.what: finding for finding in examine()}
     assert findings["EGL"].ok and ", used" not in findings["EGL"].detail
-    assert findings["OpenGL"].ok is False and "got SONAR_GL_DEVICE=first" in findings["OpenGL"].detail
+    assert (
+        findings["OpenGL"].ok is False
+        and "got first, by --device or the variable SONAR_GL_DEVICE" in findings["OpenGL"].detail
+    )
 
 
 @pytest.mark.parametrize(
@@ -332,5 +339,96 @@ def test_commands_take_a_device(several, monkeypatch, tmp_path):
         assert result.exit_code in (0, 1) and set(several) == {1}, (command, result.output)
         assert os.environ["SONAR_GL_DEVICE"] == "2"  # as it was
     result = CliRunner().invoke(cli.main, ["plan", *ping, "--device", "7"])
-    told = "error: the OpenGL device must be the index of an EGL device (got SONAR_GL_DEVICE=7; there are 3: "
+    told = "error: the OpenGL device must be 0 to 2 (got 7, by --device or the variable SONAR_GL_DEVICE; there are 3: "
     assert result.exit_code == 2 and told in result.output
+
+
+# --- scenes
+
+
+def run(*arguments):
+    return command_line.run("doctor", *arguments)
+
+
+def write_world(path, more=""):
+    path.write_text(f'<sdf version="1.9"><world name="w">{WALL}{BOX}{SENSOR}{more}</world></sdf>')
+    return path
+
+
+def test_scene_says_what_a_world_holds(tmp_path):
+    sea = (
+        '<model name="sea_surface"><link name="l"><visual name="v"><pose>0 0 2 0 0 0</pose><geometry><box>'
+        "<size>99 99 0.01</size></box></geometry></visual></link></model>"
+    )
+    floor = "<include><uri>model://ground_plane</uri><pose>0 0 -4 0 0 0</pose></include>"
+    status, out, err = run("--scene", write_world(tmp_path / "reef.sdf", sea + floor))
+    assert (status, err) == (0, "")
+    assert (
+        out
+        == f"""scene     reef
+bodies    3, 26 triangles
+extent    3.1 x 20 x 20 m, from 2.9 -10 -10 to 6 10 10, without 1 infinite plane
+water     surface at z = 2 m
+sonar     preset p900-45, as the scene states none
+
+taken  sensor 'imaging_sonar' of model 'sonar'
+       at 0 0 0 0 0 0
+       states no sonar; preset p900-45
+
+body                       size  middle, m  triangles  reflectivity
+wall              1 x 20 x 20 m    5.5 0 0         12             1
+box           0.2 x 0.2 x 0.2 m    3 0.5 0         12             1
+ground_plane           infinite     0 0 -4          2           0.5
+
+warnings
+  {tmp_path}/reef.sdf: water and marks are no bodies, and are left out (sea_surface::l); the water's surface is taken \
+from its shape, z = 2 m
+  {tmp_path}/reef.sdf: no <laser_retro> in 1 of 3 bodies (ground_plane); their reflectivity is taken as 0.5
+"""
+    )
+
+
+def test_scene_lists_the_largest_of_many_bodies_and_counts_the_others(tmp_path):
+    many = "".join(BODY.format(f"rock_{k}", f"{k} 3 0", f"0.{k + 10:03d} 0.01 0.01") for k in range(300))
+    _, out, _ = run("--scene", write_world(tmp_path / "field.sdf", many))
+    assert "bodies    302, 3624 triangles\n" in out
+    names = re.findall(r"^((?:rock|wall|box)\S*) ", out, re.MULTILINE)
+    assert names == ["wall", *(f"rock_{k}" for k in range(299, 260, -1))]
+    assert out.endswith("and 262 more bodies, which are smaller (--only NAME shows those of a name)\n")
+    _, out, _ = run("--scene", tmp_path / "field.sdf", "--only", "rock_7")
+    assert re.findall(r"^rock\S* ", out, re.MULTILINE) == ["rock_7 "]
+
+
+def test_scene_is_read_as_other_commands_read_it(tmp_path):
+    path = write_world(tmp_path / "a.sdf", "<include><uri>model://rock</uri></include>")
+    status, out, err = run("--scene", path)
+    assert (status, out) == (2, "") and "model://rock\n" in err
+    status, out, err = run("--scene", path, "--skip-missing", "--without", "box", "--surface", 3)
+    assert (status, err) == (0, "")
+    assert "model://rock" in out and "surface at z = 3 m" in out and "\nbox " not in out
+    (tmp_path / "shelf" / "rock").mkdir(parents=True)
+    rock = BODY.format("rock", "0 0 0", "1 2 3")
+    (tmp_path / "shelf" / "rock" / "model.sdf").write_text(f'<sdf version="1.9">{rock}</sdf>')
+    assert "rock" in run("--scene", path, "--resource-path", tmp_path / "shelf")[1]
+
+
+def test_scenes_without_bodies_or_sonar_and_options_without_a_scene(tmp_path):
+    (tmp_path / "empty.sdf").write_text('<sdf version="1.9"><world name="w"/></sdf>')
+    out = run("--scene", tmp_path / "empty.sdf")[1]
+    assert out == (
+        "scene     empty\nbodies    0, 0 triangles\nextent    none\nwater     none\n"
+        "sonar     preset p900-45, as the scene states none\n"
+        "pose      none in the scene; give the sonar's with --pose\n"
+    )
+    assert run("--skip-missing") == (
+        2,
+        "",
+        "error: --skip-missing needs --scene (it says how a scene is read)\n",
+    )
+
+
+def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
+    out = run("--scene", "diver_vertical")[1]
+    assert "plume     'diver::bubbles' at " in out and re.search(
+        "^floor .* 0.235, smooth_concrete$", out, re.MULTILINE
+    )

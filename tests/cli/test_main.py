@@ -29,6 +29,7 @@ from sonar_gl.imaging import files as export
 from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
+PRESET_NOTE = "sonar: preset p900-45, as the scene states none\n"
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n0.5,0.5,0,0,0,0,0\n1.0,1,0,0,0,0,0.1\n"
 
 
@@ -140,6 +141,41 @@ def test_pose_takes_the_place_of_the_scenes():
     np.testing.assert_array_equal(ping().pose, sg.pose(x=-1, yaw=0.1))
     render("--pose", "1,0,0,0,0,0", scene="mute.sdf")
     np.testing.assert_array_equal(ping("mute.npz").pose, sg.pose(x=1))
+
+
+def test_without_a_sonar_the_scenes_own_is_taken_and_named():
+    angles = "<samples>{}</samples><min_angle>-{}</min_angle><max_angle>{}</max_angle>".format
+    ray = (
+        f"<ray><scan><horizontal>{angles(24, 0.35, 0.35)}</horizontal><vertical>{angles(5, 0.1, 0.1)}</vertical></scan>"
+        "<range><min>0.5</min><max>8.5</max><resolution>0.1</resolution></range></ray><update_rate>10</update_rate>"
+    )
+    own = SENSOR.replace(
+        'type="custom"/>', f'type="custom">{ray}</sensor><sensor name="old_sonar" type="ray"/>'
+    )
+    Path("own.sdf").write_text(SCENE.format(more=own))
+    quick = ("--tolerance", 0.05, "--format", "npz")
+    for command, more in (
+        ("render", quick),
+        ("plan", quick[:2]),
+        ("verify", ("--tolerance", 0.1, "--height", 60)),
+    ):
+        status, _, err = run(command, "own.sdf", *more)
+        assert status == 0 and err == (
+            "sonar: the scene's own, sensor 'imaging_sonar' of model 'sonar': 40.11 x 11.46 deg, 24 beams, "
+            "0.5 to 8.5 m in 80 bins, 900 kHz, 10 Hz (frequency of p900-45: the sensor states none); "
+            "not taken: sensor 'old_sonar' of model 'sonar'\n"
+        )
+    made = ping("own.npz").sonar
+    assert made == sg.load_scene(
+        "own.sdf"
+    ).sonar and made.source == "own.sdf: world/model[sonar]/link[link]/" + ("sensor[imaging_sonar]")
+    assert run("render", "own.sdf", *quick, "--range", 4.5, "--bins", 20)[0] == 0
+    changed = ping("own.npz").sonar
+    assert (changed.n_beams, changed.range_max_m, changed.n_bins) == (24, 4.5, 20)
+    render("--format", "npz", scene="own.sdf")  # with --sonar, and so without a note
+    assert ping("own.npz").sonar == sg.load_sonar("small.toml")
+    assert run("render", "tank.sdf", *quick)[2] == PRESET_NOTE
+    assert ping().sonar == sg.load_sonar("p900-45")
 
 
 def test_profile_is_that_of_the_simulator():
@@ -399,7 +435,8 @@ def test_examples_of_the_help_show_something(line, monkeypatch):
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
     status, out, err = run(*shlex.split(line))
-    assert (status, err) == (0, "")
+    says_preset = line.startswith(("render", "plan", "verify")) and "--sonar" not in line
+    assert (status, err) == (0, PRESET_NOTE if says_preset else "")
     if line.startswith("verify"):
         rays = re.search(r'"reference_rays": (\d+)|([\d.]+) million rays', out)
         assert (float(rays[1]) if rays[1] else 1e6 * float(rays[2])) < 1e7  # some seconds
@@ -488,7 +525,7 @@ ensure_blas()
 
 
 def test_unknown_scene_and_sonar_name_the_nearest():
-    endings = "a file must end in one of .sdf .world .glb .gltf .obj .stl .ply .dae"
+    endings = "a file must end in one of .sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
     assert refused(scene="pylom") == f"there is no bundled scene 'pylom' (did you mean 'pylon'?; {endings})"
     known = ", ".join(sorted(sg.bundled_scenes()))
     assert refused(scene="xxx") == f"there is no bundled scene 'xxx' (known are {known}; {endings})"

@@ -249,6 +249,49 @@ def test_a_ping_without_an_echo_says_why(bodies, pose, message):
     assert not ping.intensity.any()
 
 
+MILLIMETRES = (
+    "if it was made in millimetres, scale it by 0.001 (<scale>0.001 0.001 0.001</scale> of a mesh in SDF, "
+    "mesh.apply_scale(0.001) in Python)"
+)
+
+
+@pytest.mark.parametrize("azimuth_fov_deg", [60.0, 130.0, 360.0])
+@pytest.mark.parametrize("direction", [0.0, 0.4, -0.4])
+def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_deg, direction):
+    """A tank in millimetres: the far plane of a range of 20 m cuts everything away."""
+    tank = sg.Body("tank", trimesh.creation.box((1000, 4000, 3000)), sg.pose(2500), 1.0)
+    sonar = replace(SONAR, azimuth_fov_deg=azimuth_fov_deg)
+    with simulator([tank], sonar=sonar) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose(yaw=direction))
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 2.00 km, beyond range_max_m = 20; the scene "
+        f"measures 1000 x 4000 x 3000 m: {MILLIMETRES}"
+    ]
+
+
+def test_a_far_surface_beside_the_fan_is_in_its_direction():
+    wall = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(700.5), 1.0)
+    with simulator([wall]) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose(yaw=math.pi / 2))
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: no surface lies in the fan; the nearest is 'wall', 700.00 m away at azimuth -90.0° and "
+        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar; the scene measures "
+        f"1 x 20 x 20 m: {MILLIMETRES}"
+    ]
+
+
+def test_a_far_wall_seen_through_its_corner_is_at_its_nearest_point_in_the_fan():
+    """The nearest point of the wall is beside the fan."""
+    wall = sg.Body("wall", trimesh.creation.box((1, 1000, 400)), sg.pose(300.5, 500), 1.0)
+    with simulator([wall]) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose(yaw=math.radians(50)))
+    # the starboard edge of the fan, 30 degrees beside its middle, meets the wall at 20 degrees
+    range_m = 300 / math.cos(math.radians(20))
+    assert [str(w.message) for w in caught] == [
+        f"no echo came back: the nearest surface in the fan lies at {range_m:.2f} m, beyond range_max_m = 20"
+    ]
+
+
 def test_a_ping_with_an_echo_does_not_warn():
     with simulator() as it, warnings.catch_warnings():
         warnings.simplefilter("error")

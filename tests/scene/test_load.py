@@ -299,7 +299,8 @@ def test_a_command_loads_neither_trimesh_nor_scipys_algebra(tmp_path):
     code = f"""
 import sys
 from sonar_gl.cli.main import main
-main("render pylon --range 20 --labels --axes --out".split() + [{str(tmp_path)!r}], standalone_mode=False)
+words = "render pylon --sonar p900-45 --range 20 --labels --axes --out".split()
+main([*words, {str(tmp_path)!r}], standalone_mode=False)
 print(*[name for name in ("trimesh", "scipy.linalg", "PIL") if name in sys.modules], file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -593,6 +593,18 @@ def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
     np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
 
 
+def test_a_shape_of_water_that_is_unknown_or_missing_is_named_once(tmp_path):
+    """The height of water needs the geometry a second time."""
+    torus = shape(RETRO, "water", geometry="<geometry><torus/></geometry>")
+    field = "<geometry><heightmap><uri>model://sea/a.png</uri></heightmap></geometry>"
+    inside = link(shape=torus + shape(RETRO, "waves", geometry=field))
+    with pytest.raises(Error) as caught:
+        read_sdf(write(tmp_path / "a.sdf", model(inside, "tank")))
+    text = str(caught.value)
+    assert text.count("collision[water]/geometry/torus: unknown geometry") == 1
+    assert text.count("collision[waves]/geometry/heightmap/uri") == 1
+
+
 FUEL = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Big Rock"
 
 
@@ -739,6 +751,17 @@ def test_marks_are_left_out(tmp_path, name):
     scene, texts = read_wet(tmp_path, model(link(shape=axis), name) + model(link()))
     assert [body.name for body in scene.bodies] == ["m"] and scene.surface_z_m is None
     assert texts == [f"water and marks are no bodies, and are left out ({name}::link)"]
+
+
+@pytest.mark.parametrize(("transparency", "is_left_out"), [("1.0", True), ("0.9", False), ("all", False)])
+def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
+    """Worlds of Gazebo put one above the sea's floor, 300 km wide."""
+    seen = visual("v").replace("</visual>", f"<transparency>{transparency}</transparency></visual>")
+    scene, texts = read_wet(tmp_path, model(link(shape=seen), "plane") + model(link(shape=SHAPE + seen)))
+    assert [body.name for body in scene.bodies] == (["m"] if is_left_out else ["plane", "m"])
+    assert (
+        len(texts) == 1 and ("marks are no bodies, and are left out (plane::link)" in texts[0]) == is_left_out
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ The flow of `reader.read_sdf`:
    parses their XML. `xacro.expand` expands macros; `urdf.model_of` converts a robot to SDF.
 2. Tree: `reader.TreeReader` makes a tree of `frames.Scope` from the world, its models and includes. A scope
    resolves the poses of its frames.
-3. Links: `links.links_of` lists the links of the tree; `links.find_sonar` picks the one with the sonar.
+3. Links: `links.links_of` lists the links of the tree; `sensors.find_sonars` finds those with a sonar, and
+   `sensors.read_sensor` what their tags state of it.
 4. Shapes: `shapes.BodyReader` reads the collisions or visuals of a link, with their surface properties.
 5. Bodies: shapes of one link with the same specular lobe are joined into one `Body`.
 

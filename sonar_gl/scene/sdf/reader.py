@@ -13,12 +13,14 @@ from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
 from sonar_gl.scene.sdf.frames import Frame, Scope
-from sonar_gl.scene.sdf.links import Link, find_sonar, links_of
+from sonar_gl.scene.sdf.links import Link, links_of
 from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
 from sonar_gl.scene.sdf.urdf import model_of
 from sonar_gl.scene.sdf.water import is_mark, is_water
 from sonar_gl.scene.sdf.xacro import expand, split_arguments
+from sonar_gl.scene.sonar_sensor import SonarSensor
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
@@ -63,7 +65,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     the first are named `model::shape`.
 
     The sonar is the first `<sensor type="custom">`, else the first sensor that is named after a sonar by its
-    own name or plugin, else by its model; see `find_sonar`.
+    own name or plugin, else by its model; see `sensors.find_sonars`. `Scene.sonar` is what its tags state. A value
+    that no sonar has is replaced, with one warning.
 
     Shapes of water and marks such as coordinate axes, which `water` recognises by names and materials, are
     left out, with one warning, unless they have surface properties. Where the file has no
@@ -86,8 +89,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
     TreeReader(resources).fill(scope, top, (path.resolve(),))
     links = list(links_of(scope, np.eye(4)))
-    carrier, sonar_pose = find_sonar(links)
-    bodies, unspecified, saturated = _read_bodies(links, carrier, resources)
+    sonars = find_sonars(links)
+    sensors, changed = _read_sensors(sonars)
+    bodies, unspecified, saturated = _read_bodies(links, sonars[0].link if sonars else None, resources)
     if resources.recovered:
         files = ", ".join(
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
@@ -125,9 +129,13 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             f"({some_names(saturated)}); their reflectivity is taken as 1",
             stacklevel=2,
         )
+    if changed:
+        warnings.warn(f"{path}: {'; '.join(changed)}", stacklevel=2)
     plumes = _read_plumes(links)
     with errors_at(str(path)):
-        return Scene([*bodies, *plumes], sonar_pose, name, **surface)
+        return Scene(
+            [*bodies, *plumes], sensors[0].pose if sensors else None, name, **surface, sensors=sensors
+        )
 
 
 def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
@@ -148,6 +156,21 @@ def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
         raise Error(f"{path}: must hold a <world> or a <model>")
     scope = Scope(f"{path}: " + ("" if world is None else "world"), path.parent, is_world=True)
     return root if world is None else world, scope
+
+
+def _read_sensors(sonars: list[SensorOfLink]) -> tuple[list[SonarSensor], list[str]]:
+    """Return the sensors, and what of the first one, whose sonar is used, had to be changed."""
+    sensors, changed = [], []
+    for sonar in sonars:
+        try:
+            sensor, notes = read_sensor(sonar)
+        except Error:
+            if not sensors:
+                raise
+            continue  # its pose is wrong, but nobody asked for it
+        changed += [] if sensors else [f"{sensor}: {note}" for note in notes]
+        sensors.append(sensor)
+    return sensors, changed
 
 
 def _read_bodies(

@@ -77,7 +77,7 @@ class Resources:
         self.roots = list(dict.fromkeys([*(root.resolve() for root in roots), folder, *own_package[:1]]))
         self._packages: dict[str, Path] | None = None
         self._missing: dict[str, tuple[list, list]] = {}  # uri -> locations that name it, paths searched
-        self._parsed, self.recovered, self._unsupported = {}, {}, []
+        self._parsed, self.recovered, self._unsupported = {}, {}, {}
 
     def parse(self, path: Path):
         """Return the root element of an XML file; document types, entities and huge files are refused.
@@ -327,11 +327,13 @@ class Resources:
         return "\n".join(self._unsupported)
 
     def note_unsupported(self, message: str) -> None:
-        """Note a shape that cannot be read; the message names file and element."""
-        self._unsupported.append(message)
+        """Note a shape that cannot be read, once; the message names file and element."""
+        self._unsupported[message] = None
 
     def _note(self, uri, location, searched):
-        self._missing.setdefault(uri, ([], [str(c) for c in searched]))[0].append(location)
+        locations, _ = self._missing.setdefault(uri, ([], [str(c) for c in searched]))
+        if location not in locations:  # a shape of water is read for its surface, too
+            locations.append(location)
 
     def _is_inside(self, path: Path) -> bool:
         return any(path.resolve().is_relative_to(root) for root in self.roots)

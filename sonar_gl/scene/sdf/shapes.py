@@ -17,7 +17,7 @@ from sonar_gl.scene.sdf.extensions import check_extensions, find_extension, list
 from sonar_gl.scene.sdf.frames import read_numbers
 from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
-from sonar_gl.scene.sdf.water import is_mark, is_water, surface_z_m
+from sonar_gl.scene.sdf.water import is_invisible, is_mark, is_water, surface_z_m
 
 GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
 MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
@@ -57,7 +57,8 @@ def left_out_shapes(link: Link) -> list:
 
 
 def _is_left_out(link: Link, element) -> bool:
-    return not _has_surface_properties(element) and (is_mark(link) or is_water(link, element))
+    is_no_solid = is_mark(link) or is_water(link, element) or is_invisible(link, element)
+    return is_no_solid and not _has_surface_properties(element)
 
 
 def _solid_shapes(link: Link) -> list:

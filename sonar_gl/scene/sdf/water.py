@@ -1,7 +1,8 @@
 """Shapes of a world that are no solids: the water itself, and marks such as coordinate axes.
 
 Gazebo's worlds show the sea as shapes, which an optical camera sees. A sonar would find walls in the water. A
-shape is taken for water by its material or its name; for a mark by its name, if nothing can collide with it.
+shape is taken for water by its material or its name; for a mark by its name, or since it is fully transparent, if
+nothing can collide with it.
 """
 
 from __future__ import annotations
@@ -48,6 +49,16 @@ def is_mark(link: Link) -> bool:
     if link.element.find("collision") is not None or link.element.find("inertial") is not None:
         return False
     return any(MARK_NAME.fullmatch(name.strip()) for name in (link.name, link.model.rpartition("::")[2]))
+
+
+def is_invisible(link: Link, element) -> bool:
+    """Return whether a visual is fully transparent, and nothing can collide with its link."""
+    if element.tag != "visual" or link.element.find("collision") is not None:
+        return False
+    try:
+        return float(element.findtext("transparency") or 0.0) >= 1.0
+    except ValueError:  # it does not count otherwise
+        return False
 
 
 def surface_z_m(vertices) -> float | None:

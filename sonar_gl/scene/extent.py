@@ -1,0 +1,41 @@
+"""The space that bodies take in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from sonar_gl.scene.primitives import INFINITE_PLANE_M
+from sonar_gl.scene.scene import Body
+
+
+def body_bounds(body: Body) -> np.ndarray:
+    """Return the (2, 3) least and greatest coordinates of a body in the world, metres."""
+    vertices = np.asarray(body.surface.vertices, np.float64) @ body.pose[:3, :3].T + body.pose[:3, 3]
+    return np.array([vertices.min(axis=0), vertices.max(axis=0)])
+
+
+def is_infinite(body: Body) -> bool:
+    """Return whether a body is the plane of a collision, which is infinite in SDF."""
+    if len(body.surface.faces) != 2:
+        return False
+    edges_m = np.ptp(np.asarray(body.surface.vertices, np.float64), axis=0)
+    return bool(np.isclose(np.sort(edges_m)[1:], INFINITE_PLANE_M).all())
+
+
+def bounds_of(bodies: Iterable[Body]) -> np.ndarray | None:
+    """Return the (2, 3) least and greatest coordinates of all bodies but infinite planes; None if there are none."""
+    bounds = [body_bounds(body) for body in bodies if not is_infinite(body)]
+    if not bounds:
+        return None
+    return np.array([np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]])
+
+
+def size_text(size_m) -> str:
+    """Return three lengths in words.
+
+    >>> size_text([1, 20, 20.5]), size_text([12000, 3000, 45])
+    ('1 x 20 x 20.5 m', '12000 x 3000 x 45 m')
+    """
+    return " x ".join(f"{length:.0f}" if length >= 1000 else f"{length:.3g}" for length in size_m) + " m"
