@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-import click
 import numpy as np
 
 from sonar_gl.analysis.reference import check_known
@@ -13,6 +12,7 @@ from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.analysis.verify import Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
+from sonar_gl.cli.output import echo
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.imaging.files import output_folder, save_png
@@ -35,7 +35,7 @@ def verify(scene_name: str, options) -> dict:
     acoustics = replace(acoustics, bubbles=False)
     folder = output_folder(options.out)
     if sys.stderr.isatty():
-        click.echo("casting rays ...", err=True)
+        echo("casting rays ...", err=True)
     result = verify_ping(scene, sonar, pose, acoustics, options.tolerance)
     path = folder / f"{scene.name}_error.png"
     save_png(path, error_picture(result, options.height))
