@@ -12,6 +12,7 @@ from sonar_gl.acoustics.acoustics import WATER, Acoustics
 from sonar_gl.batch.job import Job, SonarTable, build, matching_names
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.settings import Noise
@@ -180,6 +181,7 @@ class BatchRequests(Sequence):
             path = self.job.path(name)
             folders = [self.job.path(folder) for folder in self.job.resource_paths]
             with errors_at(f"{self.job.where}: scenes[{index}]"):
+                check_no_link_loop(path)
                 scene = load_scene(str(path) if path.is_file() else name, folders, self.job.skip_missing)
             while len(self._scenes) > 1:
                 self._scenes.pop(next(iter(self._scenes)))
@@ -241,6 +243,7 @@ def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
 def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
     path = job.path(table.sonar.partition("#")[0])
     with errors_at(where):
+        check_no_link_loop(path)
         sonar = load_sonar(str(job.path(table.sonar)) if path.is_file() else table.sonar)
         sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
         return sonar if table.bins is None else replace(sonar, n_bins=table.bins)

@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.scene import mesh_files
 from sonar_gl.scene.primitives import Shape, transform
 from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
@@ -69,6 +70,7 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     path, bundled = Path(what), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
+    check_no_link_loop(path)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)
     suffix = path.suffix.lower()

@@ -10,6 +10,7 @@ from urllib.parse import unquote
 from xml.parsers import expat
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import LINK_LOOP, is_link_loop
 from sonar_gl.scene.sdf.extensions import declare_namespace
 
 MAX_XML_BYTES = 50_000_000
@@ -59,10 +60,15 @@ class Resources:
             resource_paths = [resource_paths]
         roots = [Path(p) for p in resource_paths]
         for root in roots:
+            if is_link_loop(root):
+                raise Error(f"resource path {str(root)!r} must be a folder (got {LINK_LOOP})")
             if not root.is_dir():
                 raise Error(f"resource path {str(root)!r} must be a folder (there is none of that name)")
         for key in ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"):
-            roots += [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
+            named = [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
+            roots += [
+                root for root in named if not is_link_loop(root)
+            ]  # such as are not there are no error, either
         self.roots = list(dict.fromkeys(root.resolve() for root in [*roots, scene_path.parent]))
         self._missing: dict[str, tuple[list, list]] = {}  # uri -> locations that name it, paths searched
         self._parsed, self.recovered, self._unsupported = {}, {}, []
@@ -161,12 +167,15 @@ class Resources:
             candidates += [root / tail for root in self.roots if scheme and root.name == head]
         candidates = list(dict.fromkeys(candidates))
         try:
+            if loop := next(filter(is_link_loop, candidates), None):
+                raise Error(f"{location}: {uri!r} must be a path (got {LINK_LOOP} at {loop})")
             inside = [c for c in candidates if self._is_inside(c)]
             found = next((c for c in inside if c.exists()), None)
             outside = [c for c in candidates if c not in inside]
             escapes = found is None and outside and (not inside or any(c.exists() for c in outside))
-        except (OSError, RuntimeError, ValueError) as why:
-            # a name that is too long, or a cycle of symbolic links
+        except Error:
+            raise
+        except (OSError, ValueError) as why:  # a name that is too long, or with a null character
             raise Error(f"{location}: {uri!r} must be a path ({why})") from None
         if escapes:
             raise Error(
@@ -274,6 +283,8 @@ class Resources:
         self._missing.setdefault(uri, ([], [str(c) for c in searched]))[0].append(location)
 
     def _is_inside(self, path: Path) -> bool:
+        if is_link_loop(path):
+            return False  # before Python 3.13, `resolve` raises a RuntimeError
         return any(path.resolve().is_relative_to(root) for root in self.roots)
 
 
