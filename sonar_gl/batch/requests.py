@@ -11,6 +11,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import WATER, Acoustics
 from sonar_gl.batch.job import Job, SonarTable, build, matching_names
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.poses import pose as make_pose
@@ -251,8 +252,9 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
 
 def _load_noise(job: Job) -> Noise:
     settings, where = dict(job.noise), f"{job.where}: noise"
-    if (preset := settings.pop("preset", "none")) not in NOISE_PRESETS:
-        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {preset!r})")
+    preset = settings.pop("preset", "none")
+    if not isinstance(preset, str) or preset not in NOISE_PRESETS:
+        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
     build(Noise, settings, where)  # with unknown keys named before the preset's are added
     return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
 

@@ -85,9 +85,12 @@ def shown(value) -> str:
     >>> shown("1"), shown(10**400)
     ("'1'", 'a whole number of more than 300 digits')
     """
-    if is_whole_number(value) and abs(value) >= 10**300:  # Python refuses to print very long ones
+    if is_whole_number(value) and abs(value) >= 10**300:
         return "a whole number of more than 300 digits"
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print numbers of more than 4300 digits
+        text = f"a {type(value).__name__} with very long numbers"
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.checks import check_number, check_whole_number, frozen_array, is_number, number_text
+from sonar_gl.core.checks import check_number, check_whole_number, frozen_array, is_number, number_text, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.toml import read_toml
@@ -158,7 +158,7 @@ def load_sonar(what: str | Path) -> Sonar:
     256
     """
     if not isinstance(what, (str, Path)):
-        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {what!r})")
+        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
     known = presets()
     text = str(what)
     if isinstance(what, str) and text.casefold() in known:
