@@ -285,11 +285,9 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
 
 
 def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
-    """Check that the times of files never fall and, in the first run, are not negative: bags need both."""
-    for k, trajectory in enumerate(trajectories):
-        if isinstance(trajectory, FileTrajectory):
-            times_s = trajectory.times_s if k else np.append(0.0, trajectory.times_s)
-            if (falls := np.flatnonzero(np.diff(times_s) < 0)).size:
-                former, latter = times_s[falls[0] : falls[0] + 2]
-                where, got = f"{job.where}: poses[{k}].file", f"{latter:g} s after {former:g} s"
-                raise Error(f"{where} must hold times from 0 on that never fall, for a bag (got {got})")
+    """Check that the first time of the first run is not negative, which a bag cannot hold; later ones never fall."""
+    first = trajectories[0]
+    if isinstance(first, FileTrajectory) and (time_s := first.times_s[0]) < 0:
+        raise Error(
+            f"{job.where}: poses[0].file must hold times from 0 on, for a bag (got {time_s:g} s; shift them)"
+        )
