@@ -13,7 +13,7 @@ from sonar_gl.acoustics.beam_pattern import TAPERS, ArrayPattern, gaussian_patte
 from sonar_gl.acoustics.pulse import PULSE_TAPERS, bin_weights
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
-from sonar_gl.core.checks import check_choice, check_kind, check_number
+from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
@@ -173,7 +173,7 @@ class Acoustics:
             check_choice(key, getattr(self, key), names, "acoustics")
         for key in ("specular", "bubbles"):
             if not isinstance(getattr(self, key), bool):
-                raise Error(f"acoustics: {key} must be True or False (got {getattr(self, key)!r})")
+                raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
             value = getattr(self, key)
             if value is None and self.__dataclass_fields__[key].default is None:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from sonar_gl.core.checks import is_number
+from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import colorize
@@ -28,13 +28,9 @@ LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow",
 # ---- values -----------------------------------------------------------------------------------------
 
 
-def _is_finite(value) -> bool:
-    return is_number(value) and math.isfinite(value)
-
-
 def _check_varied(value, low: float = -math.inf, high: float = math.inf):
     bounds = value if isinstance(value, list) else [value, value]
-    if len(bounds) != 2 or not all(map(_is_finite, bounds)) or bounds[0] > bounds[1]:
+    if len(bounds) != 2 or not all(map(is_finite, bounds)) or bounds[0] > bounds[1]:
         raise ValueError("should be a number, or [low, high]")
     if not low <= bounds[0] <= bounds[1] <= high:
         raise ValueError(f"should lie in {low:g}..{high:g}")
@@ -42,7 +38,7 @@ def _check_varied(value, low: float = -math.inf, high: float = math.inf):
 
 
 def _check_db_range(value):
-    if not isinstance(value, list) or len(value) != 2 or not all(map(_is_finite, value)):
+    if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
         raise ValueError("should be [darkest, brightest]")
     if value[0] >= value[1]:
         raise ValueError("should be [darkest, brightest], in rising order")

@@ -11,7 +11,9 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import WATER, Acoustics
 from sonar_gl.batch.job import Job, SonarTable, build, matching_names
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.settings import Noise
@@ -182,6 +184,7 @@ class BatchRequests(Sequence):
             is_file = self.job.path(split_arguments(name)[0]).is_file()
             folders = [self.job.path(folder) for folder in self.job.resource_paths]
             with errors_at(f"{self.job.where}: scenes[{index}]"):
+                check_no_link_loop(path)
                 scene = load_scene(str(path) if is_file else name, folders, self.job.skip_missing)
             while len(self._scenes) > 1:
                 self._scenes.pop(next(iter(self._scenes)))
@@ -243,6 +246,7 @@ def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
 def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
     path = job.path(table.sonar.partition("#")[0])
     with errors_at(where):
+        check_no_link_loop(path)
         sonar = load_sonar(str(job.path(table.sonar)) if path.is_file() else table.sonar)
         sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
         return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
@@ -250,8 +254,9 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
 
 def _load_noise(job: Job) -> Noise:
     settings, where = dict(job.noise), f"{job.where}: noise"
-    if (preset := settings.pop("preset", "none")) not in NOISE_PRESETS:
-        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {preset!r})")
+    preset = settings.pop("preset", "none")
+    if not isinstance(preset, str) or preset not in NOISE_PRESETS:
+        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
     build(Noise, settings, where)  # with unknown keys named before the preset's are added
     return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
 
@@ -282,11 +287,9 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
 
 
 def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
-    """Check that the times of files never fall and, in the first run, are not negative: bags need both."""
-    for k, trajectory in enumerate(trajectories):
-        if isinstance(trajectory, FileTrajectory):
-            times_s = trajectory.times_s if k else np.append(0.0, trajectory.times_s)
-            if (falls := np.flatnonzero(np.diff(times_s) < 0)).size:
-                former, latter = times_s[falls[0] : falls[0] + 2]
-                where, got = f"{job.where}: poses[{k}].file", f"{latter:g} s after {former:g} s"
-                raise Error(f"{where} must hold times from 0 on that never fall, for a bag (got {got})")
+    """Check that the first time of the first run is not negative, which a bag cannot hold; later ones never fall."""
+    first = trajectories[0]
+    if isinstance(first, FileTrajectory) and (time_s := first.times_s[0]) < 0:
+        raise Error(
+            f"{job.where}: poses[0].file must hold times from 0 on, for a bag (got {time_s:g} s; shift them)"
+        )

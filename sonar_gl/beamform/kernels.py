@@ -255,7 +255,10 @@ def _ramp(s, start):
 
 @compiled
 def _below(s, middle, wide, thin):
-    """Return 4 wide thin times the energy up to s of the convolution of boxes on ±wide and ±thin."""
+    """Return 4 wide thin times the energy up to s of the convolution of boxes on ±wide and ±thin.
+
+    It rises with s, but where `wide` far exceeds a bin, as on a plane seen edge-on, rounding makes it fall.
+    """
     rise = _ramp(s, middle - wide - thin) - _ramp(s, middle - wide + thin)
     return rise - (_ramp(s, middle + wide - thin) - _ramp(s, middle + wide + thin))
 
@@ -279,9 +282,9 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
     nearer = _below(high, s, wide, thin)
     for k in range(first, last):
         further = _below(bins_s[uint64(k + 1)], s, wide, thin)
-        sums[row, k] += np.float32(scale * (nearer - further))
+        sums[row, k] += np.float32(scale * max(nearer - further, 0.0))
         nearer = further
-    sums[row, last] += np.float32(scale * (nearer - _below(low, s, wide, thin)))
+    sums[row, last] += np.float32(scale * max(nearer - _below(low, s, wide, thin), 0.0))
     return first, last
 
 
@@ -648,7 +651,7 @@ def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, first_m, per_met
     for k in range(uint64(first), uint64(last + 1)):
         edge = bins_s[k + uint64(1)] if k < last else low
         further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-        echo = scale * (nearer - further)
+        echo = scale * max(nearer - further, 0.0)
         cells[k, CELL_ECHO] += echo
         cells[k, CELL_ELEVATION] += echo * work[ELEVATION, m]
         cells[k, CELL_INCIDENCE] += echo * work[INCIDENCE, m]

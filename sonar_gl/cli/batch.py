@@ -8,7 +8,6 @@ import threading
 from contextlib import contextmanager
 from pathlib import Path
 
-import click
 from tqdm import tqdm
 
 from sonar_gl.batch import run as runs
@@ -16,7 +15,8 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest, check
 from sonar_gl.cli.common import progress as show_progress
-from sonar_gl.core.errors import Error
+from sonar_gl.cli.output import echo
+from sonar_gl.core.errors import Error, escape_controls
 from sonar_gl.core.load_numba import load_numba
 
 
@@ -36,7 +36,7 @@ def batch(options) -> int:
     job = read_job(options.job)
     devices = runs.devices_of(options.workers, options.device)
     if options.dry_run:
-        click.echo(runs.dry_run(job, devices, _report))
+        echo(runs.dry_run(job, devices, _report))
         return 0
     url = options.out or Path(options.job).stem
     outcome = runs.run(job, url, devices, _report, _progress, options.resume, options.mend, options.cluster)
@@ -47,7 +47,7 @@ def batch(options) -> int:
 
 def _report(text: str):
     """Show a line, above the progress bar if there is one."""
-    tqdm.write(text, file=sys.stderr)
+    tqdm.write(escape_controls(text), file=sys.stderr)
 
 
 @contextmanager
@@ -67,16 +67,16 @@ def _show_outcome(outcome, url: str, job_file: str) -> int:
         text += f", {outcome.without_echo} of them without an echo"
     if not outcome.is_complete:
         command = shlex.join(["sonar-gl", "batch", job_file, "--out", url, "--resume"])
-        click.echo(f"{text}; continue with: {command}")
+        echo(f"{text}; continue with: {command}")
         return 130
-    click.echo(text + (f", {len(outcome.set_aside)} set aside" if outcome.set_aside else ""))
+    echo(text + (f", {len(outcome.set_aside)} set aside" if outcome.set_aside else ""))
     return 3 if outcome.set_aside else 0
 
 
 def _show_faults(url: str, faults: list[str]) -> int:
     """Print the damage that was found, and return the exit status."""
     for line in faults:
-        click.echo(line)
+        echo(line)
     ending = f"{len(faults)} files are missing or damaged" if faults else "all files are as they were written"
-    click.echo(f"{url}: {ending}")
+    echo(f"{url}: {ending}")
     return 1 if faults else 0

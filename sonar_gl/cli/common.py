@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.cli.options import POSE
+from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
@@ -34,7 +35,7 @@ def scene_from(scene_name: str, options) -> Scene:
 def sonar_from(options, scene: Scene) -> Sonar:
     """Return the sonar of --sonar, --range and --bins; without --sonar the scene's or a preset, and say which."""
     if options.sonar is None:
-        click.echo(f"sonar: {describe_sonar(scene)}", err=True)
+        echo(f"sonar: {describe_sonar(scene)}", err=True)
         sonar = scene.sonar or load_sonar(DEFAULT_SONAR)
     else:
         sonar = load_sonar(options.sonar)

@@ -16,6 +16,7 @@ import click
 from sonar_gl import cli
 from sonar_gl._version import __version__
 from sonar_gl.cli.options import DEVICE, option, ping_options
+from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 
@@ -46,7 +47,7 @@ class CommandGroup(click.Group):
         except Error as why:
             message, status = str(why), 2
         if status:
-            click.echo(f"error: {message}", err=True)
+            echo(f"error: {message}", err=True)
             ctx.exit(status)
 
 
@@ -57,7 +58,7 @@ def _one_line_warnings():
     def show(message, *_args, **_more):
         text = " ".join(str(message).split())
         if text not in shown:
-            click.echo(f"warning: {text}", err=True)
+            echo(f"warning: {text}", err=True)
         shown.add(text)
 
     return show
@@ -122,7 +123,7 @@ def render(ctx, scene, **options):
     The NPZ file holds the ping, its pose and all settings.
     """
     given = {name for name in options if ctx.get_parameter_source(name).name == "COMMANDLINE"}
-    click.echo(cli.render.render(scene, SimpleNamespace(**options), given))
+    echo(cli.render.render(scene, SimpleNamespace(**options), given))
 
 
 VERIFY_EPILOG = """\b
@@ -148,7 +149,7 @@ def verify(ctx, scene, **options):
     add it.
     """
     found = cli.verify.verify(scene, SimpleNamespace(**options, poses=None))
-    click.echo(json.dumps(found) if options["json"] else cli.verify.verify_text(found))
+    echo(json.dumps(found) if options["json"] else cli.verify.verify_text(found))
     ctx.exit(0 if found["kept"] else 1)
 
 
@@ -177,7 +178,7 @@ def plan(ctx, scene, **options):
     the image changes by more than the tolerance without it.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
-    click.echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
+    echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
     ctx.exit(0 if found["met"] else 1)
 
 
@@ -230,13 +231,13 @@ def batch(ctx, **options):
 @main.command(epilog="Example: sonar-gl scenes")
 def scenes():
     """List the bundled scenes."""
-    click.echo(cli.listings.scenes_text())
+    echo(cli.listings.scenes_text())
 
 
 @main.command(epilog="Example: sonar-gl sonars", short_help="List the preset sonars.")
 def sonars():
     """List the preset sonars: beams, field of view, frequency, range, bin size."""
-    click.echo(cli.listings.sonars_text())
+    echo(cli.listings.sonars_text())
 
 
 DOCTOR_EPILOG = """\b
@@ -264,11 +265,11 @@ def doctor(ctx, scene, **options):
     its sonars, and everything that was left out or assumed as it was read.
     """
     if scene is not None:
-        click.echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
+        echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
         return
     for name in options:
         if ctx.get_parameter_source(name).name == "COMMANDLINE":
             raise Error(f"--{name.replace('_', '-')} needs --scene (it says how a scene is read)")
     found = cli.doctor.examine()
-    click.echo(cli.doctor.report_text(found))
+    echo(cli.doctor.report_text(found))
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 
-import click
 import numpy as np
 import trimesh
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.cli import warm_up
+from sonar_gl.cli.output import echo
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
@@ -87,7 +86,7 @@ def check_compiled_functions():
 
 
 def _show_progress(text: str):
-    click.echo(text, file=sys.stderr)
+    echo(text, err=True)
 
 
 def check_known_scene():

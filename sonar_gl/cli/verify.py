@@ -14,6 +14,7 @@ from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.analysis.verify import MAX_ROUNDS, Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
+from sonar_gl.cli.output import echo
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.imaging.files import output_folder, save_png
@@ -50,7 +51,7 @@ def _ray_progress():
         yield None
         return
     most = f"{MAX_RAYS / 1e6:g} million"
-    click.echo(f"casting rays, {most} at most in each of up to {MAX_ROUNDS} rounds; Ctrl-C stops", err=True)
+    echo(f"casting rays, {most} at most in each of up to {MAX_ROUNDS} rounds; Ctrl-C stops", err=True)
     bar = click.progressbar(
         length=1, show_eta=False, show_percent=False, file=sys.stderr, item_show_func=lambda text: text
     )

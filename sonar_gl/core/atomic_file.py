@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import read_error_text
 
 
 def temporary_path(path: Path) -> Path:
@@ -20,7 +21,7 @@ def describe_os_error(why: OSError, folder: Path) -> str:
     at_fault = next((str(p) for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
     if isinstance(why, (NotADirectoryError, FileExistsError)) and at_fault:
         return f"{at_fault!r} is not a folder"
-    return (why.strerror or str(why)).lower()
+    return read_error_text(why)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
     """
     try:
         out = np.array(array, dtype=dtype, order="C")
-    except (TypeError, ValueError) as why:
+    except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
         raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
     if len(out.shape) != len(shape) or any(
         want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
@@ -67,6 +67,42 @@ def is_whole_number(value) -> bool:
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
+def is_finite(value) -> bool:
+    """Return whether `value` is a number, and one that a float can hold.
+
+    >>> is_finite(1), is_finite(math.nan), is_finite(10**400), is_finite("1")
+    (True, False, False, False)
+    """
+    try:
+        return is_number(value) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def shown(value) -> str:
+    """Return a value as text for a message, at most 80 characters.
+
+    >>> shown("1"), shown(10**400)
+    ("'1'", 'a whole number of more than 300 digits')
+    """
+    if is_whole_number(value) and abs(value) >= 10**300:
+        return "a whole number of more than 300 digits"
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print numbers of more than 4300 digits
+        text = f"a {type(value).__name__} with very long numbers"
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def number_text(value) -> str:
+    """Return a number as text for a message.
+
+    >>> number_text(1.0), number_text(10**400)
+    ('1', 'a whole number of more than 300 digits')
+    """
+    return shown(value) if is_whole_number(value) else f"{value:g}"
+
+
 def check_number(what: str, value, low: float = -math.inf, high: float = math.inf, hint: str = "") -> float:
     """Return `value` as a float.
 
@@ -90,15 +126,15 @@ def check_number(what: str, value, low: float = -math.inf, high: float = math.in
     sonar_gl.core.errors.Error: tvg_k must lie in 0..60 (got 61; usual are 20, 30 and 40)
     """
     if not is_number(value):
-        raise Error(f"{what} must be a number (got {value!r})")
-    if low <= value <= high and math.isfinite(value):  # false for NaN
+        raise Error(f"{what} must be a number (got {shown(value)})")
+    if low <= value <= high and is_finite(value):  # false for NaN
         return float(value)
     bounds = [f"{low:g} or more"] if low > -math.inf else []
     bounds += [f"{high:g} or less"] if high < math.inf else []
     wanted = (
         f"must lie in {low:g}..{high:g}" if len(bounds) == 2 else " and ".join(["must be finite", *bounds])
     )
-    raise Error(f"{what} {wanted} (got {value:g}{hint and f'; {hint}'})")
+    raise Error(f"{what} {wanted} (got {number_text(value)}{hint and f'; {hint}'})")
 
 
 def check_whole_number(what: str, value, low: int = 0, high: int | None = None, hint: str = "") -> int:
@@ -124,7 +160,7 @@ def check_whole_number(what: str, value, low: int = 0, high: int | None = None, 
     if is_whole_number(value) and low <= value and (high is None or value <= high):
         return int(value)
     wanted = f", {low} or more" if high is None else f" in {low}..{high}"
-    raise Error(f"{what} must be a whole number{wanted} (got {value!r}{hint and f'; {hint}'})")
+    raise Error(f"{what} must be a whole number{wanted} (got {shown(value)}{hint and f'; {hint}'})")
 
 
 def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -> str:
@@ -149,5 +185,5 @@ def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -
     """
     if isinstance(value, str) and value in choices:
         return value
-    hint = nearest_names(str(value), choices)
-    raise Error(f"{location}{': ' if location else ''}unknown {kind} (got {value!r}; {hint})")
+    hint = nearest_names(value if isinstance(value, str) else "", choices)
+    raise Error(f"{location}{': ' if location else ''}unknown {kind} (got {shown(value)}; {hint})")

@@ -7,13 +7,29 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 MAX_NAMES = 10  # in a message
+# Characters that a terminal obeys in place of showing them: controls but tab and newline, among them U+009B, which
+# starts escape sequences, and those that turn the direction of the text that follows. Names in files may hold them.
+CONTROLS = {*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)} - set(b"\t\n")
+ESCAPES = {code: ascii(chr(code))[1:-1] for code in CONTROLS}
+
+
+def escape_controls(text: str) -> str:
+    r"""Return a text with the characters that a terminal would obey as escape sequences, like those of `repr`.
+
+    >>> escape_controls("a\u202eb\x9b")
+    'a\\u202eb\\x9b'
+    """
+    return text.translate(ESCAPES)
 
 
 class Error(ValueError):
     """A mistake that the caller can correct.
 
-    The message states what must hold, what was given instead, where, and what to do.
+    The message states what must hold, what was given instead, where, and what to do. It is safe to print.
     """
+
+    def __init__(self, message):
+        super().__init__(escape_controls(str(message)))
 
 
 @contextmanager

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from sonar_gl.core.checks import frozen_array
+from sonar_gl.core.checks import frozen_array, shown
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import read_error_text
+from sonar_gl.core.warn import warn_caller
+
+TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
+MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
 
 
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
@@ -63,23 +71,40 @@ def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
     [1.0, 3.0, 3.0, 1.0]
     """
     numbers = frozen_array([x, y, z, roll, pitch, yaw], np.float64, (6,), "pose x y z roll pitch yaw")
-    if np.abs(numbers[3:]).max() > 2 * np.pi + 1e-6:
+    if np.abs(numbers[3:]).max() > TURN_RAD:
         raise Error(
             f"pose angles must be radians, within ±2π (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; "
             "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
         )
-    (sr, sp, sy), (cr, cp, cy) = np.sin(numbers[3:]), np.cos(numbers[3:])
-    out = np.eye(4)
-    out[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    out[:3, 3] = numbers[:3]
+    out = np.empty((4, 4))
+    _fill_poses(out, numbers)
     return out
 
 
+def _fill_poses(out: np.ndarray, numbers: np.ndarray) -> None:
+    """Write the (..., 4, 4) poses of (..., 6) numbers: x y z roll pitch yaw."""
+    roll_pitch_yaw = numbers[..., 3:]
+    (sr, sp, sy), (cr, cp, cy) = np.sin(roll_pitch_yaw).T, np.cos(roll_pitch_yaw).T
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, numbers[..., 0]),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, numbers[..., 1]),
+        (-sp, cp * sr, cp * cr, numbers[..., 2]),
+        (0.0, 0.0, 0.0, 1.0),
+    )
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            out[..., i, j] = value
+
+
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw")
+BLOCK_LINES = 20_000  # of a CSV file, read at a time
+
+
+class PoseRows(NamedTuple):
+    """Rows of a file of poses: (N, 7) float64 numbers in the order of COLUMNS, and the number of each row's line."""
+
+    numbers: np.ndarray
+    lines: Sequence[int]
 
 
 def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +113,8 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     path : file with seconds, metres and radians. The order of columns is free; other columns and empty lines are
-        ignored
+        ignored. Times do not fall from row to row. Angles lie within ±2π; beyond, each goes on from the row before by
+        less than π, as unwrapped angles do, and there is a warning, since degrees may do so, too
 
     Returns
     -------
@@ -98,46 +124,158 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     Error
-        if a column is missing, a line has too few or too many cells, a cell is not a finite number, an angle looks
-        like degrees, or the file has no pose. The message names file, line and column.
+        if a column is missing, a line has too few or too many cells, a cell is not a finite number, a time is earlier
+        than the one before, an angle looks like degrees, or the file has no pose. The message names file, line and
+        column.
     """
     path = Path(path)
-    times, poses = [], []
+    blocks, last, is_unwrapped = [], None, False
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.reader(file, skipinitialspace=True)
-            columns = None
-            for cells in rows:
-                location = f"{path}: line {rows.line_num}"
-                if not any(cell.strip() for cell in cells):
-                    continue
-                if columns is None:
-                    columns, n_columns = (
-                        _column_indices(location, [cell.strip() for cell in cells]),
-                        len(cells),
-                    )
-                    continue
+            for rows in _read_rows(path, file):
+                is_unwrapped |= _check_rows(path, rows, last, is_unwrapped)
+                blocks.append(rows.numbers)
+                last = rows.numbers[-1]
+    except OSError as why:
+        raise Error(f"{path}: the file of poses must be readable ({read_error_text(why)})") from None
+    except UnicodeDecodeError:
+        raise Error(f"{path}: the file of poses must be text in UTF-8") from None
+    if not blocks:
+        raise Error(f"{path}: must hold at least one pose, under the header {','.join(COLUMNS)} (got none)")
+    count = sum(map(len, blocks))
+    times_s, poses, first = np.empty(count), np.empty((count, 4, 4)), 0
+    while blocks:  # each is released after its use, so that the poses take its place
+        numbers = blocks.pop(0)
+        stop = first + len(numbers)
+        times_s[first:stop] = numbers[:, 0]
+        _fill_poses(poses[first:stop], numbers[:, 1:])
+        first = stop
+    return times_s, poses
+
+
+def _read_rows(path: Path, file: TextIO) -> Iterator[PoseRows]:
+    """Yield the rows of a file of poses in blocks.
+
+    A block of plain numbers is parsed as a whole. From a block with anything else on, such as quotes, or a mistake,
+    cell by cell: that takes ten times as long, and the message can name the cell.
+    """
+    columns, n_columns, n_lines = None, 0, 0
+    while columns is None:
+        rows = csv.reader(file, skipinitialspace=True)
+        cells = _next_cells(path, rows, n_lines)
+        if cells is None:
+            return
+        n_lines += rows.line_num
+        columns = _column_indices(f"{path}: line {n_lines}", [cell.strip() for cell in cells])
+        n_columns = len(cells)
+    while lines := list(islice(file, BLOCK_LINES)):
+        rows = _parse_plain(lines, columns, n_columns, n_lines)
+        if rows is None:
+            yield from _parse_cells(path, chain(lines, file), columns, n_columns, n_lines)
+            return
+        if len(rows.numbers):
+            yield rows
+        n_lines += len(lines)
+
+
+def _next_cells(path: Path, rows, n_lines: int) -> list[str] | None:
+    """Return the cells of the next line that is not empty; None at the end."""
+    try:
+        return next((cells for cells in rows if any(cell.strip() for cell in cells)), None)
+    except csv.Error as why:
+        raise Error(f"{path}: line {n_lines + rows.line_num}: must be CSV ({why})") from None
+
+
+def _parse_plain(lines: list[str], columns: dict[str, int], n_columns: int, n_lines: int) -> PoseRows | None:
+    """Return the rows of lines that hold plain finite numbers; None if there is anything else in them.
+
+    n_lines : number of lines before
+    """
+    numbers_of_lines = range(n_lines + 1, n_lines + 1 + len(lines))
+    n_commas = [line.count(",") for line in lines]
+    if n_commas.count(n_columns - 1) < len(lines):
+        filled = [k for k, line in enumerate(lines) if line.strip(", \t\r\n")]
+        numbers_of_lines, lines = [numbers_of_lines[k] for k in filled], [lines[k] for k in filled]
+        if any(n_commas[k] != n_columns - 1 for k in filled):
+            return None
+    if not lines:
+        return PoseRows(np.empty((0, len(COLUMNS))), ())
+    if any('"' in line for line in lines):
+        return None
+    try:
+        numbers = np.loadtxt(lines, delimiter=",", comments=None, usecols=list(columns.values()), ndmin=2)
+    except ValueError:
+        return None
+    if len(numbers) != len(lines) or not np.isfinite(numbers).all():
+        return None
+    return PoseRows(numbers, numbers_of_lines)
+
+
+def _parse_cells(
+    path: Path, lines: Iterable[str], columns: dict[str, int], n_columns: int, n_lines: int
+) -> Iterator[PoseRows]:
+    """Yield the rows of lines cell by cell; raise an `Error` for the first cell that is wrong, after those before."""
+    rows = csv.reader(lines, skipinitialspace=True)
+    while True:
+        numbers, numbers_of_lines, mistake, is_end = [], [], None, False
+        try:
+            while len(numbers) < BLOCK_LINES and not is_end:
+                cells = _next_cells(path, rows, n_lines)
+                is_end = cells is None
+                if is_end:
+                    break
+                location = f"{path}: line {n_lines + rows.line_num}"
                 if len(cells) != n_columns:
                     raise Error(
                         f"{location}: must have {n_columns} cells, as the header has (got {len(cells)})"
                     )
-                time, *numbers = (_number(location, name, cells[at]) for name, at in columns.items())
-                try:
-                    poses.append(pose(*numbers))
-                except Error as why:
-                    raise Error(f"{location}: {why}") from None
-                times.append(time)
-    except OSError as why:
+                numbers.append([_number(location, name, cells[at]) for name, at in columns.items()])
+                numbers_of_lines.append(n_lines + rows.line_num)
+        except Error as why:
+            mistake = why
+        if numbers:
+            yield PoseRows(np.array(numbers), numbers_of_lines)
+        if mistake is not None:
+            raise mistake
+        if is_end:
+            return
+
+
+def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrapped: bool) -> bool:
+    """Raise an `Error` for the first row whose time falls or whose angles are wrong; return whether any is unwrapped.
+
+    Parameters
+    ----------
+    last : (7,) numbers of the row before, None if there is none
+    is_unwrapped : whether a warning of unwrapped angles was given
+    """
+    numbers = rows.numbers
+    before = np.concatenate([numbers[:1] if last is None else last[None], numbers[:-1]])
+    angles = numbers[:, 4:]
+    is_beyond = (np.abs(angles) > TURN_RAD).any(axis=1)
+    is_jump = (np.abs(angles - before[:, 4:]) >= np.pi).any(axis=1)
+    if last is None:
+        is_jump[0] = True
+    is_wrong = is_beyond & (is_jump | (np.abs(angles) > MAX_UNWRAPPED_RAD).any(axis=1))
+    falls = numbers[:, 0] < before[:, 0]
+    if (wrong := np.flatnonzero(is_wrong | falls)).size:
+        at = wrong[0]
+        location = f"{path}: line {rows.lines[at]}"
+        if falls[at]:
+            got = f"{numbers[at, 0]:g} s after {before[at, 0]:g} s"
+            raise Error(f"{location}, column t: times must not fall (got {got}; sort the rows)")
+        roll, pitch, yaw = angles[at]
         raise Error(
-            f"{path}: the file of poses must be readable ({(why.strerror or str(why)).lower()})"
-        ) from None
-    except UnicodeDecodeError:
-        raise Error(f"{path}: the file of poses must be text in UTF-8") from None
-    except csv.Error as why:
-        raise Error(f"{path}: line {rows.line_num}: must be CSV ({why})") from None
-    if not poses:
-        raise Error(f"{path}: must hold at least one pose, under the header {','.join(COLUMNS)} (got none)")
-    return np.array(times), np.array(poses)
+            f"{location}: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
+            f"to line (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; if these are degrees, multiply by π/180)"
+        )
+    if is_beyond.any() and not is_unwrapped:
+        at = rows.lines[np.flatnonzero(is_beyond)[0]]
+        warn_caller(
+            f"{path}: line {at}: angles go beyond ±2π in small steps, and are taken as unwrapped radians (if they "
+            "are degrees, multiply by π/180)"
+        )
+    return bool(is_beyond.any())
 
 
 def _column_indices(location: str, header: list[str]) -> dict[str, int]:
@@ -148,7 +286,7 @@ def _column_indices(location: str, header: list[str]) -> dict[str, int]:
             what = "more than once" if name in header else "not there"
             raise Error(
                 f"{location}: column {name} is {what}; the first line must name the columns {wanted} "
-                f"(got {','.join(header)!r})"
+                f"(got {shown(','.join(header))})"
             )
     return {name: header.index(name) for name in COLUMNS}
 
@@ -160,5 +298,5 @@ def _number(location: str, name: str, cell: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise Error(f"{location}, column {name}: must be a finite number (got {cell.strip()!r})")
+        raise Error(f"{location}, column {name}: must be a finite number (got {shown(cell.strip())})")
     return number

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import read_error_text
 
 try:
     import tomllib
@@ -28,6 +29,6 @@ def read_toml(path: Path, what: str) -> dict:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as why:
-        raise Error(f"{path}: {what} must be readable ({(why.strerror or str(why)).lower()})") from None
+        raise Error(f"{path}: {what} must be readable ({read_error_text(why)})") from None
     except ValueError as why:  # not TOML (the message names the line), or not UTF-8
         raise Error(f"{path}: {what} must be TOML ({why})") from None

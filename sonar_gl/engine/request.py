@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
@@ -69,5 +69,7 @@ def _names(background) -> tuple[str, ...] | None:
     if background is None:
         return None
     if isinstance(background, str) or not isinstance(background, Iterable):
-        raise Error(f"background must be several names of bodies (got {background!r}; make [name] of one)")
+        raise Error(
+            f"background must be several names of bodies (got {shown(background)}; make [name] of one)"
+        )
     return tuple(str(name) for name in background)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, check_number, is_number
+from sonar_gl.core.checks import check_kind, check_number, is_number, shown
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, nearest_names, other_process_error
 from sonar_gl.core.poses import check_pose
@@ -169,7 +169,9 @@ class World:
         for name, value in changed.items():
             index = self._index_of(name, "names in reflectivity")
             if not (is_number(value) and 0 <= value <= 1):  # NaN too
-                raise Error(f"the reflectivity of body {name!r} must be a number in 0..1 (got {value!r})")
+                raise Error(
+                    f"the reflectivity of body {name!r} must be a number in 0..1 (got {shown(value)})"
+                )
             out[index] = value
         return out
 

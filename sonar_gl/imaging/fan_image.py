@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_whole_number
+from sonar_gl.core.checks import check_choice, check_whole_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
 
@@ -176,8 +176,10 @@ def fan_image(ping: Ping, height: int = 800, scale: str = "db", db_range=(-60.0,
     check_choice("scale of a fan image", scale, ("db", "linear"))
     try:
         low_db, high_db = (float(value) for value in db_range)
-    except (TypeError, ValueError):
-        raise Error(f"db_range must be two numbers, darkest and brightest dB (got {db_range!r})") from None
+    except (TypeError, ValueError, OverflowError):
+        raise Error(
+            f"db_range must be two numbers, darkest and brightest dB (got {shown(db_range)})"
+        ) from None
     if not (math.isfinite(low_db) and math.isfinite(high_db) and low_db < high_db):
         raise Error(
             f"db_range must rise from the darkest to the brightest dB (got {low_db:g} and {high_db:g})"

@@ -16,6 +16,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
 from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error
+from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.sonar import Sonar
@@ -23,6 +24,8 @@ from sonar_gl.sonar.sonar import Sonar
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
 NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in DESCRIBED)
+# (B, K) arrays
+ARRAYS_OF_BINS = "intensity", "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
 
 
 def output_folder(path) -> Path:
@@ -126,28 +129,33 @@ def npz_bytes(ping: Ping) -> bytes:
 def load_npz(path) -> Ping:
     """Return the ping that `save_npz` wrote; its arrays are read-only.
 
-    Raises Error if the file holds no ping. Warns if `meta` describes a sonar or acoustics that cannot be
-    made: the ping then has None in their place.
+    Raises Error if the file holds no ping, or a small file claims arrays of more than 1 GB. Warns if `meta`
+    describes a sonar or acoustics that cannot be made: the ping then has None in their place.
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays, names = read_npz(path, dict.fromkeys(NPZ_FIELDS, "biuf") | {"meta": "U"})
     except OSError as why:
         raise Error(f"cannot read the ping {str(path)!r}: {describe_os_error(why, path)}") from None
-    except Exception:  # NumPy and zipfile raise various ones for bytes that are no archive
-        raise Error(f"cannot read the ping {str(path)!r}: not an NPZ file") from None
+    except Error as why:
+        raise Error(f"cannot read the ping {str(path)!r}: {why}") from None
     missing = [name for name in ("intensity", "azimuth_rad", "range_m") if name not in arrays]
     if missing:
-        raise Error(f"{str(path)!r} holds no ping: it lacks {', '.join(missing)} (got {', '.join(arrays)})")
+        got = ", ".join(names[:20])
+        raise Error(f"{str(path)!r} holds no ping: it lacks {', '.join(missing)} (got {got})")
     shape = (arrays["azimuth_rad"].size, arrays["range_m"].size)
     if arrays["intensity"].shape != shape:
         raise Error(
             f"{str(path)!r}: intensity must be (beams, bins) = {shape} (got {arrays['intensity'].shape})"
         )
-    for array in arrays.values():
+    meta = _parse_meta(path, arrays.pop("meta", np.array("{}")))
+    shapes = dict.fromkeys(ARRAYS_OF_BINS, shape) | {"azimuth_rad": shape[:1], "range_m": shape[1:]}
+    shapes |= {"pose": (4, 4), "error_estimate": (), "body_echo": None}
+    for name, array in arrays.items():
+        if array.shape != shapes[name] and (shapes[name] is not None or array.ndim != 1):
+            wanted = "one number for each body" if shapes[name] is None else f"of shape {shapes[name]}"
+            raise Error(f"{str(path)!r}: {name} must be {wanted} (got shape {array.shape})")
         array.setflags(write=False)
-    meta = json.loads(str(arrays.pop("meta", "{}")))
     if "error_estimate" in arrays:
         arrays["error_estimate"] = float(arrays["error_estimate"])
     described = dict.fromkeys(DESCRIBED)
@@ -156,10 +164,21 @@ def load_npz(path) -> Ping:
             continue
         try:
             described[name] = kind(**meta[name])
-        except (Error, TypeError) as why:
+        except (Error, TypeError) as why:  # TypeError: not the fields of this version, or no object
             what = f"meta describes no {kind.__name__}, so the ping has none"
             warn_caller(f"{str(path)!r}: {what} ({why})")
     return Ping(**{name: arrays[name] for name in NPZ_FIELDS if name in arrays}, meta=meta, **described)
+
+
+def _parse_meta(path: Path, text: np.ndarray) -> dict:
+    """Return the `meta` of a file from its JSON text."""
+    try:
+        meta = json.loads(str(text))
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict):
+        raise Error(f"{str(path)!r}: meta must be JSON, an object (got {str(text)[:40]!r})")
+    return meta
 
 
 def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_number, check_whole_number
+from sonar_gl.core.checks import check_number, check_whole_number, is_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 
@@ -75,7 +75,7 @@ class Noise:
     def __post_init__(self):
         for key in SWITCHES:
             if not isinstance(getattr(self, key), (bool, np.bool_)):
-                raise Error(f"noise: {key} must be True or False (got {getattr(self, key)!r})")
+                raise Error(f"noise: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
             value = getattr(self, key)
             if value is None and key in MAY_BE_NONE:
@@ -86,8 +86,8 @@ class Noise:
             value = getattr(self, key)
             if not self.speckle and value != type(self).__dataclass_fields__[key].default:
                 raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")
-        if isinstance(self.median, bool) or self.median not in (0, 3, 5):
-            raise Error(f"noise: median must be 0, 3 or 5 (got {self.median!r}; 0 is none)")
+        if not is_number(self.median) or self.median not in (0, 3, 5):
+            raise Error(f"noise: median must be 0, 3 or 5 (got {shown(self.median)}; 0 is none)")
 
     @classmethod
     def none(cls) -> Noise:

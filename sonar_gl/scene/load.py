@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.scene import mesh_files, mujoco_model
 from sonar_gl.scene.mujoco_model import convert_mujoco_model, is_mujoco_model
 from sonar_gl.scene.primitives import Shape, transform
@@ -79,6 +80,7 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
+    check_no_link_loop(path)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)
     suffix = path.suffix.lower()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.toml import read_toml
 
@@ -61,7 +62,7 @@ def material(name: str) -> Material:
     """
     known = materials()
     if not isinstance(name, str):
-        raise Error(f"a material must be a name (got {name!r}; such as {next(iter(known))!r})")
+        raise Error(f"a material must be a name (got {shown(name)}; such as {next(iter(known))!r})")
     key = "_".join(name.casefold().replace("-", " ").replace("_", " ").split())
     if key not in known:
         raise Error(f"unknown material (got {name!r}; {nearest_names(key, known)})")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Collection
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -11,12 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import check_is_file
+from sonar_gl.scene.image_files import read_image_file
+from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
-Y_UP_SUFFIXES = (".glb", ".gltf")
+Y_UP_SUFFIXES = BUFFER_SUFFIXES = (".glb", ".gltf")
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-MAX_HEIGHTMAP_PIXELS = 20_000_000
 
 
 class MeshPart(NamedTuple):
@@ -46,51 +49,71 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
     Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
     `size`.
     """
-    import cv2
-
-    if not Path(path).is_file():
-        raise Error(f"{path}: there is no such file")
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise Error(f"{path}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)")
+    image = read_image_file(path, "a height map", "8 or 16 bit PNG, float TIFF")
     if image.ndim == 3:
         image = image[:, :, :3].mean(axis=2) / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1)
     elif image.dtype.kind == "u":
         image = image / np.iinfo(image.dtype).max
     rows, columns = image.shape
-    if min(rows, columns) < 2 or rows * columns > MAX_HEIGHTMAP_PIXELS:
-        raise Error(
-            f"{path}: a height map must have 2 x 2 to {MAX_HEIGHTMAP_PIXELS} pixels (got {columns} x {rows})"
-        )
+    if min(rows, columns) < 2:
+        raise Error(f"{path}: a height map must have 2 x 2 pixels or more (got {columns} x {rows})")
     if not np.isfinite(image).all():
         raise Error(f"{path}: heights must be finite (got NaN or infinity; fill the gaps first)")
     return terrain(image * size[2], size, pos)
 
 
-def read_mesh_parts(path) -> list[MeshPart]:
+def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     """Read every placed geometry of a mesh file, in the file's own axes and in metres.
 
     Only normals that the file itself holds are used. COLLADA's `<unit meter>` is applied and its `<up_axis>`
     is not, as in Gazebo. Degenerate, duplicate, inverted and open triangles stay as they are.
 
+    Parameters
+    ----------
+    path : the file
+    roots : folders in which files may lie that the mesh names, such as a glTF's buffers; by default the mesh's own
+
     Raises
     ------
     Error
-        with the name of the file, if it is missing or unreadable, has no faces (a point cloud), or a vertex
-        is not finite.
+        with the name of the file, if it is missing or unreadable, has no faces (a point cloud), a vertex is not
+        finite, or it names a file that may not be read.
     """
     import trimesh
 
     path = Path(path)
-    if not path.is_file():
-        raise Error(f"{path}: there is no such file")
+    check_is_file(path)
+    has_buffers = path.suffix.lower() in BUFFER_SUFFIXES
+    resolver = MeshBuffers(path, roots or [path.parent]) if has_buffers else NoFiles(path)
     try:
         if path.suffix.lower() == ".dae":
             _refuse_dtd(path)
         with _without_log():
-            scene = trimesh.load(path, force="scene", process=False, skip_materials=True, split_objects=True)
-    except Exception as why:  # trimesh and its parsers raise anything
-        raise Error(f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {why})") from None
+            scene = trimesh.load(
+                path,
+                resolver=resolver,
+                force="scene",
+                process=False,
+                skip_materials=True,
+                split_objects=True,
+            )
+        return _read_parts(scene, path)
+    except Error:
+        raise
+    except (
+        Exception
+    ) as why:  # trimesh and its parsers raise anything, also when what they have read is looked at
+        raise Error(
+            f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {_first_line(why)})"
+        ) from None
+
+
+def _first_line(why: Exception) -> str:
+    return str(why).strip().partition("\n")[0][:200]
+
+
+def _read_parts(scene, path: Path) -> list[MeshPart]:
+    """Return the placed geometries of a trimesh.Scene that was read from a file."""
     parts = []
     for node in scene.graph.nodes_geometry:
         matrix, key = scene.graph[node]
@@ -100,6 +123,10 @@ def read_mesh_parts(path) -> list[MeshPart]:
         # `vertex_normals` computes missing normals; before it is read, only those of the file are in the
         # cache
         normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+        if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3:
+            raise Error(
+                f"{path}: vertices must have x, y and z (got {mesh.vertices.shape} in geometry {key!r})"
+            )
         if not np.isfinite(mesh.vertices).all():
             raise Error(f"{path}: vertices must be finite (got NaN or infinity in geometry {key!r})")
         if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
@@ -113,7 +140,7 @@ def read_mesh_parts(path) -> list[MeshPart]:
     return parts
 
 
-def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
+def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Collection[Path] = ()) -> Shape:
     """Read a mesh file as one shape.
 
     Parameters
@@ -122,6 +149,7 @@ def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
     submesh : name of the node or geometry to read, without regard to case and prefix if none has just
         this name; None reads all
     center : whether to move the centre of the bounding box to the origin
+    roots : as for `read_mesh_parts`
 
     Raises
     ------
@@ -133,7 +161,7 @@ def read_mesh(path, submesh: str | None = None, center: bool = False) -> Shape:
     Convention: the file's own axes, as in Gazebo, even for glTF, which is y-up. A `.glb` loaded on its own as
     a scene is turned to z-up.
     """
-    parts = read_mesh_parts(path)
+    parts = read_mesh_parts(path, roots)
     chosen = [part.shape for part in parts if submesh in (None, part.node, part.geometry)]
     if not chosen:  # exporters add prefixes such as "geom-", and change case
         ending = re.compile(rf"(.*[^a-z0-9])?{re.escape(submesh)}", re.IGNORECASE)

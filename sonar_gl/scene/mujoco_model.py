@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +11,7 @@ import numpy as np
 
 from sonar_gl.core.errors import Error, errors_at, some_names
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.primitives import Shape, make_shape
@@ -88,13 +88,12 @@ def convert_mujoco_model(what, name: str = "scene") -> Scene:
         if any(_material(model, g) is None for g in part.geoms):
             unspecified.append(part.name)
     if unspecified:
-        warnings.warn(
+        warn_caller(
             f"no material of a known name in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
-            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
-            stacklevel=3,
+            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
         )
     if model.nflex or model.nskin:
-        warnings.warn("flexes and skins of the MuJoCo model are left out (they deform)", stacklevel=3)
+        warn_caller("flexes and skins of the MuJoCo model are left out (they deform)")
     carrier = _sonar(model)
     return Scene(bodies, None if carrier is None else _sonar_pose(data, carrier), name)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import Body
 
@@ -108,14 +109,8 @@ def read_image(image) -> np.ndarray:
     """Return (H, W) float64 reflectivity, 0..1, from an array or a path, as `textured` takes them."""
     what = "an image"
     if isinstance(image, (str, Path)):
-        import cv2
-
         what = str(image)
-        if not Path(image).is_file():
-            raise Error(f"{image}: there is no such file")
-        image = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise Error(f"{what}: must be an image that OpenCV reads (such as PNG of 8 or 16 bits)")
+        image = read_image_file(image, "a reflectivity map", "such as PNG of 8 or 16 bits")
     image = np.asarray(image)
     scale = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
     if image.ndim == 3:

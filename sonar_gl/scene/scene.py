@@ -126,7 +126,7 @@ class Body:
         by_name = isinstance(self.reflectivity, str)
         name = self.reflectivity if by_name else self.material
         with errors_at(location):
-            found = material(name) if name else None
+            found = None if name is None else material(name)
         if by_name and self.material not in (None, found.name):
             # `dataclasses.replace` by another material: the lobe of the previous one goes
             self._set("specular", None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from sonar_gl.core.checks import is_number, is_whole_number
+from sonar_gl.core.checks import is_number, is_whole_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.sonar.sonar import Sonar
 
@@ -34,11 +34,11 @@ class Sampling:
 
     def __post_init__(self):
         if not (is_number(self.columns_per_beam) and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM):
-            raise Error(f"columns_per_beam must be a number in 0..1024 (got {self.columns_per_beam!r})")
+            raise Error(f"columns_per_beam must be a number in 0..1024 (got {shown(self.columns_per_beam)})")
         if not (is_whole_number(self.rows) and 1 <= self.rows <= MAX_ROWS):
-            raise Error(f"rows must be a whole number in 1..16000 (got {self.rows!r})")
-        if self.reducer not in REDUCERS:
-            raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {self.reducer!r})")
+            raise Error(f"rows must be a whole number in 1..16000 (got {shown(self.rows)})")
+        if not isinstance(self.reducer, str) or self.reducer not in REDUCERS:
+            raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {shown(self.reducer)})")
 
 
 COARSEST_DEG, LEVELS_PER_HALF = 1.0, 4  # width of samples at level 0; levels that halve it
@@ -60,7 +60,9 @@ def check_tolerance(tolerance) -> float:
         if it lies outside 0.001..0.5.
     """
     if not (is_number(tolerance) and 0.001 <= tolerance <= 0.5):
-        raise Error(f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)")
+        raise Error(
+            f"tolerance must be a number in 0.001..0.5 (got {shown(tolerance)}; 0.01 is one per cent)"
+        )
     return float(tolerance)
 
 

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.checks import check_number, check_whole_number, frozen_array
+from sonar_gl.core.checks import check_number, check_whole_number, frozen_array, is_number, number_text, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.toml import read_toml
 
 PRESETS = Path(__file__).with_name("sonars.toml")
+RANGE_MAX_BOUNDS_M = 1e-3, 1e5
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Sonar:
             ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
             ("beam_width_deg", 1e-3, 180.0, "give degrees"),
             ("range_min_m", 0.0, 1e5, "give metres"),
-            ("range_max_m", 1e-3, 1e5, "give metres"),
+            ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
         ):
             check_number(f"{location}: {key}", getattr(self, key), low, high, hint)
         if self.range_min_m >= self.range_max_m:
@@ -129,11 +131,12 @@ class Sonar:
 
     def with_range(self, range_max_m: float) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size."""
-        if not (math.isfinite(range_max_m) and range_max_m > self.range_min_m):
+        if is_number(range_max_m) and not range_max_m > self.range_min_m:  # also NaN
             raise Error(
                 f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "
-                f"(got {range_max_m:g})"
+                f"(got {number_text(range_max_m)})"
             )
+        check_number(f"sonar {self.name!r}: the range", range_max_m, *RANGE_MAX_BOUNDS_M, "give metres")
         n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
 
@@ -155,13 +158,14 @@ def load_sonar(what: str | Path) -> Sonar:
     256
     """
     if not isinstance(what, (str, Path)):
-        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {what!r})")
+        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
     known = presets()
     text = str(what)
     if isinstance(what, str) and text.casefold() in known:
         return known[text.casefold()]
     stem, mark, table = text.rpartition(".toml#")
     path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
+    check_no_link_loop(path)
     if not path.is_file():
         if isinstance(what, str) and path.name == text and path.suffix != ".toml":
             raise Error(f"unknown sonar (got {text!r}; {nearest_names(text.casefold(), known)})")

@@ -520,8 +520,8 @@ def test_needs_of_outputs_are_checked_before_anything_is_made(tmp_path):
     text = path.read_text()
     path.write_text(text[: text.index("[[poses]]")] + text[text.index("[[vary.bodies]]") :])
     for times, message in (
-        ([0, 1, 1, 0.5, 2], "got 0.5 s after 1 s"),
-        ([-1, 0], "got -1 s after 0 s"),
+        ([0, 1, 1, 0.5, 2], r"poses\[0\]: .*: line 5, column t: times must not fall \(got 0.5 s after 1 s"),
+        ([-1, 0], r"poses\[0\].file must hold times from 0 on, for a bag \(got -1 s"),
         ([2, 2, 3], None),
     ):
         lines = [f"{t},0,0,0,0,0,0" for t in times]
@@ -529,7 +529,7 @@ def test_needs_of_outputs_are_checked_before_anything_is_made(tmp_path):
         if message is None:
             assert len(BatchRequests(read_job(path))) == 3
         else:
-            with pytest.raises(sg.Error, match=rf"^{path}: poses\[0\].file must hold times .*{message}"):
+            with pytest.raises(sg.Error, match=rf"^{path}: {message}"):
                 BatchRequests(read_job(path))
     path.write_text(path.read_text().replace("tank.sdf", "~nobody-of-that-name/tank.sdf"))
     with pytest.raises(sg.Error, match=r"scenes\[0\]: ~nobody-of-that-name/tank.sdf: there is no such file"):

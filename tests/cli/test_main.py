@@ -729,8 +729,8 @@ HEADER = "t,x,y,z,roll,pitch,yaw"
         (f"{HEADER}\n,0,0,0,0,0,0\n", "p.csv: line 2, column t: must be a finite number (got '')"),
         (
             f"{HEADER}\n0,0,0,0,0,0,90\n",
-            "p.csv: line 2: pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; "
-            "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)",
+            "p.csv: line 2: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
+            "to line (got roll pitch yaw = 0 0 90; if these are degrees, multiply by π/180)",
         ),
     ],
 )

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import sonar_gl as sg
 from tests.support import naive, oddities, regimes
@@ -253,3 +254,13 @@ def test_overflow_and_underflow_of_gains(settings):
     assert np.isfinite(ping.intensity).all()
     assert (ping.intensity >= 0).all()
     assert np.isnan(naive.gain_by_factors(5e4, acoustics.absorption(sonar.frequency_hz)))
+
+
+def test_a_plane_seen_edge_on_has_no_negative_echo():
+    """The footprint of a sample on it is far wider than a bin, and differences of its energy are rounded."""
+    corners = [[-1000, 0, -1000], [1000, 0, -1000], [1000, 0, 1000], [-1000, 0, 1000]]
+    plane = sg.Body("plane", trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
+    sonar = sg.load_sonar("p900-45")
+    with sg.Simulator(sg.Scene([plane]), sonar, sg.Acoustics.physical(), sg.Sampling(2.0, 60)) as simulator:
+        ping = simulator.ping(sg.pose(z=-2.0, pitch=0.2), labels=True)
+    assert ping.intensity.min() == 0.0 and ping.body_echo.min() == 0.0

@@ -174,7 +174,7 @@ def test_heightmap_errors(tmp_path):
         f"{text}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)"
     )
     assert error_message(mesh_files.heightmap, dot) == (
-        f"{dot}: a height map must have 2 x 2 to 20000000 pixels (got 5 x 1)"
+        f"{dot}: a height map must have 2 x 2 pixels or more (got 5 x 1)"
     )
     assert error_message(mesh_files.heightmap, gap) == (
         f"{gap}: heights must be finite (got NaN or infinity; fill the gaps first)"

@@ -1140,7 +1140,7 @@ def test_a_shape_with_a_map_beside_one_without(read, tmp_path):
         ("<sonar_gl:roughness>9</sonar_gl:roughness>", "/sonar_gl:roughness: must lie in 0.01..0.5 (got 9)"),
         (
             "<sonar_gl:reflectivity_map>a.sdf</sonar_gl:reflectivity_map>",
-            "/sonar_gl:reflectivity_map: a.sdf: must be an image that OpenCV reads",
+            "/sonar_gl:reflectivity_map: a.sdf: a reflectivity map must be an image that OpenCV reads",
         ),
         ("<sonar_gl:reflectivity_map>b.png</sonar_gl:reflectivity_map>", "models or files are missing:"),
         ("<sonar_gl:reflectivity_map/>", "/sonar_gl:reflectivity_map: must name a file or a model (got '')"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.poses import pose
 
@@ -28,9 +29,9 @@ def read_numbers(element, location: str, count: int, positive: bool = False) -> 
     try:
         out = np.array([float(word) for word in text.split()])
     except ValueError:
-        raise Error(f"{location}: {wanted} (got {text!r})") from None
+        raise Error(f"{location}: {wanted} (got {shown(text)})") from None
     if len(out) != count or not np.isfinite(out).all() or (positive and out.min() <= 0):
-        raise Error(f"{location}: {wanted} (got {text!r})")
+        raise Error(f"{location}: {wanted} (got {shown(text)})")
     return out
 
 
@@ -42,7 +43,7 @@ def read_pose(element, location: str) -> np.ndarray:
         values = read_numbers(element, location, 7)
         length = np.linalg.norm(values[3:])
         if length < 1e-6:
-            raise Error(f"{location}: a quaternion must not be zero (got {element.text.strip()!r})")
+            raise Error(f"{location}: a quaternion must not be zero (got {shown(element.text.strip())})")
         x, y, z, w = values[3:] / length
         out = np.eye(4)
         out[:3, 3] = values[:3]
@@ -57,7 +58,7 @@ def read_pose(element, location: str) -> np.ndarray:
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
     if np.abs(values[3:]).max() > MAX_ANGLE_RAD:
         raise Error(
-            f"{location}: angles must be radians, within ±2.5π (got {element.text.strip()!r}; "
+            f"{location}: angles must be radians, within ±2.5π (got {shown(element.text.strip())}; "
             'if they are degrees, write <pose degrees="true">)'
         )
     return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from sonar_gl.core.errors import Error, errors_at, some_names
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
@@ -96,7 +96,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         files = ", ".join(
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
         )
-        warnings.warn(f"{path}: broken XML, read as Gazebo reads it: {files}", stacklevel=2)
+        warn_caller(f"{path}: broken XML, read as Gazebo reads it: {files}")
     left_out, height_m = _read_water(links, resources)
     said = []
     if left_out:
@@ -105,7 +105,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
     if said:
-        warnings.warn(f"{path}: {'; '.join(said)}", stacklevel=2)
+        warn_caller(f"{path}: {'; '.join(said)}")
     missing, unsupported = resources.missing(path), resources.unsupported()
     if missing or unsupported:
         message = "\n".join(filter(None, (missing, unsupported)))
@@ -116,21 +116,19 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             )
         without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
         without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
-        warnings.warn(f"{path}: read without {', and without '.join(without)}", stacklevel=2)
+        warn_caller(f"{path}: read without {', and without '.join(without)}")
     if unspecified:
-        warnings.warn(
+        warn_caller(
             f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
-            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}",
-            stacklevel=2,
+            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
         )
     if saturated:
-        warnings.warn(
+        warn_caller(
             f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
-            f"({some_names(saturated)}); their reflectivity is taken as 1",
-            stacklevel=2,
+            f"({some_names(saturated)}); their reflectivity is taken as 1"
         )
     if changed:
-        warnings.warn(f"{path}: {'; '.join(changed)}", stacklevel=2)
+        warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)
     with errors_at(str(path)):
         return Scene(

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 from xml.parsers import expat
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import LINK_LOOP, is_link_loop
 from sonar_gl.scene.sdf.extensions import declare_namespace
 
 MAX_XML_BYTES = 50_000_000
@@ -66,12 +67,14 @@ class Resources:
             resource_paths = [resource_paths]
         roots = [Path(p) for p in resource_paths]
         for root in roots:
+            if is_link_loop(root):
+                raise Error(f"resource path {str(root)!r} must be a folder (got {LINK_LOOP})")
             if not root.is_dir():
                 raise Error(f"resource path {str(root)!r} must be a folder (there is none of that name)")
-        for key in SEARCH_PATHS:
-            roots += [Path(p) for p in os.environ.get(key, "").split(os.pathsep) if p]
+        named = [Path(p) for key in SEARCH_PATHS for p in os.environ.get(key, "").split(os.pathsep) if p]
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        roots += [Path(prefix, "share") for prefix in prefixes if prefix]
+        named += [Path(prefix, "share") for prefix in prefixes if prefix]
+        roots += [root for root in named if not is_link_loop(root)]  # nor is a missing folder an error
         folder = scene_path.parent.resolve()
         own_package = [one for one in (folder, *folder.parents) if (one / PACKAGE_FILE).is_file()]
         self.roots = list(dict.fromkeys([*(root.resolve() for root in roots), folder, *own_package[:1]]))
@@ -183,12 +186,15 @@ class Resources:
             candidates += [root / tail for root in self.roots if scheme and root.name == head]
         candidates = list(dict.fromkeys(candidates))
         try:
+            if loop := next(filter(is_link_loop, candidates), None):
+                raise Error(f"{location}: {uri!r} must be a path (got {LINK_LOOP} at {loop})")
             inside = [c for c in candidates if self._is_inside(c)]
             found = next((c for c in inside if c.exists()), None)
             outside = [c for c in candidates if c not in inside]
             escapes = found is None and outside and (not inside or any(c.exists() for c in outside))
-        except (OSError, RuntimeError, ValueError) as why:
-            # a name that is too long, or a cycle of symbolic links
+        except Error:
+            raise
+        except (OSError, ValueError) as why:  # a name that is too long, or with a null character
             raise Error(f"{location}: {uri!r} must be a path ({why})") from None
         if escapes:
             raise Error(
@@ -336,6 +342,8 @@ class Resources:
             locations.append(location)
 
     def _is_inside(self, path: Path) -> bool:
+        if is_link_loop(path):
+            return False  # before Python 3.13, `resolve` raises a RuntimeError
         return any(path.resolve().is_relative_to(root) for root in self.roots)
 
 

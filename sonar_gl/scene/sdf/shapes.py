@@ -249,7 +249,9 @@ class BodyReader:
         key = (path, shape.findtext("submesh/name"), (shape.findtext("submesh/center") or "").strip())
         with errors_at(location):
             if key not in self._meshes:
-                self._meshes[key] = mesh_files.read_mesh(path, key[1], key[2] in ("true", "1"))
+                self._meshes[key] = mesh_files.read_mesh(
+                    path, key[1], key[2] in ("true", "1"), self.resources.roots
+                )
             return primitives.transform(self._meshes[key], np.diag([*scale, 1.0]))
 
 

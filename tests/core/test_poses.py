@@ -1,0 +1,139 @@
+"""Files of poses: both ways of parsing, and what is refused."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sonar_gl.core import poses as module
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose, read_poses
+
+HEADER = "t,x,y,z,roll,pitch,yaw"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """A function that reads a table of these lines; warnings are errors."""
+
+    def read(*lines, header=HEADER, ending="\n"):
+        (tmp_path / "p.csv").write_bytes(ending.join((header, *lines, "")).encode())
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return read_poses(tmp_path / "p.csv")
+
+    return read
+
+
+@pytest.fixture
+def message(read, tmp_path):
+    """A function that returns the message about a table, after the name of the file."""
+
+    def message(*lines, **options):
+        with pytest.raises(Error) as caught:
+            read(*lines, **options)
+        return str(caught.value).removeprefix(f"{tmp_path / 'p.csv'}: ")
+
+    return message
+
+
+def random_rows(count):
+    rng = np.random.default_rng(0)
+    places, angles = rng.normal(0, 100, (count, 3)), rng.uniform(-2 * np.pi, 2 * np.pi, (count, 3))
+    return np.column_stack([np.sort(rng.uniform(0, 9, count)), places, angles])
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        repr,
+        lambda x: f" {x!r} ",
+        lambda x: f'"{x!r}"',
+        lambda x: f"{x!r}".replace("1", "\N{FULLWIDTH DIGIT ONE}"),
+    ],
+    ids=["plain", "spaces", "quotes", "digits"],
+)
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+def test_numbers_are_those_of_the_file(read, monkeypatch, cell, ending):
+    monkeypatch.setattr(module, "BLOCK_LINES", 7)
+    rows = random_rows(50)
+    lines = [",".join(map(cell, row)) for row in rows.tolist()]
+    lines[20:20] = ["", ",,,,,,", "  "]
+    times_s, poses = read(*lines, ending=ending)
+    np.testing.assert_array_equal(times_s, rows[:, 0])
+    np.testing.assert_array_equal(poses, [pose(*row[1:]) for row in rows])
+
+
+def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
+    """That takes ten times as long."""
+    monkeypatch.setattr(module, "_number", None)
+    rows = random_rows(50)
+    times_s, _ = read("", *(",".join(map(repr, row)) for row in rows.tolist()), "")
+    np.testing.assert_array_equal(times_s, rows[:, 0])
+    with pytest.raises(TypeError):
+        read('"0",0,0,0,0,0,0')
+
+
+@pytest.mark.parametrize("odd", ["", '"0",0,0,0,0,0,0'], ids=["plain", "cell by cell"])
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("9,1,2,3,4,5", "line 33: must have 7 cells, as the header has (got 6)"),
+        ("9,1,2,3,4,5,6,7", "line 33: must have 7 cells, as the header has (got 8)"),
+        ("9,1,2,up,0,0,0", "line 33, column z: must be a finite number (got 'up')"),
+        ("9,1,2,inf,0,0,0", "line 33, column z: must be a finite number (got 'inf')"),
+        ("9,1,2,1e999,0,0,0", "line 33, column z: must be a finite number (got '1e999')"),
+        ("4.5,0,0,0,0,0,0", "line 33, column t: times must not fall (got 4.5 s after 30 s; sort the rows)"),
+        (
+            "40,0,0,0,0,0,90",
+            "line 33: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line to line "
+            "(got roll pitch yaw = 0 0 90; if these are degrees, multiply by π/180)",
+        ),
+    ],
+)
+@pytest.mark.parametrize("block", [4, 1000])
+def test_the_first_mistake_is_named_by_its_line(message, monkeypatch, odd, line, words, block):
+    monkeypatch.setattr(module, "BLOCK_LINES", block)
+    lines = [odd, *(f"{t},0,0,0,0,0,0" for t in range(1, 31)), line, "50,what,0,0,0,0,0", "1,0,0,0,0,0,99"]
+    assert message(*lines) == words
+
+
+def test_times_may_be_equal(read):
+    assert read("1,0,0,0,0,0,0", "1,1,0,0,0,0,0")[0].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("block", [5, 1000])
+def test_unwrapped_angles_are_those_wrapped(tmp_path, monkeypatch, column, block):
+    monkeypatch.setattr(module, "BLOCK_LINES", block)
+    angles = np.zeros((40, 3))
+    angles[:, column] = -3.1 * np.arange(40)
+    path = tmp_path / "p.csv"
+    path.write_text(
+        "\n".join([HEADER, *(f"{k},0,0,0,{r},{p},{y}" for k, (r, p, y) in enumerate(angles.tolist()))])
+    )
+    with pytest.warns(UserWarning) as caught:
+        _, poses = read_poses(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: line 5: angles go beyond ±2π in small steps, and are taken as unwrapped radians (if they are "
+        "degrees, multiply by π/180)"
+    ]
+    wrapped = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+    # 120 radians are rounded to 1e-14
+    np.testing.assert_allclose(poses, [pose(0, 0, 0, *row) for row in wrapped], rtol=0, atol=5e-14)
+
+
+@pytest.mark.parametrize(
+    "yaws",
+    [(7.0, 7.1), (0.0, 6.2, 9.4), (0.0, 6.2, 7.0, 4.0, 7.2), (6.0, 9.0, -9.0)],
+    ids=["first", "jump by 3.2", "jump back", "jump to the other side"],
+)
+def test_angles_beyond_a_turn_that_are_no_steps_are_refused(message, yaws):
+    text = message(*(f"{k},0,0,0,0,0,{yaw}" for k, yaw in enumerate(yaws)))
+    assert "pose angles must be radians, within ±2π or unwrapped" in text
+
+
+def test_angles_of_too_many_turns_are_refused(message, monkeypatch):
+    monkeypatch.setattr(module, "MAX_UNWRAPPED_RAD", 20.0)
+    text = message(*(f"{k},0,0,0,0,0,{3 * k}" for k in range(10)))
+    assert text.startswith("line 9: pose angles must be radians") and "yaw = 0 0 21;" in text

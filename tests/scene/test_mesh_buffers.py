@@ -1,0 +1,144 @@
+"""glTF buffers: which files a mesh may name."""
+
+import json
+import os
+import re
+import threading
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error
+from sonar_gl.scene import mesh_files
+from sonar_gl.scene.mesh_buffers import MAX_BUFFER_BYTES
+
+TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+SCENE = """<sdf version='1.9'><model name='m'><link name='l'><collision name='c'><geometry><mesh>
+<uri>{}</uri></mesh></geometry><laser_retro>255</laser_retro></collision></link></model></sdf>"""
+
+
+def write_gltf(path, uri, n_bytes=TRIANGLE.nbytes):
+    """Write a glTF of one triangle, whose vertices are the first bytes of its buffer."""
+    view = {"buffer": 0, "byteOffset": 0, "byteLength": TRIANGLE.nbytes}
+    content = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 4}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [view],
+        "buffers": [{"uri": uri, "byteLength": n_bytes}],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """A file outside of the mesh's folder that would be a valid buffer."""
+    path = tmp_path / "out" / "secret.bin"
+    path.parent.mkdir()
+    path.write_bytes(TRIANGLE.tobytes())
+    return path
+
+
+def outside(tmp_path, secret, kind):
+    """Return the URI by which a mesh in tmp_path/in leads to the secret."""
+    folder = tmp_path / "in"
+    folder.mkdir(exist_ok=True)
+    if kind == "link":
+        (folder / "link.bin").symlink_to(secret)
+    if kind == "linked folder":
+        (folder / "linked").symlink_to(secret.parent)
+    return {
+        "absolute": str(secret),
+        "parent": "../out/secret.bin",
+        "quoted": "%2e%2e/out/secret.bin",
+        "link": "link.bin",
+        "linked folder": "linked/secret.bin",
+    }[kind]
+
+
+@pytest.mark.parametrize("suffix", ["bin", "bytes of a mesh.bin"])
+@pytest.mark.parametrize("quoted", [False, True])
+def test_a_buffer_in_the_folder_is_read(tmp_path, suffix, quoted):
+    name = f"a {suffix}"
+    (tmp_path / "in" / "parts").mkdir(parents=True)
+    (tmp_path / "in" / "parts" / name).write_bytes(TRIANGLE.tobytes())
+    uri = f"parts/{name}".replace(" ", "%20") if quoted else f"parts/{name}"
+    mesh, _ = mesh_files.read_mesh(write_gltf(tmp_path / "in" / "a.gltf", uri))
+    np.testing.assert_array_equal(mesh.vertices, TRIANGLE)
+
+
+@pytest.mark.parametrize("kind", ["absolute", "parent", "quoted", "link", "linked folder"])
+def test_a_buffer_outside_of_the_folder_is_refused(tmp_path, secret, kind):
+    uri = outside(tmp_path, secret, kind)
+    path = write_gltf(tmp_path / "in" / "a.gltf", uri)
+    with pytest.raises(Error) as caught:
+        sg.load_scene(path)
+    assert str(caught.value) == (
+        f"{path}: the URI {uri!r} must name a file in the mesh's folder (it leads to {secret}; put it there)"
+    )
+
+
+@pytest.mark.parametrize("kind", ["absolute", "parent", "quoted", "link", "linked folder"])
+def test_a_mesh_of_an_sdf_scene_reads_only_the_resource_paths(tmp_path, secret, kind):
+    uri = outside(tmp_path, secret, kind)
+    write_gltf(tmp_path / "in" / "a.gltf", uri)
+    scene = tmp_path / "in" / "a.sdf"
+    scene.write_text(SCENE.format("a.gltf"))
+    with pytest.raises(Error, match=re.escape(f"the URI {uri!r} must name a file in the mesh's folder")):
+        sg.load_scene(scene)
+    (body,) = sg.load_scene(scene, resource_paths=[tmp_path / "out"]).bodies
+    np.testing.assert_array_equal(body.surface.vertices, TRIANGLE)
+
+
+def test_a_buffer_that_is_a_pipe_is_refused_at_once(tmp_path):
+    path = write_gltf(tmp_path / "a.gltf", "pipe.bin")
+    os.mkfifo(tmp_path / "pipe.bin")
+    # whoever opens the pipe gets an end of file after some seconds, and fails
+    ends = [os.open(tmp_path / "pipe.bin", os.O_RDWR | os.O_NONBLOCK)]
+    timer = threading.Timer(3.0, lambda: os.close(ends.pop()))
+    timer.start()
+    with pytest.raises(Error) as caught:
+        sg.load_scene(path)
+    timer.cancel()
+    timer.join()
+    os.close(ends.pop())
+    assert str(caught.value) == (
+        f"{path}: the URI 'pipe.bin' must name a regular file (got a folder or device at {tmp_path}/pipe.bin)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("uri", "words"),
+    [
+        ("none.bin", "the URI 'none.bin' must name a file (there is none at "),
+        ("folder", "the URI 'folder' must name a regular file (got a folder or device at "),
+        ("loop.bin", "the URI 'loop.bin' must name a file (got a loop of symbolic links)"),
+        ("a\0b", r"the URI 'a\x00b' must name a file that can be read ("),
+        ("x" * 5000, "' must name a file that can be read ("),
+        ("large.bin", "the URI 'large.bin' must name a file of 1000 MB or less (got 1000 MB)"),
+    ],
+)
+def test_other_buffers_that_cannot_be_read(tmp_path, uri, words):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop.bin").symlink_to(tmp_path / "loop.bin")
+    with open(tmp_path / "large.bin", "wb") as file:
+        file.truncate(MAX_BUFFER_BYTES + 1)  # takes no room on the disk
+    path = write_gltf(tmp_path / "a.gltf", uri)
+    with pytest.raises(Error) as caught:
+        sg.load_scene(path)
+    assert str(caught.value).startswith(f"{path}: ") and words in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_materials_are_not_opened(tmp_path):
+    """Materials of COLLADA would be read and decoded, and have no acoustic meaning."""
+    os.mkfifo(tmp_path / "pipe")
+    text = "mtllib pipe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    assert len(sg.load_scene(tmp_path / "a.obj").bodies[0].surface.faces) == 1
