@@ -257,7 +257,6 @@ def _load_noise(job: Job) -> Noise:
     preset = settings.pop("preset", "none")
     if not isinstance(preset, str) or preset not in NOISE_PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
-    build(Noise, settings, where)  # with unknown keys named before the preset's are added
     return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
 
 

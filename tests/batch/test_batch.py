@@ -72,6 +72,13 @@ def pings(small, requests):
     return out
 
 
+def test_a_preset_of_noise_with_settings_that_need_it(tmp_path):
+    """The number of looks needs speckle, which the preset has."""
+    path = write_job(tmp_path, 2, "")
+    path.write_text(path.read_text().replace('preset = "physical"', 'preset = "physical"\nlooks = 2'))
+    assert BatchRequests(read_job(path)).noise == replace(sg.Noise.physical(), looks=2)
+
+
 @pytest.mark.parametrize("sonar", ["level", "upright"])
 def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
