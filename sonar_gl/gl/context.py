@@ -158,6 +158,7 @@ def make_context(loader) -> moderngl.Context:
 
 @_preserve_default_context()
 def egl_context(index: int | None) -> moderngl.Context:
+    egl.process_contexts.use()
     settings = {"mode": "standalone", "glversion": REQUIRED_GL, **LIBRARIES}
     if index is None:  # glcontext's own choice
         native = glcontext.get_backend_by_name("egl")(**settings)

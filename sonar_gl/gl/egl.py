@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import secrets
 from contextlib import contextmanager
 from functools import cache
@@ -33,6 +34,11 @@ TAKEN = (
 LOST = (
     "the driver must keep the sonar's OpenGL context (got a lost one, as after a reset of the graphics card; make a "
     "new Simulator)"
+)
+FORKED = (
+    "a process must make its OpenGL contexts where its parent had none before the fork (got a fork of a process with "
+    "a context, whose driver's threads it lacks); start processes by multiprocessing.get_context('spawn'), or by "
+    "DataLoader(..., multiprocessing_context='spawn')"
 )
 POINTER = ctypes.c_void_p
 # The result first, then the arguments: p is a pointer, i an int, s a string.
@@ -105,6 +111,30 @@ def preserve_current():
         if before or (now := current()):
             make_current(before or Binding(now.display))
         pause.end()
+
+
+class ProcessContexts:
+    """Whether OpenGL was used in this process, and in one that it was forked from.
+
+    Drivers keep threads and locks that a fork does not copy; a context made there would hang.
+    """
+
+    def __init__(self):
+        self._is_used, self._was_used_before_fork = False, False
+
+    def use(self) -> None:
+        """Record that a context is about to be made; raise an Error if that would hang."""
+        if self._was_used_before_fork:
+            raise Error(FORKED)
+        self._is_used = True
+
+    def fork(self) -> None:
+        """Note in a forked process what its parent did."""
+        self._was_used_before_fork = self._is_used
+
+
+process_contexts = ProcessContexts()
+os.register_at_fork(after_in_child=process_contexts.fork)
 
 
 class EglContext:

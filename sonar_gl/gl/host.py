@@ -84,6 +84,7 @@ class CurrentContext:
         self.handle = self._get_current and self._get_current()
         if not self.handle:
             raise Error(NONE_CURRENT.format(thread=self.thread.name))
+        egl.process_contexts.use()
         get_address = library.eglGetProcAddress if self.by_egl else library.glXGetProcAddressARB
         self.address_of = lambda name: get_address(name.encode()) or 0
         self.gl = Functions(self.address_of)

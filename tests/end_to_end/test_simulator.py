@@ -3,12 +3,15 @@
 import gc
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
 import warnings
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
 
+ROOT = Path(__file__).resolve().parents[2]
 BOX = sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2, 0), 0.8)
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -215,7 +219,9 @@ def test_another_context_made_current_in_the_middle_of_a_ping_raises_an_error(ho
         expected = it.ping(np.eye(4)).intensity
         with monkeypatch.context() as patch:
             dropping_in_the_middle(patch, it, lambda: egl.make_current(theirs))
-            with pytest.raises(sg.Error, match="must stay current while it draws \\(got another one; a signal"):
+            with pytest.raises(
+                sg.Error, match="must stay current while it draws \\(got another one; a signal"
+            ):
                 it.ping(np.eye(4))
         with monkeypatch.context() as patch:
             dropping_in_the_middle(patch, it, lambda: egl.make_current(egl.Binding(theirs.display)))
@@ -468,6 +474,46 @@ def test_a_simulator_in_a_forked_process_raises_an_error():
         os.waitpid(child, 0)
         np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
     assert message == "a Simulator must be used in the process that made it; make one in each process"
+
+
+MAKE_IN_FORK = """
+import os, signal, sys
+import numpy as np
+import sonar_gl as sg
+from tests.end_to_end.test_simulator import simulator
+
+def make_in_fork():
+    read, write = os.pipe()
+    if (child := os.fork()) == 0:
+        signal.alarm(60)
+        try:
+            with simulator() as it:
+                reply = f"an echo of {it.ping(np.eye(4)).intensity.sum():.6g}"
+        except sg.Error as why:
+            reply = str(why)
+        os.write(write, reply.encode())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        return pipe.read() or f"signal {os.waitpid(child, 0)[1]}"
+
+early = make_in_fork()
+with simulator() as it:
+    here = f"an echo of {it.ping(np.eye(4)).intensity.sum():.6g}"
+print(early == here)
+print(make_in_fork())
+"""
+
+
+def test_a_process_forked_after_a_context_was_made_makes_no_other():
+    """It would hang: the driver's threads are the parent's. One forked before makes its own."""
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", MAKE_IN_FORK],
+        capture_output=True, text=True, timeout=150, cwd=ROOT,
+    )  # fmt: skip
+    early, late = run.stdout.splitlines()
+    assert early == "True", run.stderr
+    assert "whose driver's threads it lacks); start processes by multiprocessing.get_context('spawn')" in late
 
 
 def test_pings_do_not_share_mutable_state():
