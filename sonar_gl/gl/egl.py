@@ -150,6 +150,7 @@ class EglContext:
 
     Attributes
     ----------
+    gl : Functions
     is_gone : whether a `with` block has found that the context was destroyed by others
     """
 
@@ -158,9 +159,9 @@ class EglContext:
         self.load_opengl_function = lambda name: egl.eglGetProcAddress(name.encode()) or 0
         self.binding, self.destroy = binding, destroy
         self._before, self.is_gone = [], False
-        self._gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
+        self.gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
         # A random mark tells this context from a later one at the same address.
-        self._gl.glSampleMaski(0, secrets.randbelow(NO_MARK))
+        self.gl.glSampleMaski(0, secrets.randbelow(NO_MARK))
         self._mark = self._read_mark()
 
     def __enter__(self):
@@ -190,7 +191,7 @@ class EglContext:
 
     def _read_mark(self) -> int:
         self._found.value = NO_MARK  # stays, if no context is current, or a lost one
-        self._gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
+        self.gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
         return self._found.value
 
     def is_in_reach(self) -> bool:
