@@ -8,11 +8,9 @@ from sonar_gl.core.errors import Error
 from sonar_gl.gl import egl
 
 OUT_OF_MEMORY, CONTEXT_LOST = 0x0505, 0x0507
-# Free memory of the graphics card, kB. NVIDIA's: of the card; AMD's: of renderbuffers, the first of four numbers.
-FREE_MEMORY = {
-    "GL_NVX_gpu_memory_info": (0x9049, 1),
-    "GL_ATI_meminfo": (0x87FD, 4),
-}
+# Free kB: of the graphics card and of the main memory that it may use, each followed by the largest block (Mesa, AMD);
+# of the card alone (NVIDIA)
+ATI_FREE, NVX_FREE = 0x87FD, 0x9049
 ROBUST = {"GL_KHR_robustness", "GL_ARB_robustness"}
 COARSER = "ask for a larger tolerance or fewer samples"
 
@@ -24,11 +22,15 @@ def side_limit(context: moderngl.Context) -> int:
 
 
 def free_bytes(context: moderngl.Context) -> int | None:
-    """Return the free memory of the graphics card, or None if the driver does not tell."""
-    for extension, (name, count) in FREE_MEMORY.items():
-        if extension in context.extensions:
-            return 1024 * int(context.extra.gl.integers(name, count)[0])
-    return None
+    """Return the free memory that the graphics card may use, or None if the driver does not tell."""
+    gl = context.extra.gl
+    if "GL_ATI_meminfo" in context.extensions:
+        kilobytes = gl.integers(ATI_FREE, 4)[::2]
+    elif "GL_NVX_gpu_memory_info" in context.extensions:
+        kilobytes = gl.integers(NVX_FREE, 1)
+    else:
+        return None
+    return 1024 * sum(map(int, kilobytes)) or None  # some say 0 where they do not know
 
 
 def check_room(context: moderngl.Context, n_bytes: int, what: str) -> None:

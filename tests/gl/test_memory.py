@@ -45,7 +45,8 @@ def test_the_least_limit_bounds_a_framebuffer(limit, expected):
     "extension, numbers",
     [
         ("GL_NVX_gpu_memory_info", {(0x9049, 1): [5000]}),
-        ("GL_ATI_meminfo", {(0x87FD, 4): [5000, 4000, 1, 1]}),
+        ("GL_ATI_meminfo", {(0x87FD, 4): [4000, 3000, 1000, 900]}),
+        ("GL_ATI_meminfo", {(0x87FD, 4): [0, 0, 5000, 5000]}),  # llvmpipe, which has no card
     ],
 )
 def test_samples_must_fit_the_free_memory(extension, numbers):
@@ -58,9 +59,10 @@ def test_samples_must_fit_the_free_memory(extension, numbers):
         memory.check_room(driver, 10_000_000, "samples")
 
 
-def test_a_driver_that_does_not_tell_its_memory_is_not_asked():
-    assert memory.free_bytes(Driver()) is None
-    memory.check_room(Driver(), 1 << 60, "samples")
+@pytest.mark.parametrize("driver", [Driver(), Driver(["GL_NVX_gpu_memory_info"], numbers={(0x9049, 1): [0]})])
+def test_a_driver_that_does_not_tell_its_memory_is_not_believed_to_lack_it(driver):
+    assert memory.free_bytes(driver) is None
+    memory.check_room(driver, 1 << 60, "samples")
 
 
 @pytest.mark.parametrize(
