@@ -65,6 +65,7 @@ def test_gbuffer_of_a_slanted_plane_is_exact():
         assert (buffer.body_id[hit] == 1).all()
 
 
+@pytest.mark.usefixtures("opengl_for_pyrender")
 def test_depth_agrees_with_pyrender():
     """An independent renderer draws the pylon scene from the sonar's pose."""
     pyrender = import_pyrender()
