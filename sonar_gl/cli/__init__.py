@@ -8,5 +8,15 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submodules=["batch", "doctor", "listings", "plan", "render", "system_checks", "verify", "warm_up_batch"],
+    submodules=[
+        "batch",
+        "doctor",
+        "driver_report",
+        "listings",
+        "plan",
+        "render",
+        "system_checks",
+        "verify",
+        "warm_up_batch",
+    ],
 )

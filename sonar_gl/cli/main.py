@@ -9,6 +9,7 @@ import errno
 import json
 import sys
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -242,8 +243,16 @@ def sonars():
 @main.command(
     epilog="Example: sonar-gl doctor", short_help="Check the installation, and compile what is needed."
 )
+@click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
+    "scenes, to send it in.",
+)
 @click.pass_context
-def doctor(ctx):
+def doctor(ctx, report_path):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
@@ -251,4 +260,7 @@ def doctor(ctx):
     """
     found = cli.doctor.examine()
     click.echo(cli.doctor.report_text(found))
+    if report_path is not None:
+        cli.doctor.write_report(report_path, found)
+        click.echo(f"wrote {report_path}")
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)

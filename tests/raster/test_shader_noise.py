@@ -1,26 +1,13 @@
 """Drivers compute the reciprocal in gl_FragCoord.w to some units in the last place, each lane on its own."""
 
-import shutil
-
 import numpy as np
 import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.engine import world
+from tests.support.noisy_shaders import noisy_shaders
 
-EXACT = "float depth_inverse = gl_FragCoord.w;"
-NOISY = "float depth_inverse = gl_FragCoord.w * (1.0 + noise() * ULPS / 16777216.0);"
-# even in -1..1, by an integer hash of the pixel
-NOISE = """float noise()
-{
-    uvec2 pixel = uvec2(gl_FragCoord.xy);
-    uint h = pixel.x * 1664525u + pixel.y * 22695477u + 1013904223u;
-    h ^= h >> 16; h *= 0x7feb352du; h ^= h >> 15; h *= 0x846ca68bu; h ^= h >> 16;
-    return float(h) / 2147483648.0 - 1.0;
-}
-
-void main()"""
 ULPS = 8  # a sloppy reciprocal: OpenGL demands 2.5 of division, and w is the reciprocal of an interpolated reciprocal
 # 8 units are 5 µm at 10 m: an even footprint of a bin's length (8 mm) loses 6e-4 of its echo to the next bin or gains
 # as much, and a bin has several dozens of footprints, whose noise is independent: 6e-4 / sqrt(36).
@@ -46,13 +33,8 @@ def labelled_ping(name, sampling, folder, monkeypatch):
     "name, sampling", [("pylon", sg.Sampling(0.6, 68)), ("diver", sg.Sampling(1.2, 136))]
 )
 def test_noise_of_8_units_in_the_last_place_leaves_echo_and_labels(tmp_path, monkeypatch, name, sampling):
-    exact, noisy = data_folder("shaders"), tmp_path / "shaders"
-    shutil.copytree(exact, noisy)
-    text = (exact / "gbuffer.frag").read_text()
-    assert text.count(EXACT) == text.count("void main()") == 1
-    text = text.replace("void main()", NOISE).replace(EXACT, NOISY.replace("ULPS", f"{ULPS}.0"))
-    (noisy / "gbuffer.frag").write_text(text)
-    expected, got = (labelled_ping(name, sampling, folder, monkeypatch) for folder in (exact, noisy))
+    folders = data_folder("shaders"), noisy_shaders(tmp_path, ULPS)
+    expected, got = (labelled_ping(name, sampling, folder, monkeypatch) for folder in folders)
     difference = np.abs(got.intensity - expected.intensity).sum() / expected.intensity.sum()
     assert 0 < difference < ECHO_BOUND
     assert (got.body_id != expected.body_id).sum() <= 1  # of two bodies with an equal echo
