@@ -178,10 +178,14 @@ class EglContext:
         return self
 
     def __exit__(self, *_):
-        now, is_marked = current(), self._read_mark() == self._mark
-        before, pause = self._before.pop()
-        make_current(before)
-        pause.end()
+        try:
+            now, is_marked = current(), self._read_mark() == self._mark
+        finally:  # of an interrupt, too
+            before, pause = self._before.pop()
+            try:
+                make_current(before)
+            finally:
+                pause.end()
         if is_marked:
             return
         if now is None or now.context != self.binding.context:

@@ -163,12 +163,15 @@ class HostContext:
 
     def leave(self) -> bool:
         """End the block; return whether the context was still there, so that its state was restored."""
-        pause, is_in_reach = self._pauses.pop(), self.is_in_reach()
-        if is_in_reach:
-            self.guard.__exit__()
-        else:  # the block has made another context current, or has destroyed this one
-            self.guard.abandon()
-        pause.end()
+        pause = self._pauses.pop()
+        try:
+            is_in_reach = self.is_in_reach()
+            if is_in_reach:
+                self.guard.__exit__()
+            else:  # the block has made another context current, or has destroyed this one
+                self.guard.abandon()
+        finally:
+            pause.end()
         return is_in_reach
 
     def __exit__(self, *_):
