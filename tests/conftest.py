@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from sonar_gl.gl import context as gl
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -48,3 +50,13 @@ def run_beside(request):
         return done.stdout
 
     return run
+
+
+@pytest.fixture
+def opengl_for_pyrender():
+    """Skips where the driver lacks the OpenGL 4.1 that pyrender asks for; sonar_gl itself needs 3.3."""
+    context = gl.create_context()
+    version = context.version_code
+    context.release()
+    if version < 410:
+        pytest.skip(f"pyrender needs OpenGL 4.1 (got {version // 100}.{version // 10 % 10})")

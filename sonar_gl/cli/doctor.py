@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import json
+import os
 import platform
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
+from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.extras import install_command, pip_install
 
@@ -29,6 +33,19 @@ PACKAGES = (  # name of the import, name of the package
     ("lxml", "lxml"),
     ("xacro", "xacro"),
     ("mapbox_earcut", "mapbox_earcut"),
+)
+# of the environment: what chooses a driver
+REPORTED_VARIABLES = (
+    "SONAR_GL_",
+    "MESA_",
+    "GALLIUM_",
+    "LIBGL_",
+    "LP_",
+    "EGL_",
+    "GLCONTEXT_",
+    "__EGL_",
+    "__GLX_",
+    "VK_",
 )
 INSTALL_AGAIN = "install sonar_gl again"
 
@@ -88,6 +105,21 @@ def report_text(found: list[Finding]) -> str:
             lines.append(f"{'':4}  {'':{width}}  {cure}")
     failed = sum(finding.ok is False for finding in found)
     return "\n".join([*lines, f"{failed} of {len(found)} failed" if failed else "all is well"])
+
+
+def write_report(path: Path, found: list[Finding]) -> None:
+    """Write the findings and what is measured of the driver to a JSON file, which a user may send in."""
+    report = {"sonar_gl": __version__, "python": sys.version, "platform": platform.platform()}
+    report["environment"] = {
+        name: value for name, value in os.environ.items() if name.startswith(REPORTED_VARIABLES)
+    }
+    report["checks"] = [finding._asdict() for finding in found]
+    try:
+        report |= cli.driver_report.measure()
+    except ImportError as why:
+        report["failed"] = str(why)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def check_package(module: str, name: str) -> Finding:

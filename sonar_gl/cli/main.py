@@ -9,6 +9,7 @@ import errno
 import json
 import sys
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -243,11 +244,20 @@ def sonars():
 DOCTOR_EPILOG = """\b
 Examples:
   sonar-gl doctor
+  sonar-gl doctor --report this_machine.json
   sonar-gl doctor --scene pylon
 """
 
 
 @main.command(epilog=DOCTOR_EPILOG, short_help="Check the installation, or say what a scene holds.")
+@click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
+    "scenes, to send it in.",
+)
 @click.option("--scene", metavar="SCENE", help="Say what this scene holds; check nothing else.")
 @option("resource_path", multiple=True)
 @option("skip_missing", is_flag=True)
@@ -255,7 +265,7 @@ Examples:
 @option("only", multiple=True)
 @option("surface", type=float, show_default="the scene's")
 @click.pass_context
-def doctor(ctx, scene, **options):
+def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
@@ -265,6 +275,8 @@ def doctor(ctx, scene, **options):
     its sonars, and everything that was left out or assumed as it was read.
     """
     if scene is not None:
+        if report_path is not None:
+            raise Error("--report needs a doctor without --scene (it says how the driver does)")
         echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
         return
     for name in options:
@@ -272,4 +284,7 @@ def doctor(ctx, scene, **options):
             raise Error(f"--{name.replace('_', '-')} needs --scene (it says how a scene is read)")
     found = cli.doctor.examine()
     echo(cli.doctor.report_text(found))
+    if report_path is not None:
+        cli.doctor.write_report(report_path, found)
+        echo(f"wrote {report_path}")
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)

@@ -13,6 +13,7 @@ import trimesh
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.cli import warm_up
+from sonar_gl.cli.driver_report import MAX_NOISE, sample_noise
 from sonar_gl.cli.output import echo
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error
@@ -90,7 +91,8 @@ def _show_progress(text: str):
 
 
 def check_known_scene():
-    """Compare the echo of a wall 5 m ahead with its closed form; find a box behind the sonar, to port once it turns."""
+    """Compare the echo of a wall 5 m ahead with its closed form; find a box behind the sonar, to
+    port once it turns; measure the noise of samples."""
     fov, height, n_beams = 10.0, 4.0, 16  # the wall's corners are at 5.02 m, in the same bin as its middle
     sonar = Sonar("doctor", 900e3, n_beams, 100, fov, height, fov / n_beams, 0.55, 10.55)
     wall = Body("wall", trimesh.creation.box((1.0, 20.0, 20.0)), pose(5.5), 1.0)
@@ -106,6 +108,8 @@ def check_known_scene():
     place = f"{sonar.range_m[bin_]:.2f} m, {math.degrees(sonar.azimuth_rad[beam]):+.1f} deg"
     detail = f"wall at 5 m: {total / expected:.4f} of its echo, {at_wall / total:.4f} of that in its bin"
     detail += f"; box to port at 7.91 m, +2.9 deg: found at {place}"
-    right = abs(total / expected - 1) < TOLERANCE and at_wall / total > 1 - TOLERANCE
+    noise = max(sample_noise())
+    detail += f"; samples of a plane within {noise:.1f} x 2^-24"
+    right = noise < MAX_NOISE and abs(total / expected - 1) < TOLERANCE and at_wall / total > 1 - TOLERANCE
     right &= abs(sonar.range_m[bin_] - 7.9) < sonar.bin_size_m and sonar.azimuth_rad[beam] > math.radians(1.5)
     return bool(right), detail, "the OpenGL driver draws wrongly: update it, or try LIBGL_ALWAYS_SOFTWARE=1"

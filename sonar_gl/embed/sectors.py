@@ -54,7 +54,7 @@ class DrawnSector:
             framebuffer.bind()
             framebuffer.host.guard.resume_debug_output()
         except BaseException:
-            framebuffer.host.__exit__()
+            framebuffer.host.leave()
             raise
         framebuffer.is_being_drawn = True
         return self
@@ -70,7 +70,7 @@ class DrawnSector:
                 self.lost_framebuffer = not framebuffer.is_bound()
                 self.samples = SectorSamples(framebuffer.sector, *framebuffer.read())
         finally:
-            host.__exit__()
+            host.leave()
 
 
 class Drawing:

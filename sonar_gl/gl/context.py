@@ -28,6 +28,9 @@ NO_EGL = (
     "OpenGL must be reachable through EGL, without a display (got: {why}); on Debian or Ubuntu install it "
     "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
 )
+SOFTWARE_VARIABLE = (
+    "SONAR_GL_SOFTWARE"  # 0 or 1 in place of what the driver's name says, to test the other path
+)
 SOFTWARE = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNORECASE)
 
 
@@ -156,6 +159,7 @@ def make_context(loader) -> moderngl.Context:
     """
     with loader, _preserve_default_context():
         context = moderngl.create_context(context=loader, require=REQUIRED_GL)
+        loader.gl.take_errors()  # of moderngl's queries
     # Objects that lose their Python name wait for context.gc(), while this context is current. In mode "auto"
     # moderngl would delete names in whichever context is current, and release this one twice.
     context.gc_mode, context.extra = "context_gc", loader
@@ -164,6 +168,7 @@ def make_context(loader) -> moderngl.Context:
 
 @_preserve_default_context()
 def egl_context(index: int | None) -> moderngl.Context:
+    egl.process_contexts.use()
     settings = {"mode": "standalone", "glversion": REQUIRED_GL, **LIBRARIES}
     if index is None:  # glcontext's own choice
         native = glcontext.get_backend_by_name("egl")(**settings)
@@ -175,6 +180,7 @@ def egl_context(index: int | None) -> moderngl.Context:
     binding = egl.current()
     loader = egl.EglContext(binding._replace(read=binding.draw), native.release)
     context = moderngl.create_context(context=loader, require=REQUIRED_GL)
+    loader.gl.take_errors()  # of moderngl's queries
     context.extra = loader
     return context
 
@@ -237,11 +243,18 @@ def describe(context: moderngl.Context) -> dict:
         "vendor": info["GL_VENDOR"],
         "version": info["GL_VERSION"],
         "max_texture_size": info["GL_MAX_TEXTURE_SIZE"],
+        "max_renderbuffer_size": info["GL_MAX_RENDERBUFFER_SIZE"],
         "max_viewport": list(info["GL_MAX_VIEWPORT_DIMS"]),
         "max_color_attachments": info["GL_MAX_COLOR_ATTACHMENTS"],
     }
 
 
 def is_software(renderer: str) -> bool:
-    """Return whether OpenGL runs on the CPU, given the driver's GL_RENDERER."""
-    return bool(SOFTWARE.search(renderer))
+    """Return whether OpenGL runs on the CPU, given the driver's GL_RENDERER, or SONAR_GL_SOFTWARE where it is set.
+
+    On a CPU small triangles are rasterised by compiled code, and samples are read at once.
+    """
+    setting = os.environ.get(SOFTWARE_VARIABLE, "").strip()
+    if setting not in ("", "0", "1"):
+        raise Error(f"{SOFTWARE_VARIABLE} must be 0 or 1, or not be set (got {setting!r})")
+    return setting == "1" if setting else bool(SOFTWARE.search(renderer))

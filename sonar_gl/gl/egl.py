@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import secrets
 from contextlib import contextmanager
 from functools import cache
 from typing import NamedTuple
 
+from sonar_gl.core.collector import CollectorPause
 from sonar_gl.core.errors import Error
 from sonar_gl.gl.functions import Functions
 
@@ -16,6 +18,7 @@ LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
 DRAW, READ, EXTENSIONS = 0x3059, 0x305A, 0x3055
 BAD_ACCESS, BAD_CONTEXT = 0x3002, 0x3006  # BAD_ACCESS mostly means that a GLX context is current
 SAMPLE_MASK_VALUE = 0x8E52  # the driver stores it bit for bit, and no framebuffer of ours is multisampled
+NO_MARK = 0xFFFFFFFF  # the default, and so the value in contexts of others
 GONE = (
     "the OpenGL context of this sonar must still be there (got EGL error 0x{error:04x}: its display was "
     "closed, as pyrender's delete() does); make the host's anew if it has one, and then the sonar"
@@ -23,6 +26,19 @@ GONE = (
 REFUSED = (
     "no OpenGL context of GLX may be current where a sonar has one of EGL (got one in this thread); have the "
     "sonar join it by context='current', or make it not current first"
+)
+TAKEN = (
+    "the sonar's OpenGL context must stay current while it draws (got {now}; a signal handler or a finaliser of "
+    "another program has changed it, so have that restore what was current)"
+)
+LOST = (
+    "the driver must keep the sonar's OpenGL context (got a lost one, as after a reset of the graphics card; make a "
+    "new Simulator)"
+)
+FORKED = (
+    "a process must make its OpenGL contexts where its parent had none before the fork (got a fork of a process with "
+    "a context, whose driver's threads it lacks); start processes by multiprocessing.get_context('spawn'), or by "
+    "DataLoader(..., multiprocessing_context='spawn')"
 )
 POINTER = ctypes.c_void_p
 # The result first, then the arguments: p is a pointer, i an int, s a string.
@@ -84,19 +100,48 @@ def make_current(binding: Binding) -> None:
 
 @contextmanager
 def preserve_current():
-    """Restore, after the block, the EGL context that is current before it, or none."""
-    before = current()
+    """Restore, after the block, the EGL context that is current before it, or none.
+
+    The garbage collector is paused inside the block, since finalisers of other programs may change what is current.
+    """
+    pause, before = CollectorPause(), current()
     try:
         yield
     finally:
         if before or (now := current()):
             make_current(before or Binding(now.display))
+        pause.end()
+
+
+class ProcessContexts:
+    """Whether OpenGL was used in this process, and in one that it was forked from.
+
+    Drivers keep threads and locks that a fork does not copy; a context made there would hang.
+    """
+
+    def __init__(self):
+        self._is_used, self._was_used_before_fork = False, False
+
+    def use(self) -> None:
+        """Record that a context is about to be made; raise an Error if that would hang."""
+        if self._was_used_before_fork:
+            raise Error(FORKED)
+        self._is_used = True
+
+    def fork(self) -> None:
+        """Note in a forked process what its parent did."""
+        self._was_used_before_fork = self._is_used
+
+
+process_contexts = ProcessContexts()
+os.register_at_fork(after_in_child=process_contexts.fork)
 
 
 class EglContext:
     """An EGL context of our own, current inside `with` blocks; the block restores what was current before.
 
-    moderngl takes it for a window system: it needs `load_opengl_function`, `release` and the `with` block.
+    moderngl takes it for a window system: it needs `load_opengl_function`, `release` and the `with` block. The garbage
+    collector is paused inside the block.
 
     Parameters
     ----------
@@ -105,6 +150,7 @@ class EglContext:
 
     Attributes
     ----------
+    gl : Functions
     is_gone : whether a `with` block has found that the context was destroyed by others
     """
 
@@ -113,14 +159,13 @@ class EglContext:
         self.load_opengl_function = lambda name: egl.eglGetProcAddress(name.encode()) or 0
         self.binding, self.destroy = binding, destroy
         self._before, self.is_gone = [], False
-        self._gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
-        # A random mark tells this context from a later one at the same address. It is never all ones, which
-        # is the default, and so the value in contexts of others.
-        self._gl.glSampleMaski(0, secrets.randbelow(0xFFFFFFFF))
+        self.gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
+        # A random mark tells this context from a later one at the same address.
+        self.gl.glSampleMaski(0, secrets.randbelow(NO_MARK))
         self._mark = self._read_mark()
 
     def __enter__(self):
-        before = current() or Binding(self.binding.display)
+        pause, before = CollectorPause(), current() or Binding(self.binding.display)
         if not self._egl.eglMakeCurrent(*self.binding):
             error = self._egl.eglGetError()
             self.is_gone = error != BAD_ACCESS
@@ -129,14 +174,28 @@ class EglContext:
             make_current(before)
             self.is_gone = True
             raise Error(GONE.format(error=BAD_CONTEXT))
-        self._before.append(before)
+        self._before.append((before, pause))
         return self
 
     def __exit__(self, *_):
-        make_current(self._before.pop())
+        try:
+            now, is_marked = current(), self._read_mark() == self._mark
+        finally:  # of an interrupt, too
+            before, pause = self._before.pop()
+            try:
+                make_current(before)
+            finally:
+                pause.end()
+        if is_marked:
+            return
+        if now is None or now.context != self.binding.context:
+            raise Error(TAKEN.format(now="another one" if now else "none"))
+        self.is_gone = True  # a lost context answers no query
+        raise Error(LOST)
 
     def _read_mark(self) -> int:
-        self._gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
+        self._found.value = NO_MARK  # stays, if no context is current, or a lost one
+        self.gl.glGetIntegeri_v(SAMPLE_MASK_VALUE, 0, ctypes.addressof(self._found))
         return self._found.value
 
     def is_in_reach(self) -> bool:

@@ -65,6 +65,7 @@ SIGNATURES = {
     "glGetError": "e",
     "glGetFloati_v": "-eep",
     "glGetFloatv": "-ep",
+    "glGetGraphicsResetStatus": "e",
     "glGetIntegeri_v": "-eep",
     "glGetIntegerv": "-ep",
     "glGetSamplerParameterIuiv": "-eep",

@@ -13,6 +13,7 @@ import threading
 
 import moderngl
 
+from sonar_gl.core.collector import CollectorPause
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import egl
 from sonar_gl.gl.context import REQUIRED_GL, make_context
@@ -83,6 +84,7 @@ class CurrentContext:
         self.handle = self._get_current and self._get_current()
         if not self.handle:
             raise Error(NONE_CURRENT.format(thread=self.thread.name))
+        egl.process_contexts.use()
         get_address = library.eglGetProcAddress if self.by_egl else library.glXGetProcAddressARB
         self.address_of = lambda name: get_address(name.encode()) or 0
         self.gl = Functions(self.address_of)
@@ -107,6 +109,8 @@ class CurrentContext:
 class HostContext:
     """A host's own context. A `with` block draws in it with OpenGL's default state, and restores the host's.
 
+    The garbage collector is paused inside the block.
+
     moderngl takes it for a window system: it needs `load_opengl_function`, `release` and the `with` block.
 
     Attributes
@@ -124,7 +128,7 @@ class HostContext:
         self._sampler = ctypes.c_uint(0)
         self.gl.glGenSamplers(1, ctypes.addressof(self._sampler))
         self.gl.glSamplerParameterIuiv(self._sampler.value, BORDER_COLOR, os.urandom(16))
-        self._mark = self._read_mark()
+        self._mark, self._pauses = self._read_mark(), []
 
     def _read_mark(self) -> bytes:
         found = (ctypes.c_ubyte * 16)()
@@ -151,15 +155,28 @@ class HostContext:
         return True
 
     def __enter__(self):
+        pause = CollectorPause()
         self.check()
         self.guard.__enter__()
+        self._pauses.append(pause)
         return self
 
+    def leave(self) -> bool:
+        """End the block; return whether the context was still there, so that its state was restored."""
+        pause = self._pauses.pop()
+        try:
+            is_in_reach = self.is_in_reach()
+            if is_in_reach:
+                self.guard.__exit__()
+            else:  # the block has made another context current, or has destroyed this one
+                self.guard.abandon()
+        finally:
+            pause.end()
+        return is_in_reach
+
     def __exit__(self, *_):
-        if self.is_in_reach():
-            self.guard.__exit__()
-        else:  # the block has made another context current, or has destroyed this one
-            self.guard.abandon()
+        if not self.leave():
+            self.check()  # raises the Error that says why
 
     def release(self):
         """Delete the sampler that marks the context; the context is the host's."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.gl.context import is_software
+from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
 from sonar_gl.raster.draw_list import DrawList
 from sonar_gl.raster.scene_meshes import SceneMeshes
@@ -96,6 +97,7 @@ class SceneBuffers:
                     buffer.append(np.tile(default, len(one.points)) if data is None else data)
             self.n_points += len(one.points)
         self.arrays = {}
+        check_driver(self.context)
 
     def array(self, labels: bool, lobes: bool) -> moderngl.VertexArray:
         """Return the vertex array of the program with or without body numbers and specular lobes."""

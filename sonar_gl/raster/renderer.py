@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import plane_of
 from sonar_gl.core.errors import Error
+from sonar_gl.gl import egl
 from sonar_gl.gl.enums import CLIP_DISTANCE0
+from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.ping import GBuffer
 from sonar_gl.raster.buffers import SceneBuffers
 from sonar_gl.raster.draw_list import LOBE, BodiesInView, DrawList, SectorDraws, SectorView, Window
@@ -20,11 +23,19 @@ from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
-MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
+MAX_SAMPLES = 1 << 24  # of a picture
+LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
+DEPTH_BYTES = 4
+NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
 
 
 class RenderTarget:
     """A framebuffer, and arrays of its size to read it into.
+
+    Parameters
+    ----------
+    asynchronous : copy the samples to buffers of the driver after drawing, and read those later, so that a graphics
+        card copies one picture while it draws the next. A software driver would only copy twice.
 
     Attributes
     ----------
@@ -32,21 +43,38 @@ class RenderTarget:
     has_bodies : whether bodies' numbers are drawn, too
     """
 
-    def __init__(self):
+    def __init__(self, asynchronous: bool = False):
         self.width, self.height, self.has_bodies = 0, 0, False
+        self._asynchronous, self._copies = asynchronous, []
         self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
 
     def allocate(self, context: moderngl.Context, size: tuple[int, int]) -> None:
-        """Have room for so many pixels."""
+        """Have room for so many pixels.
+
+        Raises
+        ------
+        Error
+            if the driver makes no such framebuffer.
+        """
         if self._size == size:
             return
-        plane_echo = context.renderbuffer(size, 4, dtype="f4")
-        body_id = context.renderbuffer(size, 1, dtype="u2")
-        depth = context.depth_renderbuffer(size)
-        framebuffers = {
-            False: context.framebuffer([plane_echo], depth),
-            True: context.framebuffer([plane_echo, body_id], depth),
-        }
+        try:
+            plane_echo = context.renderbuffer(size, 4, dtype="f4")
+            body_id = context.renderbuffer(size, 1, dtype="u2")
+            depth = context.depth_renderbuffer(size)
+            framebuffers = {
+                False: context.framebuffer([plane_echo], depth),
+                True: context.framebuffer([plane_echo, body_id], depth),
+            }
+            if self._asynchronous:
+                self._copies = [context.buffer(reserve=size[0] * size[1] * n, dynamic=True) for n in (16, 2)]
+        except moderngl.Error as why:  # an incomplete framebuffer, perhaps for want of memory
+            check_driver(context)
+            raise Error(
+                f"the driver must make a framebuffer of {size[0]} columns by {size[1]} rows (got: {why}; "
+                "ask for a larger tolerance or fewer samples)"
+            ) from None
+        check_driver(context)
         # the size last: after an interrupt or an error of the driver the next ping begins anew
         self._size, self._arrays, self._framebuffers = (0, 0), {}, framebuffers
         self._size = size
@@ -58,19 +86,39 @@ class RenderTarget:
         framebuffer.clear(depth=1.0, viewport=(0, 0, self.width, self.height))
         return framebuffer
 
+    def begin_read(self) -> None:
+        """Have the driver copy what was drawn, if that is to be read later."""
+        if self._asynchronous:
+            self._copies[0].write(NOT_READ)
+            for attachment in range(1 + self.has_bodies):
+                self._copy(self._copies[attachment], attachment)
+
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (H, W, 4) float32 and (H, W) uint16; of no size what was not drawn. The next call overwrites
         them.
         """
         if not self.width:
             return NO_SAMPLES, NO_BODIES
-        plane_echo = self._read(4, "f4", 0)
-        return plane_echo, self._read(1, "u2", 1)[..., 0] if self.has_bodies else NO_BODIES
+        plane_echo = self._read(0)
+        return plane_echo, self._read(1)[..., 0] if self.has_bodies else NO_BODIES
 
-    def _read(self, components, dtype, attachment):
-        if components not in self._arrays:
-            self._arrays[components] = np.zeros(self._size[0] * self._size[1] * components, dtype)
-        out = self._arrays[components][: self.width * self.height * components]
+    def _read(self, attachment: int) -> np.ndarray:
+        components, dtype = LAYOUTS[attachment]
+        if attachment not in self._arrays:
+            self._arrays[attachment] = np.zeros(self._size[0] * self._size[1] * components, dtype)
+        out = self._arrays[attachment][: self.width * self.height * components]
+        if attachment == 0:
+            out[:1] = NOT_READ
+        if self._asynchronous:
+            self._copies[attachment].read_into(out, size=out.nbytes)
+        else:
+            self._copy(out, attachment)
+        if attachment == 0 and np.isnan(out[0]):
+            raise Error(egl.LOST)
+        return out.reshape(self.height, self.width, components)
+
+    def _copy(self, out, attachment: int) -> None:
+        components, dtype = LAYOUTS[attachment]
         self._framebuffers[self.has_bodies].read_into(
             out,
             viewport=(0, 0, self.width, self.height),
@@ -79,7 +127,6 @@ class RenderTarget:
             attachment=attachment,
             alignment=1,
         )
-        return out.reshape(self.height, self.width, components)
 
 
 class Renderer:
@@ -103,7 +150,7 @@ class Renderer:
         context = buffers.context
         self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
-        self._limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
+        self._limit, self._asynchronous = side_limit(context), not buffers.rasterizes
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector) for sector in fan.sectors]
         self._list, self._uniforms, self._size = DrawList(), {}, (0, 0)
@@ -135,7 +182,7 @@ class Renderer:
         planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
-        self._targets += [RenderTarget() for _ in bodies[len(self._targets) :]]
+        self._targets += [RenderTarget(self._asynchronous) for _ in bodies[len(self._targets) :]]
         targets = self._targets[: len(bodies)]
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
@@ -152,8 +199,11 @@ class Renderer:
             if target.width:
                 target.allocate(self._context, self._size)
                 self._draw(target, rows, sectors, one.plane)
+                target.begin_read()
         # while one is read the driver's threads may fill the next
-        return [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
+        views = [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
+        check_driver(self._context)
+        return views
 
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
@@ -228,10 +278,18 @@ class Renderer:
             )
         if width > self._size[0] or height > self._size[1]:
             # a little more, so that a window that grows does not need new targets every time
-            self._size = tuple(
+            size = tuple(
                 min(max(old, 64 * -(-new // 64)), self._limit)
                 for old, new in zip(self._size, (width, height), strict=True)
             )
+            more = math.prod(size) - math.prod(self._size)
+            check_room(self._context, len(self._targets) * more * self._sample_bytes(), "samples")
+            self._size = size
+
+    def _sample_bytes(self) -> int:
+        """Return the bytes that a sample takes in the driver's memory."""
+        read = sum(components * np.dtype(dtype).itemsize for components, dtype in LAYOUTS)
+        return DEPTH_BYTES + read * (2 if self._asynchronous else 1)
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""

@@ -1,7 +1,10 @@
 """The second thread: both halves run, also after an interrupted wait, and no caller waits for ever."""
 
+import os
+import signal
 import threading
 import time
+import warnings
 
 import pytest
 
@@ -158,3 +161,18 @@ def test_a_world_has_one_second_thread_which_ends_with_it():
         (second,) = set(threading.enumerate()) - before
     second.join(LIMIT_S)
     assert not second.is_alive()
+
+
+def test_a_forked_process_does_both_halves_itself():
+    """It lacks the thread."""
+    thread = SecondThread()
+    assert thread.run_halves(lambda half: half) == (0, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks with threads, since Python 3.12
+        child = os.fork()
+    if child == 0:
+        signal.alarm(30)
+        os._exit(0 if thread.run_halves(lambda half: half) == (0, 1) else 1)
+    assert os.waitpid(child, 0)[1] == 0
+    assert thread.run_halves(lambda half: half) == (0, 1)
+    thread.close()

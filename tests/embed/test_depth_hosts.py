@@ -16,6 +16,7 @@ BOXES = {
 }
 
 
+@pytest.mark.usefixtures("opengl_for_pyrender")
 def test_a_ping_of_pyrender_s_depth_is_the_simulator_s():
     pyrender = import_pyrender()
 

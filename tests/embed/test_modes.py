@@ -24,11 +24,14 @@ SAMPLING = sg.Sampling(4, 60)
 POSE = sg.pose(0.3, -0.2, 0.1, 0.1, 0.15, 0.4)
 # A host draws what the Simulator draws, except that it multiplies matrices in float32: of some 20 000 samples one or
 # two along an outline hit another body.
-ROUNDING = 3e-4
+ROUNDING = 1e-4
 
 
 @pytest.fixture(autouse=True)
-def context():
+def context(monkeypatch):
+    # the driver draws all of the Simulator's triangles, as it draws the host's: its rule for samples on an edge is not
+    # that of the compiled rasteriser, which is llvmpipe's
+    monkeypatch.setenv("SONAR_GL_SOFTWARE", "0")
     made = gl_host.make_context()
     while GL.glGetError():  # errors of earlier tests, whose hosts failed on purpose
         pass

@@ -3,19 +3,26 @@
 import gc
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
 import warnings
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.gl import context as gl
+from sonar_gl.gl import egl, lifetime
+from sonar_gl.gl.functions import Functions
 
+ROOT = Path(__file__).resolve().parents[2]
 BOX = sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2, 0), 0.8)
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -135,6 +142,93 @@ def test_collecting_a_simulator_during_a_ping_of_another(monkeypatch):
         got = it.ping(sg.pose(1, 0, 0)).intensity
         gc.enable()
     np.testing.assert_array_equal(got, expected)
+
+
+class HostObject:
+    """A GL object of another program, in a reference cycle, whose finaliser does what those of programs do."""
+
+    n_finalised = 0
+
+    def __init__(self, finalise):
+        self.itself, self.finalise = self, finalise
+
+    def __del__(self):
+        HostObject.n_finalised += 1
+        self.finalise()
+
+
+def delete_names():
+    """Delete objects by their names in the host's context, which are ours if our context is current."""
+    address_of = egl.library().eglGetProcAddress
+    functions, names = Functions(lambda name: address_of(name.encode())), np.arange(1, 200, dtype=np.uint32)
+    for delete in (functions.glDeleteFramebuffers, functions.glDeleteRenderbuffers):
+        delete(len(names), names.ctypes.data)
+
+
+@pytest.fixture
+def host():
+    """Context of another program, current."""
+    before, context = egl.current(), gl.create_context()
+    yield context
+    if before:
+        egl.make_current(before)
+    else:
+        egl.make_current(egl.Binding(context.extra.binding.display))
+    lifetime.release(context)
+
+
+def dropping_in_the_middle(monkeypatch, simulator, drop):
+    """Have a simulator call `drop` when it has begun to draw."""
+    renderer = simulator.run.sampler.resolution.stage.renderer
+    render = renderer.render
+
+    def render_after(*args, **settings):
+        drop()
+        return render(*args, **settings)
+
+    monkeypatch.setattr(renderer, "render", render_after)
+
+
+@pytest.mark.parametrize("does", ["make_current", "delete_names"])
+def test_a_host_s_objects_are_not_finalised_in_the_middle_of_a_ping(does, host, monkeypatch):
+    """Such a finaliser makes another context current, or deletes objects by names that are ours, too."""
+    theirs = egl.current()
+    finalise = {"make_current": lambda: egl.make_current(theirs), "delete_names": delete_names}[does]
+    with simulator() as it:
+        expected = [it.ping(sg.pose(x, 0, 0)).intensity for x in (0, 1)]
+        dropping_in_the_middle(monkeypatch, it, lambda: HostObject(finalise))
+        threshold, before = gc.get_threshold(), HostObject.n_finalised
+        gc.set_threshold(1, 1, 1)
+        try:
+            got = [it.ping(sg.pose(x, 0, 0)).intensity for x in (0, 1)]
+            several = [ping.intensity for ping in it.pings([sg.pose(x, 0, 0) for x in (0, 1, 0, 1, 0, 1)])]
+        finally:
+            gc.set_threshold(*threshold)
+        assert gc.isenabled()
+        gc.collect()
+        assert HostObject.n_finalised - before >= 3  # two pings, and a batch or more
+        assert egl.current() == theirs
+        np.testing.assert_array_equal(got, expected)
+        np.testing.assert_array_equal(several, expected * 3)
+
+
+def test_another_context_made_current_in_the_middle_of_a_ping_raises_an_error(host, monkeypatch):
+    """What the collector cannot help: a signal handler, or a call of gc.collect() in one."""
+    theirs = egl.current()
+    with simulator() as it:
+        expected = it.ping(np.eye(4)).intensity
+        with monkeypatch.context() as patch:
+            dropping_in_the_middle(patch, it, lambda: egl.make_current(theirs))
+            with pytest.raises(
+                sg.Error, match="must stay current while it draws \\(got another one; a signal"
+            ):
+                it.ping(np.eye(4))
+        with monkeypatch.context() as patch:
+            dropping_in_the_middle(patch, it, lambda: egl.make_current(egl.Binding(theirs.display)))
+            with pytest.raises(sg.Error, match="must stay current while it draws \\(got none; a signal"):
+                it.ping(np.eye(4))
+        np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
+        assert egl.current() == theirs
 
 
 def test_bins_sum_and_do_not_average():
@@ -423,6 +517,46 @@ def test_a_simulator_in_a_forked_process_raises_an_error():
         os.waitpid(child, 0)
         np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
     assert message == "a Simulator must be used in the process that made it; make one in each process"
+
+
+MAKE_IN_FORK = """
+import os, signal, sys
+import numpy as np
+import sonar_gl as sg
+from tests.end_to_end.test_simulator import simulator
+
+def make_in_fork():
+    read, write = os.pipe()
+    if (child := os.fork()) == 0:
+        signal.alarm(60)
+        try:
+            with simulator() as it:
+                reply = f"an echo of {it.ping(np.eye(4)).intensity.sum():.6g}"
+        except sg.Error as why:
+            reply = str(why)
+        os.write(write, reply.encode())
+        os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        return pipe.read() or f"signal {os.waitpid(child, 0)[1]}"
+
+early = make_in_fork()
+with simulator() as it:
+    here = f"an echo of {it.ping(np.eye(4)).intensity.sum():.6g}"
+print(early == here)
+print(make_in_fork())
+"""
+
+
+def test_a_process_forked_after_a_context_was_made_makes_no_other():
+    """It would hang: the driver's threads are the parent's. One forked before makes its own."""
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", MAKE_IN_FORK],
+        capture_output=True, text=True, timeout=150, cwd=ROOT,
+    )  # fmt: skip
+    early, late = run.stdout.splitlines()
+    assert early == "True", run.stderr
+    assert "whose driver's threads it lacks); start processes by multiprocessing.get_context('spawn')" in late
 
 
 def test_pings_do_not_share_mutable_state():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.analysis.terms import TERMS
+from tools import drivers
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
 
@@ -305,3 +306,41 @@ def test_generated_scenes_are_those_in_the_repository():
             np.testing.assert_array_equal(here, there)
         else:
             assert path.read_text(encoding="utf-8") == published.read_text(encoding="utf-8")
+
+
+def pictures_of(echo, bodies):
+    return drivers.Pictures({}, {"a, echo": np.float32(echo), "a, bodies": np.uint16(bodies)})
+
+
+def test_differences_of_drivers_are_shares():
+    reference = pictures_of([[4.0, 0.0, 4.0]], [[1, 0, 2]])
+    assert drivers.differences(reference, reference) == (0, 0)
+    assert drivers.differences(pictures_of([[4.0, 1.0, 4.0]], [[1, 1, 2]]), reference) == (1 / 8, 1 / 2)
+
+
+@pytest.mark.parametrize(
+    "missing, user, why",
+    [("debootstrap", 0, "needs debootstrap: apt-get install debootstrap"), ("none", 1000, "needs root")],
+)
+def test_a_driver_that_cannot_be_had_says_why(missing, user, why, folder, monkeypatch):
+    monkeypatch.setattr(drivers.shutil, "which", lambda name: None if name == missing else f"/bin/{name}")
+    monkeypatch.setattr(drivers.os, "geteuid", lambda: user)
+    assert drivers.install_debian(folder / "debian").startswith(why)
+    (folder / "debian/usr/share/vulkan/icd.d").mkdir(parents=True)
+    (folder / "debian/usr/share/vulkan/icd.d/lvp_icd.json").touch()
+    assert drivers.install_debian(folder / "debian") == ""  # it is there already
+
+
+@pytest.mark.slow
+def test_drivers_draw_the_same_pictures():
+    """OpenGL 3.3 of the same driver draws body by body, and so to the bit; its row says so."""
+    printed = run("tools.drivers", "--no-tests", "OpenGL 3.3").splitlines()
+    row = [cell.strip() for cell in printed[2].split("|")]
+    assert row[1] == "OpenGL 3.3" and row[3:6] == ["ok", "0.0e+00", "0.0e+00"]
+
+
+def test_an_unknown_driver_is_an_error():
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.drivers", "glide"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 2 and "drivers must be of llvmpipe, softpipe" in done.stderr

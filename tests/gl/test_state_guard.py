@@ -93,10 +93,10 @@ def check_debug_callback(got):
 
 
 def check_naive(pristine, working, hostile):
-    """Without a guard, moderngl changes the host's state, and draws wrongly."""
+    """Without a guard, moderngl changes the host's state, and draws wrongly, or its reads write elsewhere."""
     assert pristine["wrong"] == 0
     assert len(pristine["changed"]) > 100
-    assert working["wrong"] > 10_000
+    assert working.get("error") or working["wrong"] > 10_000
     assert working["frame"] > 1000
     assert hostile.get("error") or hostile["wrong"] > 10_000
     assert "CURRENT_PROGRAM" in hostile["changed"]

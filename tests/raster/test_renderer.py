@@ -12,7 +12,11 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.acoustics.boundary import cos_incidence, cos_times_range, plane_of
 from sonar_gl.gl import context as gl
+from sonar_gl.gl import memory
 from sonar_gl.gl import shaders as programs
+from sonar_gl.gl.functions import Functions
+from sonar_gl.raster import renderer
+from sonar_gl.raster.renderer import RenderTarget
 from sonar_gl.scene.primitives import closedness
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from tests.support import glsl
@@ -61,6 +65,7 @@ def test_gbuffer_of_a_slanted_plane_is_exact():
         assert (buffer.body_id[hit] == 1).all()
 
 
+@pytest.mark.usefixtures("opengl_for_pyrender")
 def test_depth_agrees_with_pyrender():
     """An independent renderer draws the pylon scene from the sonar's pose."""
     pyrender = import_pyrender()
@@ -354,3 +359,77 @@ def test_an_interrupt_while_a_larger_target_is_made_leaves_later_pings_right(mon
             with pytest.raises(KeyboardInterrupt):
                 simulator.ping(sg.pose())
         np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
+
+
+def out_of_memory(patch, _simulator):
+    patch.setattr(Functions, "take_errors", lambda _: [0x0505])
+
+
+def reset(patch, simulator):
+    with simulator.run.drawing() as context:
+        patch.setattr(context.extra.gl, "glGetGraphicsResetStatus", lambda: 0x8253)
+
+
+def read_nothing(patch, _simulator):
+    patch.setattr(moderngl.Framebuffer, "read_into", lambda *_args, **_more: None)
+
+
+def make_none(patch, _simulator):
+    def incomplete(*_args):
+        raise moderngl.Error("the framebuffer is not complete (GL_FRAMEBUFFER_UNSUPPORTED)")
+
+    patch.setattr(moderngl.Context, "framebuffer", incomplete)
+
+
+def no_room(patch, _simulator):
+    patch.setattr(memory, "free_bytes", lambda _: 100_000)
+
+
+@pytest.mark.parametrize(
+    "failure, message",
+    [
+        (out_of_memory, "got GL_OUT_OF_MEMORY"),
+        (reset, "must keep the sonar's OpenGL context"),
+        (read_nothing, "must keep the sonar's OpenGL context"),
+        (
+            make_none,
+            r"must make a framebuffer of 192 columns by 128 rows \(got: the framebuffer is not complete",
+        ),
+        (
+            no_room,
+            r"samples must fit the memory of the graphics card \(got [0-9.]+ MB, where 0.1 MB are free",
+        ),
+    ],
+)
+def test_a_failure_of_the_driver_is_an_error_and_no_black_ping(monkeypatch, failure, message):
+    """Later pings, once the driver works, are right."""
+    bodies = [sg.Body("wall", trimesh.creation.box((0.2, 60, 60)), sg.pose(6))]
+    with simulate(bodies) as simulator:
+        expected = simulator.ping(sg.pose()).intensity
+    with simulate(bodies) as simulator:
+        with monkeypatch.context() as patch:
+            failure(patch, simulator)
+            with pytest.raises(sg.Error, match=message):
+                simulator.ping(sg.pose())
+        np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
+
+
+def test_samples_that_are_read_later_are_the_same(monkeypatch):
+    """As from a graphics card: by buffers of the driver, when all pictures of a batch are drawn."""
+    bodies = [
+        sg.Body("wall", trimesh.creation.box((0.2, 60, 3)), sg.pose(9)),
+        sg.Body("box", BOX, sg.pose(5, 1, 0.3, yaw=0.4)),
+    ]
+    poses = [
+        sg.pose(x, yaw=0.05 * x) for x in (-8.0, 0.0, 1.0, -3.0, 2.0, 3.0)
+    ]  # of windows that grow and shrink
+    found = []
+    for asynchronous in (False, True):
+        with monkeypatch.context() as patch, simulate(bodies) as simulator:
+            patch.setattr(renderer, "RenderTarget", lambda _, late=asynchronous: RenderTarget(late))
+            alone = [simulator.ping(pose, labels=k % 2 == 0) for k, pose in enumerate(poses)]
+            found.append([*alone, *simulator.pings(poses, labels=True)])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one.intensity, other.intensity)
+        for name in ("body_id", "incidence_rad", "share"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

@@ -139,7 +139,7 @@ class Naive:
     is_gone = False
 
     def __init__(self, host):
-        self.load_opengl_function = host.address_of
+        self.load_opengl_function, self.gl = host.address_of, host.gl
 
     def __enter__(self):
         return self

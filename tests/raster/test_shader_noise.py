@@ -1,0 +1,45 @@
+"""Drivers compute the reciprocal in gl_FragCoord.w to some units in the last place, each lane on its own."""
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.engine import world
+from tests.support.noisy_shaders import noisy_shaders
+
+ULPS = 8  # a sloppy reciprocal: OpenGL demands 2.5 of division, and w is the reciprocal of an interpolated reciprocal
+# 8 units are 5 µm at 10 m: an even footprint of a bin's length (8 mm) loses 6e-4 of its echo to the next bin or gains
+# as much, and a bin has several dozens of footprints, whose noise is independent: 6e-4 / sqrt(36).
+ECHO_BOUND = 1e-4
+# A slope has the noise of two lanes over the spacing of the samples (5 mrad and less here): 7e-7 / 5e-3 = 1.4e-4 rad
+# for one sample. A bin where two planes meet mixes their angles by the footprints' shares. Where noise decides whether
+# the planes count as one (SAME in kernels.py), the border between them shifts by half a sample at most: by a hundredth
+# of the angle between them in a bin of some dozens of footprints, in few bins of a scene.
+INCIDENCE_BOUND_RAD, WORST_RAD, SHARE_BEYOND = 5e-3, 0.02, 1e-4
+
+
+def labelled_ping(name, sampling, folder, monkeypatch):
+    """Return a labelled ping of a bundled scene, with the shaders of a folder, which draw all triangles."""
+    scene = sg.load_scene(name)
+    with monkeypatch.context() as patch:
+        patch.setenv("SONAR_GL_SOFTWARE", "0")
+        patch.setattr(world, "data_folder", lambda _: folder)
+        with sg.Simulator(scene, sg.load_sonar("p900-45"), sampling=sampling) as simulator:
+            return simulator.ping(scene.sonar_pose, labels=True)
+
+
+@pytest.mark.parametrize(
+    "name, sampling", [("pylon", sg.Sampling(0.6, 68)), ("diver", sg.Sampling(1.2, 136))]
+)
+def test_noise_of_8_units_in_the_last_place_leaves_echo_and_labels(tmp_path, monkeypatch, name, sampling):
+    folders = data_folder("shaders"), noisy_shaders(tmp_path, ULPS)
+    expected, got = (labelled_ping(name, sampling, folder, monkeypatch) for folder in folders)
+    difference = np.abs(got.intensity - expected.intensity).sum() / expected.intensity.sum()
+    assert 0 < difference < ECHO_BOUND
+    assert (got.body_id != expected.body_id).sum() <= 1  # of two bodies with an equal echo
+    has_body = expected.body_id > 0
+    assert has_body.sum() > 10_000
+    error_rad = np.abs(got.incidence_rad - expected.incidence_rad)[has_body]
+    assert error_rad.max() < WORST_RAD
+    assert (error_rad > INCIDENCE_BOUND_RAD).mean() < SHARE_BEYOND
