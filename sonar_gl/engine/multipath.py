@@ -119,11 +119,12 @@ class ImageSources:
         acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
         self._tolerance, self._buffers = tolerance, buffers
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
-        self._own_stages = StageCache(buffers, sonar, acoustics, thread, WIDEST_COLUMN)
+        shared = thread, WIDEST_COLUMN, stages.pools
+        self._own_stages = StageCache(buffers, sonar, acoustics, *shared)
         if sonar.beam_azimuths_deg is not None:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
-        self._image_stages = StageCache(buffers, sonar, acoustics, thread, WIDEST_COLUMN)
+        self._image_stages = StageCache(buffers, sonar, acoustics, *shared)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
         self._scene, self._reflectors = None, []
         self.choice = HalvingChoice(self.COARSEST)

@@ -21,6 +21,9 @@ from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
+# A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
+# would keep the memory of a fine one; not below MIN_PIXELS, 5 MB.
+MAX_EXCESS, MIN_PIXELS = 4, 1 << 17
 
 
 class RenderTarget:
@@ -36,10 +39,17 @@ class RenderTarget:
         self.width, self.height, self.has_bodies = 0, 0, False
         self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
 
-    def allocate(self, context: moderngl.Context, size: tuple[int, int]) -> None:
-        """Have room for so many pixels."""
-        if self._size == size:
+    def allocate(self, context: moderngl.Context, limit: int) -> None:
+        """Have room for the pixels in use, and not for far more."""
+        (columns, rows), pixels = self._size, self.width * self.height
+        fits = self.width <= columns and self.height <= rows
+        if fits and columns * rows <= max(MAX_EXCESS * pixels, MIN_PIXELS):
             return
+        # a little more, so that a window that grows does not need a new target every time
+        size = tuple(min(64 * -(-n // 64), limit) for n in (self.width, self.height))
+        both = tuple(map(max, size, self._size))
+        if both[0] * both[1] <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+            size = both
         plane_echo = context.renderbuffer(size, 4, dtype="f4")
         body_id = context.renderbuffer(size, 1, dtype="u2")
         depth = context.depth_renderbuffer(size)
@@ -82,6 +92,25 @@ class RenderTarget:
         return out.reshape(self.height, self.width, components)
 
 
+class DrawingRoom:
+    """The memory that renderers draw into, one at a time: render targets, and the list of draws.
+
+    Attributes
+    ----------
+    draw_list : DrawList
+    """
+
+    def __init__(self):
+        self.draw_list, self._targets, self._other_targets = DrawList(), [], []
+
+    def targets(self, count: int, keep_last: bool) -> list[RenderTarget]:
+        """Return as many render targets; with `keep_last` not those of the last call."""
+        if keep_last:
+            self._targets, self._other_targets = self._other_targets, self._targets
+        self._targets += [RenderTarget() for _ in range(count - len(self._targets))]
+        return self._targets[:count]
+
+
 class Renderer:
     """Draws a fan's sectors side by side, an image for each pose, and reads them back.
 
@@ -92,6 +121,7 @@ class Renderer:
     buffers : SceneBuffers
     fan : Fan
     specular : add the specular lobes of smooth bodies
+    room : DrawingRoom to share with other renderers; None for its own
 
     Raises
     ------
@@ -99,15 +129,16 @@ class Renderer:
         if the samples do not fit the driver's limits.
     """
 
-    def __init__(self, buffers: SceneBuffers, fan: Fan, specular: bool = False):
+    def __init__(
+        self, buffers: SceneBuffers, fan: Fan, specular: bool = False, room: DrawingRoom | None = None
+    ):
         context = buffers.context
         self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
         self._limit = min(context.info["GL_MAX_TEXTURE_SIZE"], *context.info["GL_MAX_VIEWPORT_DIMS"])
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector) for sector in fan.sectors]
-        self._list, self._uniforms, self._size = DrawList(), {}, (0, 0)
-        self._targets, self._other_targets = [], []
+        self._uniforms, self._room = {}, DrawingRoom() if room is None else room
 
     def render(
         self,
@@ -120,7 +151,7 @@ class Renderer:
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
 
-        The next call overwrites the samples.
+        The next call, of any renderer that shares the room, overwrites the samples.
 
         Parameters
         ----------
@@ -130,13 +161,10 @@ class Renderer:
         planes : clip plane of each pose, before which all lies that is drawn, or None: the water's surface
         keep_last : the samples of the last call stay valid until the next one
         """
-        if keep_last:
-            self._targets, self._other_targets = self._other_targets, self._targets
-        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._list
+        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._room.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
-        self._targets += [RenderTarget() for _ in bodies[len(self._targets) :]]
-        targets = self._targets[: len(bodies)]
+        targets = self._room.targets(len(bodies), keep_last)
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
         for target, sectors in zip(targets, draws, strict=True):
@@ -145,19 +173,19 @@ class Renderer:
                 max(d.window.rows for d in sectors),
             )
             target.has_bodies = with_bodies
-        self._make_room(max(one.width for one in targets), max(one.height for one in targets))
+        self._check_room(max(one.width for one in targets), max(one.height for one in targets))
         if out.draws.used:
             self._buffers.upload(rows, out)
         for target, sectors, one in zip(targets, draws, bodies, strict=True):
             if target.width:
-                target.allocate(self._context, self._size)
+                target.allocate(self._context, self._limit)
                 self._draw(target, rows, sectors, one.plane)
         # while one is read the driver's threads may fill the next
         return [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
 
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
-        meshes, out, draws = self._buffers.meshes, self._list, []
+        meshes, out, draws = self._buffers.meshes, self._room.draw_list, []
         n_bodies = len(meshes.bodies)
         for view in self._sectors:
             found = SectorDraws(0, 0, 0, slice(out.samples.used, out.samples.used), Window())
@@ -186,8 +214,9 @@ class Renderer:
                     u = getattr(sector, name)
                     array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
                 one_sided, two_sided = moderngl.DEPTH_TEST | moderngl.CULL_FACE, moderngl.DEPTH_TEST
-                self._buffers.draw(array, one_sided, rows, self._list, first, n_closed)
-                self._buffers.draw(array, two_sided, rows, self._list, first + n_closed, n - n_closed)
+                out = self._room.draw_list
+                self._buffers.draw(array, one_sided, rows, out, first, n_closed)
+                self._buffers.draw(array, two_sided, rows, out, first + n_closed, n - n_closed)
             left += window.columns
         framebuffer.scissor = None
         self._context.disable_direct(CLIP_DISTANCE0)
@@ -199,7 +228,7 @@ class Renderer:
         for view, (*_, mine, (i, j, columns, rows)) in zip(self._sectors, draws, strict=True):
             sector = view.sector
             if target.width:
-                samples = tuple(array[mine] for array in self._list.samples.arrays)
+                samples = tuple(array[mine] for array in self._room.draw_list.samples.arrays)
                 merge_samples(samples, i, j, left, plane_echo, body_id)
             if columns == 0:
                 sectors.append(SectorSamples(replace(sector, columns=0, rows=0), NO_SAMPLES, NO_BODIES))
@@ -218,19 +247,13 @@ class Renderer:
         if max(width, height) > self._limit:
             raise Error(f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}")
 
-    def _make_room(self, width: int, height: int) -> None:
-        """Let render targets have at least so many pixels."""
+    def _check_room(self, width: int, height: int) -> None:
+        """Raise an Error if a render target must not have so many pixels."""
         self._check_size(width, height)
         if width * height > MAX_SAMPLES:
             raise Error(
                 f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
                 f"by {height} rows; ask for a larger tolerance or fewer samples)"
-            )
-        if width > self._size[0] or height > self._size[1]:
-            # a little more, so that a window that grows does not need new targets every time
-            self._size = tuple(
-                min(max(old, 64 * -(-new // 64)), self._limit)
-                for old, new in zip(self._size, (width, height), strict=True)
             )
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
