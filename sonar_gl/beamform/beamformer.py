@@ -224,6 +224,12 @@ class Beamformer:
             pools,
         )
 
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of its tables and sums, about."""
+        labeller = 0 if self._labeller is None else self._labeller.n_bytes
+        return self._sums.nbytes + self._weights.nbytes + labeller
+
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
         surfaces = self.sum_footprints(view.sectors, gain)

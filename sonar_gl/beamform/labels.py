@@ -60,6 +60,12 @@ class Labeller:
             for _ in range(2)
         ]
 
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of the arrays that it uses again."""
+        runs = sum(store.runs.nbytes + store.pool.nbytes for store in self._stores)
+        return runs + sum(cells.nbytes for cells in self._cells)
+
     def find(
         self,
         samples: Sequence[SectorSamples],

@@ -319,7 +319,9 @@ class AdaptiveSampling:
             level = min(max(level + steps, failed + 1), kept - 1)
             if level <= failed:
                 level = min(kept, self._finest)
-        return Choice(self._resolution_at(level), level, found[level].plan, judged.check)
+        chosen = Choice(self._resolution_at(level), level, found[level].plan, judged.check)
+        self._stages.drop_large()
+        return chosen
 
     def _judge(self, setup: PingSetup, level: int, received: ReceivedPing | None = None) -> Judgement:
         """Estimate the error of a level in a ping.

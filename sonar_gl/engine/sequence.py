@@ -19,6 +19,9 @@ from sonar_gl.engine.run import Run
 from sonar_gl.ping import Ping
 
 BATCH = 4  # pings drawn at once
+# Samples drawn at once, unless a single ping has more: 21 MB of render targets, twice, as others are summed meanwhile.
+# From half as many samples on, a ping gains nothing by being drawn with others.
+BATCH_SAMPLES = 1 << 19
 IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources are sampled
 
 
@@ -127,8 +130,9 @@ class _Upcoming:
 
     def next_batch(self) -> tuple[list[PingSetup], PingSetup | None]:
         """Return pings that can be drawn at once, and the one after them if its error is to be estimated."""
-        batch = []
-        while self._setups:
+        batch, sectors = [], self._run.sampler.resolution.stage.fan.sectors
+        most = BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors)
+        while self._setups and len(batch) < max(most, 1):
             setup = self._run.with_later_bodies(self._setups.popleft())
             if self._run.sampler.notice(setup):
                 return batch, setup

@@ -10,6 +10,7 @@ from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels import view_index
 from sonar_gl.core.array_pool import ArrayPools
+from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.buffers import SceneBuffers
 from sonar_gl.raster.renderer import DrawingRoom, Renderer
@@ -20,6 +21,7 @@ from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_STAGES = 6  # what is in use, the half of it, and what a search for others tries
+MAX_BYTES = 20e6  # of tables in all stages but the last two
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +107,17 @@ class StageCache:
         key = sampling, shear
         found = self._stages.pop(key, None) or self.make(sampling, shear)
         self._stages[key] = found  # the last one used is last
-        while len(self._stages) > MAX_STAGES:
-            self._stages.pop(next(iter(self._stages)))
+        n_bytes = sum(stage.beamformer.n_bytes for stage in self._stages.values())
+        while len(self._stages) > MAX_STAGES or (len(self._stages) > 2 and n_bytes > MAX_BYTES):
+            n_bytes -= self._stages.pop(next(iter(self._stages))).beamformer.n_bytes
         return found
+
+    def drop_large(self) -> None:
+        """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""
+        for room in self._rooms.values():
+            room.drop_large()
+        self.buffers.context.gc()
+        return_free_memory()
 
     def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return a new stage, which is not kept."""

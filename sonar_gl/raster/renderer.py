@@ -22,8 +22,9 @@ NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uin
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
 MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 # A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
-# would keep the memory of a fine one; not below MIN_PIXELS, 5 MB.
-MAX_EXCESS, MIN_PIXELS = 4, 1 << 17
+# would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
+MAX_EXCESS, MIN_PIXELS = 2, 1 << 16
+MAX_KEPT_PIXELS = 1 << 18  # 10 MB
 
 
 class RenderTarget:
@@ -39,6 +40,11 @@ class RenderTarget:
         self.width, self.height, self.has_bodies = 0, 0, False
         self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
 
+    @property
+    def n_pixels(self) -> int:
+        """How many pixels there is room for."""
+        return self._size[0] * self._size[1]
+
     def allocate(self, context: moderngl.Context, limit: int) -> None:
         """Have room for the pixels in use, and not for far more."""
         (columns, rows), pixels = self._size, self.width * self.height
@@ -50,6 +56,8 @@ class RenderTarget:
         both = tuple(map(max, size, self._size))
         if both[0] * both[1] <= max(MAX_EXCESS * pixels, MIN_PIXELS):
             size = both
+        self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
+        context.gc()  # releases the old renderbuffers before as much memory is taken again
         plane_echo = context.renderbuffer(size, 4, dtype="f4")
         body_id = context.renderbuffer(size, 1, dtype="u2")
         depth = context.depth_renderbuffer(size)
@@ -58,7 +66,7 @@ class RenderTarget:
             True: context.framebuffer([plane_echo, body_id], depth),
         }
         # the size last: after an interrupt or an error of the driver the next ping begins anew
-        self._size, self._arrays, self._framebuffers = (0, 0), {}, framebuffers
+        self._framebuffers = framebuffers
         self._size = size
 
     def clear(self) -> moderngl.Framebuffer:
@@ -109,6 +117,13 @@ class DrawingRoom:
             self._targets, self._other_targets = self._other_targets, self._targets
         self._targets += [RenderTarget() for _ in range(count - len(self._targets))]
         return self._targets[:count]
+
+    def drop_large(self) -> None:
+        """Drop render targets of more than MAX_KEPT_PIXELS; samples that were read from them stay valid."""
+        for targets in (self._targets, self._other_targets):
+            for number, target in enumerate(targets):
+                if target.n_pixels > MAX_KEPT_PIXELS:
+                    targets[number] = RenderTarget()
 
 
 class Renderer:

@@ -7,7 +7,7 @@ from tests.support import interrupts
 EVERY = 20
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(60, method="thread")  # a hang may be one that no signal ends
 def test_a_ping_is_interrupted_at_each_of_its_lines():
     """Early versions hung, gave the ping before, or lacked framebuffers."""
     found = interrupts.interrupt(interrupts.ACTIONS["ping"], lambda places: dict.fromkeys(places))
@@ -16,7 +16,7 @@ def test_a_ping_is_interrupted_at_each_of_its_lines():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(300, method="thread")
 def test_everything_that_a_simulator_does_is_interrupted():
     """Each line at least once, and of those that several actions run every EVERY-th again.
 
