@@ -12,7 +12,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.labels import Labeller, Labels
-from sonar_gl.core.array_pool import ArrayPool
+from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
@@ -141,8 +141,15 @@ def make_beamformer(
     thread: SecondThread | None = None,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
+    pools: ArrayPools | None = None,
 ) -> Beamformer:
-    """Return the beamformer of a sonar with this sampling; `shear` and `max_column_width` as for `make_fan`."""
+    """Return the beamformer of a sonar with this sampling.
+
+    Parameters
+    ----------
+    thread, pools : of `Beamformer`
+    shear, max_column_width : of `make_fan`
+    """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
     is_box = pattern is None
@@ -150,7 +157,7 @@ def make_beamformer(
         true_range, extend_rows(sampling, sonar, true_range), reach, is_box, shear, max_column_width
     )
     weights = beam_weights(fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation)
-    return Beamformer(fan, weights, elevation, thread, is_box)
+    return Beamformer(fan, weights, elevation, thread, is_box, pools)
 
 
 class Beamformer:
@@ -165,6 +172,7 @@ class Beamformer:
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     thread : for the second half; None does both halves in the caller's thread
     is_box : beams are boxes, which end where columns end
+    pools : of the arrays that are returned, to share with other beamformers; None for its own
 
     Attributes
     ----------
@@ -179,10 +187,12 @@ class Beamformer:
         elevation_pattern: Callable | None = None,
         thread: SecondThread | None = None,
         is_box: bool = True,
+        pools: ArrayPools | None = None,
     ):
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
-        self._pool = ArrayPool(shape)
+        pools = pools or ArrayPools()
+        self._pool = pools.pool(shape)
         self._top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
         sines = np.linspace(-self._top, self._top, ELEVATIONS)
         is_even = elevation_pattern is None
@@ -205,8 +215,20 @@ class Beamformer:
         weighted_elevation = np.arcsin(sines) * (1.0 if is_even else self.elevation_table)
         self._labeller = None
         self._make_labeller = partial(
-            Labeller, fan, weights.first, self._weights, self._bins, self.elevation_table, weighted_elevation
+            Labeller,
+            fan,
+            weights.first,
+            self._weights,
+            self._bins,
+            (self.elevation_table, weighted_elevation),
+            pools,
         )
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of its tables and sums, about."""
+        labeller = 0 if self._labeller is None else self._labeller.n_bytes
+        return self._sums.nbytes + self._weights.nbytes + labeller
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.beamform import kernels
-from sonar_gl.core.array_pool import ArrayPool
+from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -40,24 +40,31 @@ class Labeller:
     fan : Fan
     first, weights : of BeamWeights
     bins : tuple of kernels.BinTable
-    elevation_table, weighted_elevation : of kernels.ElevationTables
+    tables : tuple of kernels.ElevationTables
+    pools : of the arrays that are returned
     """
 
-    def __init__(self, fan: Fan, first, weights, bins, elevation_table, weighted_elevation):
+    def __init__(self, fan: Fan, first, weights, bins, tables, pools: ArrayPools):
         shape = len(first), fan.sonar.n_bins
         self._fan, self._bins = fan, bins
-        self._tables = elevation_table, weighted_elevation
+        self._tables = tables
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
         self._tiles = tuple(kernels.beam_tiles(first, weights))
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
-        self._floats, self._numbers = ArrayPool(shape), ArrayPool(shape, np.uint16)
-        self._means = ArrayPool((3, *shape))
+        self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
+        self._means = pools.pool((3, *shape))
         self._cells = [np.zeros((SLOTS, shape[1], kernels.CELL)) for _ in range(2)]
         self._stores = [
             kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
             for _ in range(2)
         ]
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of the arrays that it uses again."""
+        runs = sum(store.runs.nbytes + store.pool.nbytes for store in self._stores)
+        return runs + sum(cells.nbytes for cells in self._cells)
 
     def find(
         self,

@@ -1,4 +1,4 @@
-"""A pool of arrays, reused once no caller holds a reference."""
+"""Pools of arrays, reused once no caller holds a reference."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-MAX_ARRAYS = 16
+MAX_ARRAYS = 32
 
 
 class ArrayPool:
@@ -41,3 +41,14 @@ class ArrayPool:
         if len(self._arrays) < MAX_ARRAYS:
             self._arrays.append(array)
         return array
+
+
+class ArrayPools:
+    """Pools by shape and type. Those who share this object share arrays, as long as they run one at a time."""
+
+    def __init__(self):
+        self._pools: dict[tuple, ArrayPool] = {}
+
+    def pool(self, shape, dtype=np.float32) -> ArrayPool:
+        """Return the pool of arrays of this shape and type."""
+        return self._pools.setdefault((shape, np.dtype(dtype)), ArrayPool(shape, dtype))

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
 from threading import Lock, Thread, get_ident
 
 from sonar_gl.core.errors import Error, closed_error
+
+
+@contextmanager
+def held(lock: Lock):
+    """Hold a lock for the time of the block; an interrupt at any line releases it.
+
+    A plain `with lock` does not release it if the interrupt comes at the step back to its own line, as from a
+    debugger or a tracer. Here that step lies before the end of the second manager, inside the first.
+    """
+    with lock, nullcontext():
+        yield
 
 
 class ThreadLock:
@@ -23,14 +34,15 @@ class ThreadLock:
 
     def check_free(self) -> None:
         """Raise the Error if this thread holds the lock."""
-        if self._owner == get_ident():
+        # an interrupt may leave the name of the last owner, so both count
+        if self._owner == get_ident() and self._lock.locked():
             raise Error(self._message)
 
     @contextmanager
     def held(self):
-        """Hold the lock for the time of the block; an interrupt at any point releases it."""
+        """Hold the lock for the time of the block; an interrupt at any line releases it."""
         self.check_free()
-        with self._lock:
+        with held(self._lock):
             try:
                 self._owner = get_ident()
                 yield
@@ -39,48 +51,46 @@ class ThreadLock:
 
 
 class Job:
-    """Work for a thread. Whoever claims it first, the thread or a caller, does it and stores its result.
+    """Work for a thread. Whoever begins it first, the thread or a caller, does it and stores its result.
+
+    A caller that is interrupted in the work leaves it undone: the next one who needs it begins it anew.
 
     Attributes
     ----------
     answer, failure : what `work` has returned or raised
-    is_done : whether it has
+    is_over : whether it is done, or cancelled
     """
 
     def __init__(self, work: Callable[[], object]):
-        self.answer, self.failure, self.is_done = None, None, False
-        self._work, self._claims, self._undone = work, [], Lock()
-        self._undone.acquire()
+        self.answer, self.failure, self.is_over = None, None, False
+        self._work, self._doing = work, Lock()
 
-    def claim(self) -> bool:
-        """Return whether this thread has claimed the job first.
-
-        An interrupt at any point leaves that decided, as appending to a list is atomic.
-        """
-        self._claims.append(get_ident())
-        return self._claims[0] == get_ident()
-
-    def do(self) -> None:
-        """Do the work, if it is not done, and store its result or exception; call it after `claim`."""
-        if self.is_done:
-            return
-        try:
-            self.answer = self._work()
-        except BaseException as why:
-            self.failure = why
-        self._work = None  # the closure holds a reference to its owner
-        self.is_done = True
-        self._undone.release()
+    def begin(self) -> None:
+        """Do the work, unless another thread does it; for threads that serve."""
+        if self._doing.acquire(blocking=False):
+            try:
+                self._do()
+            finally:
+                self._doing.release()
 
     def settle(self) -> None:
         """Have the job done: wait for the thread that does it, or do it here if none has begun."""
-        if not self.claim():
-            with self._undone:
-                pass
-            return
-        self.do()
-        if self.failure is not None and not isinstance(self.failure, Exception):
-            raise self.failure  # an interrupt of this thread
+        with held(self._doing):
+            self._do()
+
+    def cancel(self) -> None:
+        """Have nobody begin the work from now on; `settle` then waits for a thread that has."""
+        self.is_over = True
+
+    def _do(self) -> None:
+        if not self.is_over:
+            answer = failure = None
+            try:
+                answer = self._work()
+            except Exception as why:
+                failure = why
+            # the closure of the work holds a reference to its owner
+            self.answer, self.failure, self._work, self.is_over = answer, failure, None, True
 
     def result(self):
         """Settle the job; return its answer, or raise its exception again."""
@@ -93,9 +103,9 @@ class Job:
 def _serve(queue: SimpleQueue) -> None:
     """Do jobs from the queue until it yields None."""
     while (job := queue.get()) is not None:
-        if job.claim():
-            job.do()
+        job.begin()
         job = None
+    queue.put(None)  # for a second thread, which an interrupted start may leave
 
 
 class JobThread:
@@ -107,16 +117,15 @@ class JobThread:
     """
 
     def __init__(self, name: str):
-        self._name, self._queue, self._started = name, SimpleQueue(), Lock()
+        self._name, self._queue, self._starting, self._is_started = name, SimpleQueue(), Lock(), False
 
     def submit(self, job: Job) -> None:
         """Hand a job over. If that is interrupted, `Job.settle` still has the job done, once."""
-        if self._started.acquire(blocking=False):
-            try:
-                Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
-            except BaseException:
-                self._started.release()
-                raise
+        if not self._is_started:
+            with held(self._starting):
+                if not self._is_started:
+                    Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
+                    self._is_started = True
         self._queue.put(job)
 
     def close(self) -> None:
@@ -124,7 +133,8 @@ class JobThread:
         self._queue.put(None)
 
     def __del__(self):
-        self._queue.put(None)
+        if hasattr(self, "_queue"):  # its construction was not interrupted
+            self._queue.put(None)
 
 
 class SecondThread:
@@ -146,19 +156,23 @@ class SecondThread:
         """
         if self._is_closed:
             raise closed_error("SecondThread")
-        for half in list(self._abandoned):  # they may still write to arrays of this job
-            half.settle()
-            with suppress(ValueError):  # another caller has removed it
-                self._abandoned.remove(half)
+        self.settle()
         half = Job(lambda: work(1))
         try:
             self._thread.submit(half)
             first = work(0)
             return first, half.result()
         except BaseException:
-            if not half.claim():  # the thread is running it, or has
-                self._abandoned.append(half)
+            half.cancel()
+            self._abandoned.append(half)
             raise
+
+    def settle(self) -> None:
+        """Wait for halves that the thread still runs for callers that were interrupted: they write to arrays."""
+        for half in list(self._abandoned):
+            half.settle()
+            with suppress(ValueError):  # another caller has removed it
+                self._abandoned.remove(half)
 
     def close(self) -> None:
         """Stop the thread; a second call does nothing."""

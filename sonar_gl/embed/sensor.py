@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 
@@ -152,7 +153,7 @@ class Sensor:
         request = PingRequest(pose, noise, seed, ping_number, labels, velocity=velocity)
         tolerance = self.tolerance if self.sampling is None else None
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
-        with self._lock.held():
+        with self._pinging():
             return self._ping(request, drawing.stage, samples, origin, drawing.advice())
 
     def ping_from_textures(
@@ -250,12 +251,19 @@ class Sensor:
         pose = check_pose(np.eye(4) if pose is None else pose)
         return PingRequest(pose, noise, seed, number, labels, velocity=velocity)
 
+    @contextmanager
+    def _pinging(self):
+        """Have one thread make a ping at a time."""
+        with self._lock.held():
+            self._thread.settle()
+            yield
+
     def _ping_of_images(
         self, request: PingRequest, cameras, images, planar: bool, origin: SampleOrigin
     ) -> Ping:
         """Return the ping of checked images."""
         self._check_open()
-        with self._lock.held():
+        with self._pinging():
             rig = self._find_rig(cameras, images)
             return self._ping(request, rig.stage, rig.samples(images, planar), origin, IMAGES_ADVICE)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -74,15 +74,68 @@ class Plan:
     met: bool
 
 
+class LastCheck(NamedTuple):
+    """When the error was estimated last, and of what.
+
+    Attributes
+    ----------
+    pose, state : of that ping
+    total : the sum of its echo
+    number : how many pings had been noticed by then
+    """
+
+    pose: np.ndarray
+    state: SceneState
+    total: float
+    number: int
+
+
+class Judgement(NamedTuple):
+    """A sampling level in a ping.
+
+    Attributes
+    ----------
+    plan : Plan of this level
+    steps : by how many levels finer (or coarser, if negative) would do
+    check : LastCheck, if the plan is followed
+    """
+
+    plan: Plan
+    steps: int
+    check: LastCheck
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The samples that are followed, and why. It is replaced as a whole: an interrupt leaves the old or the new one.
+
+    Attributes
+    ----------
+    resolution : of the last ping, or of the first to come
+    level : its sampling level
+    plan : the Plan behind it; None before the first ping
+    check : the LastCheck; None before the first ping
+    planned_poses : bytes of the poses for which the samples are fixed; None while they are chosen ping by ping
+    """
+
+    resolution: Resolution
+    level: int
+    plan: Plan | None = None
+    check: LastCheck | None = None
+    planned_poses: frozenset[bytes] | None = None
+
+
 class Sampler(Protocol):
     """What chooses the samples of pings.
 
     Attributes
     ----------
+    choice : all that changes from ping to ping, to be put back where a plan is broken off
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
     """
 
+    choice: object
     resolution: Resolution
     tolerance: float | None
 
@@ -108,7 +161,7 @@ class Sampler(Protocol):
 class FixedSampling:
     """Samples that were given: nothing to choose, nothing promised. A `Sampler`."""
 
-    tolerance = None
+    tolerance = choice = None
 
     def __init__(self, stages: StageCache, sampling: Sampling):
         self.resolution = Resolution(stages.stage(sampling))
@@ -146,29 +199,43 @@ class AdaptiveSampling:
 
     Attributes
     ----------
-    plan : the Plan that it follows, None before the first ping
+    choice : Choice; whoever takes a step of several that may be broken off keeps it, and puts it back
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
         self.tolerance = check_tolerance(tolerance)
-        self._stages, self._sonar, self._meshes = stages, stages.sonar, stages.buffers.meshes
+        self._stages, self._sonar = stages, stages.sonar
         self._gain, self._specular = gain, stages.acoustics.specular
         self._true_range_sonar = stages.acoustics.true_range_sonar(self._sonar)
-        self._extents = BodyExtents(self._meshes.bodies, self._specular)
+        self._extents = BodyExtents(self._bodies, self._specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
         self._finest = FINEST_LEVEL
         self._guess = min(typical_level(self.tolerance), self._finest)
-        self._level = self._guess
-        self.resolution = Resolution(stages.stage(sampling_at(self._sonar, self._level)))
-        self.plan = None
-        self._is_fixed, self._has_warned, self._planned_poses = False, False, set()
-        self._trigger = ReplanTrigger(self._sonar)
+        self._trigger, self._n_noticed, self._has_warned = ReplanTrigger(self._sonar), 0, False
+        self.choice = Choice(self._resolution_at(self._guess), self._guess)
+
+    @property
+    def resolution(self) -> Resolution:
+        """The resolution of the last ping, or of the first to come."""
+        return self.choice.resolution
+
+    @property
+    def plan(self) -> Plan | None:
+        """The Plan that it follows, None before the first ping."""
+        return self.choice.plan
+
+    @property
+    def _bodies(self) -> list:
+        return self._stages.buffers.meshes.bodies
+
+    def _resolution_at(self, level: int) -> Resolution:
+        return Resolution(self._stages.stage(sampling_at(self._sonar, level)))
 
     def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
         """Return samples that keep the tolerance."""
         check = self.notice(setup) or check
         if check and self.plan is None:
-            self._choose(setup)
+            self.choice = self._search(setup, self.choice.level)
             self._warn_if_unmet()
             return self.resolution
         return replace(self.resolution, check=check)
@@ -176,60 +243,65 @@ class AdaptiveSampling:
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return finer or coarser samples, if these were found to be wrong."""
         drawn = received.drawn
-        resolution = drawn.resolution
+        resolution, level = drawn.resolution, self.choice.level
         if resolution.is_final:
             return None
         if not resolution.check:  # a check needs samples that know their bodies
             return replace(resolution, check=True) if self.has_changed(received.direct.total) else None
-        self.plan, steps = self._judge(drawn.setup, self._level, received)
-        again = None
-        if (steps > 0 and self._level < self._finest) or steps <= -LEVELS_PER_HALF:
-            self._choose(drawn.setup)
-            again = replace(self.resolution, is_final=True)
+        judged = self._judge(drawn.setup, level, received)
+        choice, again = replace(self.choice, plan=judged.plan, check=judged.check), None
+        if (judged.steps > 0 and level < self._finest) or judged.steps <= -LEVELS_PER_HALF:
+            choice = self._search(drawn.setup, level)
+            again = replace(choice.resolution, is_final=True)
+        self.choice = choice
         self._warn_if_unmet()
         return again
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
-        return not self._is_fixed and self._trigger.has_changed(total)
+        if self.choice.planned_poses is not None:
+            return False
+        before = 0.0 if self.choice.check is None else self.choice.check.total
+        return abs(total - before) > CHECK_CHANGE * before
 
     def fix(self, setups: Sequence[PingSetup]) -> Plan:
         """Choose for all of some pings, for MAX_POSES of many, and stay with it."""
         picked = np.unique(np.linspace(0, len(setups) - 1, MAX_POSES).round().astype(int))
-        plans, guess = [], self._guess
-        for k in picked:
-            self._level = guess  # each as if it came first: the order does not count
-            plans.append(self._choose(setups[k]))
-        self._level, self._is_fixed = max(plan.level for plan in plans), True
-        finest = [plan for plan in plans if plan.level == self._level]
-        self.plan = replace(
+        # each as if it came first: the order does not count
+        plans = [self._search(setups[k], self._guess).plan for k in picked]
+        level = max(plan.level for plan in plans)
+        finest = [plan for plan in plans if plan.level == level]
+        plan = replace(
             max(finest, key=lambda plan: plan.worst_body_estimate),
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        self.resolution = Resolution(self._stages.stage(self.plan.sampling))
-        self._planned_poses = {setup.request.pose.tobytes() for setup in setups}
+        poses = frozenset(setup.request.pose.tobytes() for setup in setups)
+        self.choice = Choice(self._resolution_at(level), level, plan, planned_poses=poses)
         self._warn_if_unmet()
-        return self.plan
+        return plan
 
     def error_estimate(self, pose) -> float | None:
         """Return the estimated error of a ping from `pose`; None where samples were fixed for other poses."""
-        return (
-            None if self._is_fixed and pose.tobytes() not in self._planned_poses else self.plan.error_estimate
-        )
+        planned = self.choice.planned_poses
+        return None if planned is not None and pose.tobytes() not in planned else self.plan.error_estimate
 
     def notice(self, setup: PingSetup) -> bool:
         """Take note of a ping to come; return whether its error is to be estimated."""
-        return not self._is_fixed and (
-            self._trigger.notice(setup.request.pose, setup.state) or self.plan is None
+        if self.choice.planned_poses is not None:
+            return False
+        self._n_noticed += 1
+        check = self.choice.check
+        return check is None or self._trigger.is_due(
+            check, setup.request.pose, setup.state, self._n_noticed - check.number
         )
 
-    def _choose(self, setup: PingSetup) -> Plan:
-        """Choose the coarsest level that keeps the tolerance in this ping, or the finest there is."""
-        failed, kept, level, found = -1, self._finest + 1, self._level, {}
+    def _search(self, setup: PingSetup, level: int) -> Choice:
+        """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
+        failed, kept, found = -1, self._finest + 1, {}
         while level not in found:
             try:
-                found[level], steps = self._judge(setup, level)
+                found[level] = judged = self._judge(setup, level)
             except Error:  # beyond the driver's limits
                 if level == 0:
                     raise
@@ -237,6 +309,7 @@ class AdaptiveSampling:
                 kept = min(kept, level)
                 level = max(level - 1, failed)
                 continue
+            steps = judged.steps
             if steps > 0:
                 failed = max(failed, level)
             else:
@@ -246,19 +319,19 @@ class AdaptiveSampling:
             level = min(max(level + steps, failed + 1), kept - 1)
             if level <= failed:
                 level = min(kept, self._finest)
-        self.plan, self._level = found[level], level
-        self.resolution = Resolution(self._stages.stage(self.plan.sampling))
-        return self.plan
+        chosen = Choice(self._resolution_at(level), level, found[level].plan, judged.check)
+        self._stages.drop_large()
+        return chosen
 
-    def _judge(self, setup: PingSetup, level: int, received: ReceivedPing | None = None) -> tuple[Plan, int]:
-        """Estimate the error of a level in a ping, and by how many levels finer (or coarser, if negative) would do.
+    def _judge(self, setup: PingSetup, level: int, received: ReceivedPing | None = None) -> Judgement:
+        """Estimate the error of a level in a ping.
 
         received : the ping with samples of that level and the numbers of bodies, if it is there already
         """
         sampling, state, pose = sampling_at(self._sonar, level), setup.state, setup.request.pose
         # in the mirror image of the lattice a rod that runs along its rows does not
         fine, coarse = self._stages.stage(sampling), self._stages.stage(half_of(sampling), -SHEAR)
-        bodies = self._meshes.bodies
+        bodies = self._bodies
         if self._extents.n_bodies < len(bodies):  # some were added
             self._extents = BodyExtents(bodies, self._specular)
         if received is None:
@@ -273,7 +346,6 @@ class AdaptiveSampling:
         difference = np.abs(intensity - other_intensity).sum(dtype=np.float64)
         _, other_echo = count_bodies(other_view.sectors, *counted)
         whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
-        self._trigger.checked(pose, state, whole)
         error = ERROR_FACTOR * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         if whole <= 0:
@@ -300,7 +372,8 @@ class AdaptiveSampling:
             steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
         steps = min(math.ceil(steps), MAX_STEPS)
         worst_error = float(errors[worst])
-        return Plan(sampling, level, error, worst_error, worst if counts.any() else 0, steps <= 0), steps
+        plan = Plan(sampling, level, error, worst_error, worst if counts.any() else 0, steps <= 0)
+        return Judgement(plan, steps, LastCheck(pose, state, whole, self._n_noticed))
 
     def _warn_if_unmet(self) -> None:
         """Warn of a tolerance that cannot be kept, once until it can."""
@@ -309,7 +382,7 @@ class AdaptiveSampling:
         if plan.met or has_warned:
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
-        name = f" ({self._meshes.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
+        name = f" ({self._bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
         warn_caller(
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
             f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
@@ -325,37 +398,25 @@ def _body_error(hits):
 
 
 class ReplanTrigger:
-    """Decides when to estimate the error again: sonar, bodies or the echo have changed since the last check."""
+    """Decides when to estimate the error again: sonar or bodies have moved since the last check."""
 
     def __init__(self, sonar: Sonar):
-        self._pose, self._state, self._total, self._since = None, None, 0.0, 0
         self._far_m = CHECK_MOVE * sonar.range_max_m
         turn_deg = min(CHECK_TURN_DEG, sonar.azimuth_fov_deg / 4, sonar.elevation_fov_deg / 2)
         self._far_rad = math.radians(turn_deg)
 
-    def checked(self, pose, state: SceneState, total: float) -> None:
-        """Take note of a check of this ping, and of the sum of its echo."""
-        self._pose, self._state, self._total, self._since = pose, state, total, 0
-
-    def has_changed(self, total: float) -> bool:
-        """Return whether something came into view, or left."""
-        return abs(total - self._total) > CHECK_CHANGE * self._total
-
-    def notice(self, pose, state: SceneState) -> bool:
-        """Count a ping; return whether sonar or bodies have moved far since the last check, or a little for long."""
-        self._since += 1
-        if self._pose is None:
-            return True
-        moved, turned = _motion(self._pose[None], pose[None])
-        if state is not self._state:
-            before = self._state
+    def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
+        """Return whether sonar or bodies have moved far since the last check, or a little for `n_pings`, long."""
+        moved, turned = _motion(last.pose[None], pose[None])
+        if state is not last.state:
+            before = last.state
             if len(state.present) != len(before.present) or (state.present != before.present).any():
                 return True
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
         if moved <= 0.0 and turned < 1e-6:
             return False
-        return self._since >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
+        return n_pings >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,6 +89,13 @@ class ImageSourceSamples:
     sources: tuple[ImageSource, ...]
 
 
+class HalvingChoice(NamedTuple):
+    """How often samples are halved for image sources, and whether that stays."""
+
+    halvings: int
+    is_fixed: bool = False
+
+
 class ImageSources:
     """The planar reflectors of a run, and the sonar's images behind them.
 
@@ -97,6 +105,10 @@ class ImageSources:
     thread : of the run's world
     scene : Scene
     tolerance : reflectors that can return no more than this share of the echo are left out
+
+    Attributes
+    ----------
+    choice : HalvingChoice
     """
 
     COARSEST = len(SHARES)  # halvings
@@ -107,52 +119,54 @@ class ImageSources:
         acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
         self._tolerance, self._buffers = tolerance, buffers
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
-        self._own_stages = StageCache(buffers, sonar, acoustics, thread, WIDEST_COLUMN)
+        shared = thread, WIDEST_COLUMN, stages.pools
+        self._own_stages = StageCache(buffers, sonar, acoustics, *shared)
         if sonar.beam_azimuths_deg is not None:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
-        self._image_stages = StageCache(buffers, sonar, acoustics, thread, WIDEST_COLUMN)
+        self._image_stages = StageCache(buffers, sonar, acoustics, *shared)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
         self._scene, self._reflectors = None, []
-        self._halvings, self._is_fixed = self.COARSEST, False
+        self.choice = HalvingChoice(self.COARSEST)
         self.use_scene(scene)
 
     def use_scene(self, scene: Scene) -> None:
         """Find the planar reflectors of a scene, once."""
         if scene is not self._scene:
-            self._scene, self._reflectors = scene, planar_reflectors(scene, self._wavenumber_rad_m)
+            self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m)
             self._is_specular = any(body.specular > 0 for body in scene.bodies)
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
+            self._scene = scene
 
     def reset(self) -> None:
         """Begin with the coarsest samples, as if no ping had been made before, unless they are fixed."""
-        if not self._is_fixed:
-            self._halvings = self.COARSEST
+        if not self.choice.is_fixed:
+            self.choice = HalvingChoice(self.COARSEST)
 
     def fix(self, halvings: int) -> None:
         """Halve samples so often from now on."""
-        self._halvings, self._is_fixed = halvings, True
+        self.choice = HalvingChoice(halvings, True)
 
     def release(self) -> None:
         """Choose samples ping by ping again."""
-        self._is_fixed = False
+        self.choice = HalvingChoice(self.halvings)
 
     @property
     def halvings(self) -> int:
         """How often samples are halved, by the multipath of the last ping."""
-        return self._halvings
+        return self.choice.halvings
 
     def review(self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho) -> bool:
         """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them."""
         if images is None:
             return False
-        if not self._is_fixed:
+        if not self.choice.is_fixed:
             # coarser only where they would stay so: otherwise they flicker
             wanted, kept = (
                 sum(f * multipath.total <= share * direct.total for share in SHARES) for f in (1, 2)
             )
-            self._halvings = min(max(self._halvings, kept), wanted)
-        return images.halvings > self._halvings
+            self.choice = HalvingChoice(min(max(self.halvings, kept), wanted))
+        return images.halvings > self.halvings
 
     def draw(
         self, stage: Stage, views: Sequence[ViewSamples], poses, states: Sequence[SceneState]
@@ -176,10 +190,10 @@ class ImageSources:
             return out
         numbers = sorted({number for number, _ in found})
         sampling = stage.sampling
-        for _ in range(self._halvings):
+        for _ in range(self.halvings):
             sampling = half_of(sampling)
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
-        if self._halvings or self._is_specular or any(view.bubbles is not None for view in views):
+        if self.halvings or self._is_specular or any(view.bubbles is not None for view in views):
             own_views = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
             own_indices = [kernels.view_index(view) for view in own_views]
         else:  # the direct views will do
@@ -193,7 +207,7 @@ class ImageSources:
             sources[number].append(ImageSource(*about, *views_of_both))
         for number in numbers:
             out[number] = ImageSourceSamples(
-                self._halvings, self._single_bounce, own, image, tuple(sources[number])
+                self.halvings, self._single_bounce, own, image, tuple(sources[number])
             )
         return out
 

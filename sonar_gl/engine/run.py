@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import closed_error
-from sonar_gl.core.worker import Job
+from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
@@ -43,9 +43,9 @@ class Run:
     def __init__(
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
-        world.users += 1
+        world.join(id(self))
         self._world, self._origin, self._described = world, None, None
-        self._in_flight, self._summing = [], Lock()
+        self._in_flight, self._summing, self._is_closed = [], Lock(), False
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -67,7 +67,7 @@ class Run:
 
     def check_open(self) -> None:
         """Raise an Error once the run is closed."""
-        if self._world is None:
+        if self._is_closed:
             raise closed_error("Simulator")
 
     @property
@@ -86,8 +86,7 @@ class Run:
             for job in self._in_flight:
                 if job is not beside:
                     job.settle()
-            if self._world is None:  # closed while this one waited
-                raise closed_error("Simulator")
+            self.check_open()  # it may have been closed while this one waited
             yield context
 
     def receive_later(self, work: Callable[[], list]) -> Job:
@@ -98,11 +97,11 @@ class Run:
         """
 
         def alone():
-            with self._summing:
+            with held(self._summing):
                 return work()
 
         job = Job(alone)
-        self._in_flight = [*(one for one in self._in_flight if not one.is_done), job]
+        self._in_flight = [*(one for one in self._in_flight if not one.is_over), job]
         return job
 
     def set_up(self, request: PingRequest) -> PingSetup:
@@ -166,7 +165,6 @@ class Run:
         """Return what the `meta` of pings states about the scene and the driver."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
-            self._described = scene
             self._origin = SampleOrigin(
                 scene.name,
                 tuple(body.name for body in scene.bodies),
@@ -174,6 +172,7 @@ class Run:
                 self.sampler.tolerance,
                 self.world.gl_info["renderer"],
             )
+            self._described = scene
         return self._origin
 
     def report(self, received: ReceivedPing) -> PingReport:
@@ -187,13 +186,17 @@ class Run:
         return PingReport(self.sample_origin(), self.sampler.error_estimate(setup.request.pose), no_echo)
 
     def close(self) -> None:
-        """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing."""
+        """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing.
+
+        After an interrupt, a second call releases the rest.
+        """
         world = self._world
         if world is not None:
             world.check_thread()
             world.check_idle()
+            self._is_closed = True
+            world.leave(id(self), self._release)
             self._world = None
-            world.leave(self._release)
 
     def _release(self) -> None:
         for job in self._in_flight:
@@ -204,4 +207,4 @@ class Run:
     def forget(self) -> None:
         """Count this run as unused without closing it, since finalisers must not call OpenGL."""
         if self._world is not None:
-            self._world.forget()
+            self._world.forget(id(self))

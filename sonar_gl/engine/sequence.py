@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import count, repeat
 
 import numpy as np
@@ -12,12 +12,16 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.adaptive import Plan
 from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.ping import Ping
 
 BATCH = 4  # pings drawn at once
+# Samples drawn at once, unless a single ping has more: 21 MB of render targets, twice, as others are summed meanwhile.
+# From half as many samples on, a ping gains nothing by being drawn with others.
+BATCH_SAMPLES = 1 << 19
 IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources are sampled
 
 
@@ -63,20 +67,33 @@ def _per_ping(values, name: str, poses) -> Iterable:
 
 
 def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
-    """Choose the samples for all of these pings, and stay with them."""
+    """Choose the samples for all of these pings, and stay with them; if that is broken off, with those before."""
     setups = [run.set_up(request) for request in requests]
     with run.drawing():
         setups = [run.with_later_bodies(setup) for setup in setups]
-        chosen = run.sampler.fix(setups)
-        if (images := run.image_sources) is not None:
-            images.release()
-            least = images.COARSEST
-            for at in np.unique(np.linspace(0, len(setups) - 1, IMAGE_POSES).round().astype(int)):
-                images.reset()
-                if (found := sample(run, setups[at]).drawn.images) is not None:
-                    least = min(least, found.halvings)
-            images.fix(least)
+        sampler, images = run.sampler, run.image_sources
+        before = sampler.choice, images and images.choice
+        try:
+            chosen = sampler.fix(setups)
+            if images is not None:
+                _fix_images(run, images, setups)
+        except BaseException:
+            sampler.choice = before[0]
+            if images is not None:
+                images.choice = before[1]
+            raise
     return chosen
+
+
+def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> None:
+    """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
+    images.release()
+    least = images.COARSEST
+    for at in np.unique(np.linspace(0, len(setups) - 1, IMAGE_POSES).round().astype(int)):
+        images.reset()
+        if (found := sample(run, setups[at]).drawn.images) is not None:
+            least = min(least, found.halvings)
+    images.fix(least)
 
 
 class _Upcoming:
@@ -103,14 +120,19 @@ class _Upcoming:
                 self._setups.append(self._run.set_up(next(self._requests)))
             except StopIteration:
                 self._is_over = True
-            except Exception as why:  # of this request: the pings before it come first
+            except (
+                KeyboardInterrupt
+            ):  # at once: a caller that stops at one of the pings before would never get it
+                raise
+            except BaseException as why:  # of this request: the pings before it come first
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
     def next_batch(self) -> tuple[list[PingSetup], PingSetup | None]:
         """Return pings that can be drawn at once, and the one after them if its error is to be estimated."""
-        batch = []
-        while self._setups:
+        batch, sectors = [], self._run.sampler.resolution.stage.fan.sectors
+        most = BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors)
+        while self._setups and len(batch) < max(most, 1):
             setup = self._run.with_later_bodies(self._setups.popleft())
             if self._run.sampler.notice(setup):
                 return batch, setup

@@ -9,9 +9,11 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels import view_index
+from sonar_gl.core.array_pool import ArrayPools
+from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.buffers import SceneBuffers
-from sonar_gl.raster.renderer import Renderer
+from sonar_gl.raster.renderer import DrawingRoom, Renderer
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling
@@ -19,6 +21,7 @@ from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_STAGES = 6  # what is in use, the half of it, and what a search for others tries
+MAX_BYTES = 20e6  # of tables in all stages but the last two
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +65,19 @@ class Stage:
 
 
 class StageCache:
-    """The stages of a run by their sampling; the last few are kept.
+    """The stages of a run by their sampling; the last few are kept. They share the memory that pings are drawn into.
+
+    The samples of one stage stay valid until another one of the same shear draws, as if it were the same stage.
 
     Parameters
     ----------
     buffers, sonar, acoustics, thread : of the run
     max_column_width : of `make_fan`
+    pools : of the arrays of pings, to share with other caches
+
+    Attributes
+    ----------
+    pools
     """
 
     def __init__(
@@ -77,9 +87,13 @@ class StageCache:
         acoustics: Acoustics,
         thread: SecondThread | None = None,
         max_column_width: float = 0.5,
+        pools: ArrayPools | None = None,
     ):
         self.buffers, self.sonar, self.acoustics = buffers, sonar, acoustics
         self._thread, self._max_column_width = thread, max_column_width
+        self.pools = ArrayPools() if pools is None else pools
+        # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
+        self._rooms: dict[float, DrawingRoom] = {}
         self._stages: dict[tuple, Stage] = {}
 
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
@@ -93,12 +107,23 @@ class StageCache:
         key = sampling, shear
         found = self._stages.pop(key, None) or self.make(sampling, shear)
         self._stages[key] = found  # the last one used is last
-        while len(self._stages) > MAX_STAGES:
-            self._stages.pop(next(iter(self._stages)))
+        n_bytes = sum(stage.beamformer.n_bytes for stage in self._stages.values())
+        while len(self._stages) > MAX_STAGES or (len(self._stages) > 2 and n_bytes > MAX_BYTES):
+            n_bytes -= self._stages.pop(next(iter(self._stages))).beamformer.n_bytes
         return found
+
+    def drop_large(self) -> None:
+        """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""
+        for room in self._rooms.values():
+            room.drop_large()
+        self.buffers.context.gc()
+        return_free_memory()
 
     def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return a new stage, which is not kept."""
-        made_of = self.sonar, self.acoustics, sampling, self._thread, shear, self._max_column_width
-        beamformer = make_beamformer(*made_of)
-        return Stage(sampling, beamformer, Renderer(self.buffers, beamformer.fan, self.acoustics.specular))
+        beamformer = make_beamformer(
+            self.sonar, self.acoustics, sampling, self._thread, shear, self._max_column_width, self.pools
+        )
+        room = self._rooms.setdefault(shear, DrawingRoom(self.buffers))
+        renderer = Renderer(self.buffers, beamformer.fan, self.acoustics.specular, room)
+        return Stage(sampling, beamformer, renderer)

@@ -43,7 +43,6 @@ class World:
     buffers : SceneBuffers, their meshes; None once the context is given back
     thread : SecondThread, which all simulators share
     gl_info : driver, version and limits
-    users : how many runs use it
     """
 
     def __init__(self, scene: Scene, device: int | None = None, context: str | None = None):
@@ -53,7 +52,7 @@ class World:
         joins = context is not None
         self._context, self._lock, self._process = None, ThreadLock(IN_USE), os.getpid()
         self._host_thread = threading.current_thread() if joins else None
-        self.scene, self.users, self.thread = scene, 0, SecondThread()
+        self.scene, self._users, self.thread = scene, set(), SecondThread()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         lifetime.release_waiting()
         with egl.preserve_current():
@@ -65,10 +64,7 @@ class World:
         except BaseException:
             lifetime.discard(self._context)  # the exception holds what is in it
             raise
-        self._number_bodies()
-
-    def _number_bodies(self) -> None:
-        self._indices = {body.name: index for index, body in enumerate(self.scene.bodies)}
+        self._indices = _indices(scene)
 
     def check_idle(self) -> None:
         """Raise an Error if this thread is in the middle of drawing."""
@@ -94,8 +90,10 @@ class World:
     def drawing(self):
         """Have the context current for the time of the block, in one thread at a time."""
         with self.unchanged():
+            self.thread.settle()
             lifetime.release_waiting()
-            with self._context as context:
+            # after an interrupt in the context's own end, the outer manager still makes it not current
+            with egl.preserve_current(), self._context as context:
                 context.gc()
                 yield context
 
@@ -179,28 +177,44 @@ class World:
         """Append bodies or plumes; inside `drawing`."""
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
-        self.scene = self.scene.with_more(bodies)
-        self.buffers.add([body for body in bodies if isinstance(body, Body)])
-        self._plume_poses |= {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
-        self._number_bodies()
+        scene = self.scene.with_more(bodies)
+        uploaded = self.buffers.uploaded.with_more([body for body in bodies if isinstance(body, Body)])
+        plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
+        plume_poses, indices = self._plume_poses | plume_poses, _indices(scene)
+        # all in one step: an interrupt before it leaves the scene without these bodies
+        self.buffers.uploaded, self.scene, self._plume_poses, self._indices = (
+            uploaded, scene, plume_poses, indices
+        )  # fmt: skip
 
-    def leave(self, release) -> None:
-        """Take one user less: `release` drops its GL objects; after the last user the context goes, too."""
+    def join(self, user: int) -> None:
+        """Count one user more, by its id."""
+        self._users.add(user)
+
+    def leave(self, user: int, release) -> None:
+        """Take one user less: `release` drops its GL objects; after the last user the context goes, too.
+
+        After an interrupt, call it again: each step may be repeated.
+        """
         if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
             return
         with self._lock.held():
-            self.users -= 1
-            context, is_last = self._context, self.users == 0
             release()
-            if is_last:
-                self._context = self.buffers = None
+            self._users.discard(user)
+            if not self._users:
                 self.thread.close()
-                lifetime.release(context)
+                if self._context is not None:
+                    lifetime.discard(self._context)
+                self._context = self.buffers = None
         lifetime.release_waiting()
 
-    def forget(self) -> None:
+    def forget(self, user: int) -> None:
         """Take one user less that was not closed: nothing may be drawn or released now."""
-        self.users -= 1
-        if self.users == 0 and self._context is not None and os.getpid() == self._process:
+        self._users.discard(user)
+        if not self._users and self._context is not None and os.getpid() == self._process:
             self.thread.close()
             lifetime.discard(self._context)
+
+
+def _indices(scene: Scene) -> dict[str, int]:
+    """Return the index of each body by its name."""
+    return {body.name: index for index, body in enumerate(scene.bodies)}

@@ -19,6 +19,8 @@ from typing import NamedTuple, Protocol
 
 import moderngl
 
+from sonar_gl.core.worker import held
+
 # A context that has ended cannot always be told from one that is not current. Each group is tried again at
 # every ping, so that beyond this number the oldest are given up.
 MAX_UNREACHABLE = 1000
@@ -102,10 +104,15 @@ class ReleaseQueue:
 
         Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach.
         """
-        with self._releasing:
+        with held(self._releasing):
             for queue in (self._unreachable, self._discarded):
                 for _ in range(len(queue)):
-                    self._release(queue.popleft())
+                    group = queue.popleft()
+                    try:
+                        self._release(group)
+                    except KeyboardInterrupt:
+                        self._discarded.append(group)
+                        raise
 
     def waiting(self) -> Waiting:
         """Return how much waits to be released."""

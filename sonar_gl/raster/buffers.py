@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import dataclass
+
 import moderngl
 import numpy as np
 
@@ -23,15 +26,13 @@ class GrowingBuffer:
         self.context, self.used = context, 0
         self.buffer = context.buffer(reserve=4)
 
-    def fit(self, size: int) -> bool:
-        """Make room for `size` bytes; return whether another buffer replaced this one."""
-        if size <= self.buffer.size:
-            return False
-        larger = self.context.buffer(reserve=max(2 * self.used, size))
-        if self.used:
-            self.context.copy_buffer(larger, self.buffer, self.used)
-        self.buffer = larger
-        return True
+    def fit(self, size: int) -> None:
+        """Make room for `size` bytes."""
+        if size > self.buffer.size:
+            larger = self.context.buffer(reserve=max(2 * self.used, size))
+            if self.used:
+                self.context.copy_buffer(larger, self.buffer, self.used)
+            self.buffer = larger
 
     def append(self, data) -> None:
         """Write an array at the end."""
@@ -39,21 +40,68 @@ class GrowingBuffer:
         self.buffer.write(np.ascontiguousarray(data), offset=self.used)
         self.used += data.nbytes
 
-    def overwrite(self, data) -> bool:
-        """Replace the contents; return whether another buffer replaced this one."""
+    def overwrite(self, data) -> None:
+        """Replace the contents."""
         self.used = 0
-        moved = self.fit(2 * data.nbytes) if data.nbytes > self.buffer.size else False
+        if data.nbytes > self.buffer.size:
+            self.fit(2 * data.nbytes)
         if data.nbytes:
             self.buffer.write(np.ascontiguousarray(data))
-        return moved
 
 
-class SceneBuffers:
-    """A scene's meshes in GL buffers.
+@dataclass(frozen=True, eq=False)
+class UploadedMeshes:
+    """The meshes of a scene's bodies, on the CPU and in GL buffers.
 
     Attributes
     ----------
     meshes : SceneMeshes, the bodies and their poses
+    points, normals, reflectivity : GrowingBuffer of each vertex; unused as long as no mesh has the attribute
+    indices : GrowingBuffer of all faces; unused where a ping's faces are chosen on the CPU
+    n_points : how many vertices there are
+    """
+
+    meshes: SceneMeshes
+    points: GrowingBuffer
+    normals: GrowingBuffer
+    reflectivity: GrowingBuffer
+    indices: GrowingBuffer
+    n_points: int = 0
+
+    def with_more(self, bodies) -> UploadedMeshes:
+        """Return these and more bodies; only their meshes are uploaded.
+
+        This object stays as it is, also after an interrupt: what is new lies behind what its buffers use.
+        """
+        meshes, n_points = copy(self.meshes), self.n_points
+        points, normals, reflectivity, indices = map(
+            copy, (self.points, self.normals, self.reflectivity, self.indices)
+        )
+        for one in meshes.add(bodies):
+            levels = one.levels
+            points.append(one.points)
+            if not meshes.rasterizes:
+                first = np.repeat(levels.first_vertex + n_points, levels.n_faces)
+                indices.append((levels.faces + first[:, None]).astype(np.uint32))
+            for buffer, data, default in (
+                (normals, one.normals, np.zeros(3, np.float32)),
+                (reflectivity, one.reflectivity, np.ones(1, np.float32)),
+            ):
+                if data is not None and not buffer.used:  # the first mesh with this attribute
+                    buffer.append(np.tile(default, n_points))
+                if data is not None or buffer.used:
+                    buffer.append(np.tile(default, len(one.points)) if data is None else data)
+            n_points += len(one.points)
+        check_driver(points.context)
+        return UploadedMeshes(meshes, points, normals, reflectivity, indices, n_points)
+
+
+class SceneBuffers:
+    """A scene's meshes in GL buffers, and what draws them.
+
+    Attributes
+    ----------
+    uploaded : UploadedMeshes
     """
 
     def __init__(
@@ -63,69 +111,54 @@ class SceneBuffers:
         self.indirect = context.version_code >= MIN_INDIRECT_VERSION
         # Software OpenGL is slow per triangle, so triangles that cover no sample are culled on the CPU first.
         self.rasterizes = is_software(context.info["GL_RENDERER"])
-        self.features = {"SHADING_NORMALS": 0, "FACE_REFLECTIVITY": 0, "INDIRECT": int(self.indirect)}
-        self.points, self.normals, self.reflectivity = (
-            GrowingBuffer(context),
-            GrowingBuffer(context),
-            GrowingBuffer(context),
-        )
-        self.indices, self.rows, self.draws = (
-            GrowingBuffer(context),
-            GrowingBuffer(context),
-            GrowingBuffer(context),
-        )
-        self.n_points, self.programs, self.arrays = 0, {}, {}
-        self.meshes = SceneMeshes(self.rasterizes, thread, scene.surface_z_m)
-        self.add(scene.bodies)
+        meshes = SceneMeshes(self.rasterizes, thread, scene.surface_z_m)
+        empty = UploadedMeshes(meshes, *(GrowingBuffer(context) for _ in range(4)))
+        self.uploaded = empty.with_more(scene.bodies)
+        self._rows, self._draws, self._indices = (GrowingBuffer(context) for _ in range(3))
+        self._programs, self._arrays, self._bound = {}, {}, ()
 
-    def add(self, bodies) -> None:
-        """Append bodies; only their meshes are uploaded."""
-        for one in self.meshes.add(bodies):
-            levels = one.levels
-            self.points.append(one.points)
-            if not self.rasterizes:
-                first = np.repeat(levels.first_vertex + self.n_points, levels.n_faces)
-                self.indices.append((levels.faces + first[:, None]).astype(np.uint32))
-            for name, buffer, data, default in (
-                ("SHADING_NORMALS", self.normals, one.normals, np.zeros(3, np.float32)),
-                ("FACE_REFLECTIVITY", self.reflectivity, one.reflectivity, np.ones(1, np.float32)),
-            ):
-                if data is not None and not self.features[name]:  # the first mesh with this attribute
-                    self.features[name] = 1
-                    buffer.append(np.tile(default, self.n_points))
-                if self.features[name]:
-                    buffer.append(np.tile(default, len(one.points)) if data is None else data)
-            self.n_points += len(one.points)
-        self.arrays = {}
-        check_driver(self.context)
+    @property
+    def meshes(self) -> SceneMeshes:
+        """The bodies and their poses."""
+        return self.uploaded.meshes
 
     def array(self, labels: bool, lobes: bool) -> moderngl.VertexArray:
         """Return the vertex array of the program with or without body numbers and specular lobes."""
-        if (labels, lobes) not in self.arrays:
-            defines = {**self.features, "LABELS": int(labels), "SPECULAR": int(lobes)}
-            if (key := tuple(defines.values())) not in self.programs:
+        uploaded = self.uploaded
+        indices = self._indices if self.rasterizes else uploaded.indices
+        bound = uploaded, indices.buffer, self._rows.buffer
+        if self._bound != bound:  # bodies were added, or a buffer was replaced by a larger one
+            self._arrays = {}
+            self._bound = bound
+        if (labels, lobes) not in self._arrays:
+            features = {
+                "SHADING_NORMALS": int(uploaded.normals.used > 0),
+                "FACE_REFLECTIVITY": int(uploaded.reflectivity.used > 0),
+                "INDIRECT": int(self.indirect),
+            }
+            defines = {**features, "LABELS": int(labels), "SPECULAR": int(lobes)}
+            if (key := tuple(defines.values())) not in self._programs:
                 files = "gbuffer.vert", "gbuffer.frag"
-                self.programs[key] = compile_program(self.context, self.shader_folder, *files, defines)
-            program = self.programs[key]
-            layout = [(self.points.buffer, "3f", "in_position")]
-            if self.features["SHADING_NORMALS"]:
-                layout.append((self.normals.buffer, "3f", "in_normal"))
-            if self.features["FACE_REFLECTIVITY"]:
-                layout.append((self.reflectivity.buffer, "1f", "in_reflectivity"))
+                self._programs[key] = compile_program(self.context, self.shader_folder, *files, defines)
+            program = self._programs[key]
+            layout = [(uploaded.points.buffer, "3f", "in_position")]
+            if features["SHADING_NORMALS"]:
+                layout.append((uploaded.normals.buffer, "3f", "in_normal"))
+            if features["FACE_REFLECTIVITY"]:
+                layout.append((uploaded.reflectivity.buffer, "1f", "in_reflectivity"))
             if self.indirect:
                 names = "body_x", "body_y", "body_z", "body_echo"
-                layout.append((self.rows.buffer, "4f 4f 4f 4f/i", *names))
-            array = self.context.vertex_array(program, layout, index_buffer=self.indices.buffer)
-            self.arrays[labels, lobes] = array
-        return self.arrays[labels, lobes]
+                layout.append((self._rows.buffer, "4f 4f 4f 4f/i", *names))
+            array = self.context.vertex_array(program, layout, index_buffer=indices.buffer)
+            self._arrays[labels, lobes] = array
+        return self._arrays[labels, lobes]
 
     def upload(self, rows, out: DrawList) -> None:
         """Upload the bodies' rows and the draw list."""
-        moved = self.rows.overwrite(rows) | self.draws.overwrite(*out.draws.filled())
+        self._rows.overwrite(rows)
+        self._draws.overwrite(*out.draws.filled())
         if self.rasterizes:
-            moved |= self.indices.overwrite(*out.indices.filled())
-        if moved:
-            self.arrays = {}
+            self._indices.overwrite(*out.indices.filled())
 
     def draw(self, array, flags: int, rows, out: DrawList, first: int, n: int) -> None:
         """Draw `n` entries of the list from `first` on, in one call where the driver has indirect draws."""
@@ -133,7 +166,7 @@ class SceneBuffers:
             return
         self.context.enable_only(flags)
         if self.indirect:
-            array.render_indirect(self.draws.buffer, count=n, first=first)
+            array.render_indirect(self._draws.buffer, count=n, first=first)
             return
         for count, _, index, _, row in out.draws.arrays[0][first : first + n].tolist():
             values = rows[row]

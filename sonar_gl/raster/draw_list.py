@@ -13,6 +13,7 @@ from sonar_gl.sonar.sector import Sector
 
 PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
 REFLECTIVITY, LOBE = 12, 14  # of these; LOBE is the strength
+MAX_KEPT_ROWS = 1 << 20  # of samples this is 27 MB; four pings of half a degree a sample need about as many
 MARGIN = 2  # samples about what is visible, so that the outermost of a window meet nothing
 
 
@@ -108,11 +109,18 @@ class GrowingArrays:
     def reserve(self, count: int) -> tuple[np.ndarray, ...]:
         """Return the free part of each, with room for so many rows more."""
         if self.used + count > len(self.arrays[0]):
-            old, size = self.arrays, 2 * (self.used + count)
+            old, size = self.arrays, self.used + count
+            size = 2 * size if 2 * size <= MAX_KEPT_ROWS else size
             self.arrays = tuple(np.empty((size, *array.shape[1:]), array.dtype) for array in old)
             for array, before in zip(self.arrays, old, strict=True):
                 array[: self.used] = before[: self.used]
         return tuple(array[self.used :] for array in self.arrays)
+
+    def clear(self) -> None:
+        """Drop all rows, and arrays of very many rows, since coarse pings would keep the memory of a fine one."""
+        self.used = 0
+        if len(self.arrays[0]) > MAX_KEPT_ROWS:
+            self.arrays = tuple(np.empty((0, *array.shape[1:]), array.dtype) for array in self.arrays)
 
     def filled(self) -> tuple[np.ndarray, ...]:
         """Return the used part of each."""
@@ -140,7 +148,8 @@ class DrawList:
 
     def clear(self) -> None:
         """Drop all."""
-        self.draws.used = self.indices.used = self.samples.used = 0
+        for arrays in (self.draws, self.indices, self.samples):
+            arrays.clear()
 
 
 def window_about(extent, columns: int, rows: int) -> Window:

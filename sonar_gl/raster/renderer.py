@@ -23,10 +23,14 @@ from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
-MAX_SAMPLES = 1 << 24  # of a picture
+MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
 NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
+# A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
+# would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
+MAX_EXCESS, MIN_PIXELS = 2, 1 << 16
+MAX_KEPT_PIXELS = 1 << 18  # 10 MB
 
 
 class RenderTarget:
@@ -48,16 +52,31 @@ class RenderTarget:
         self._asynchronous, self._copies = asynchronous, []
         self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
 
-    def allocate(self, context: moderngl.Context, size: tuple[int, int]) -> None:
-        """Have room for so many pixels.
+    @property
+    def n_pixels(self) -> int:
+        """How many pixels there is room for."""
+        return self._size[0] * self._size[1]
+
+    def allocate(self, context: moderngl.Context, limit: int) -> None:
+        """Have room for the pixels in use, and not for far more.
 
         Raises
         ------
         Error
-            if the driver makes no such framebuffer.
+            if the graphics card is known to lack the memory, or the driver makes no such framebuffer.
         """
-        if self._size == size:
+        (columns, rows), pixels = self._size, self.width * self.height
+        fits = self.width <= columns and self.height <= rows
+        if fits and columns * rows <= max(MAX_EXCESS * pixels, MIN_PIXELS):
             return
+        # a little more, so that a window that grows does not need a new target every time
+        size = tuple(min(64 * -(-n // 64), limit) for n in (self.width, self.height))
+        both = tuple(map(max, size, self._size))
+        if both[0] * both[1] <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+            size = both
+        self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
+        context.gc()  # releases the old renderbuffers before as much memory is taken again
+        check_room(context, math.prod(size) * self._bytes_per_pixel(), "samples")
         try:
             plane_echo = context.renderbuffer(size, 4, dtype="f4")
             body_id = context.renderbuffer(size, 1, dtype="u2")
@@ -67,7 +86,7 @@ class RenderTarget:
                 True: context.framebuffer([plane_echo, body_id], depth),
             }
             if self._asynchronous:
-                self._copies = [context.buffer(reserve=size[0] * size[1] * n, dynamic=True) for n in (16, 2)]
+                self._copies = [context.buffer(reserve=math.prod(size) * n, dynamic=True) for n in (16, 2)]
         except moderngl.Error as why:  # an incomplete framebuffer, perhaps for want of memory
             check_driver(context)
             raise Error(
@@ -76,8 +95,13 @@ class RenderTarget:
             ) from None
         check_driver(context)
         # the size last: after an interrupt or an error of the driver the next ping begins anew
-        self._size, self._arrays, self._framebuffers = (0, 0), {}, framebuffers
+        self._framebuffers = framebuffers
         self._size = size
+
+    def _bytes_per_pixel(self) -> int:
+        """Return the bytes that a pixel takes in the driver's memory."""
+        read = sum(components * np.dtype(dtype).itemsize for components, dtype in LAYOUTS)
+        return DEPTH_BYTES + read * (2 if self._asynchronous else 1)
 
     def clear(self) -> moderngl.Framebuffer:
         """Bind and clear the framebuffer."""
@@ -129,6 +153,37 @@ class RenderTarget:
         )
 
 
+class DrawingRoom:
+    """The memory that renderers draw into, one at a time: render targets, and the list of draws.
+
+    Parameters
+    ----------
+    buffers : SceneBuffers of these renderers
+
+    Attributes
+    ----------
+    draw_list : DrawList
+    """
+
+    def __init__(self, buffers: SceneBuffers):
+        self.draw_list, self._targets, self._other_targets = DrawList(), [], []
+        self._asynchronous = not buffers.rasterizes  # graphics cards copy samples while the next are drawn
+
+    def targets(self, count: int, keep_last: bool) -> list[RenderTarget]:
+        """Return as many render targets; with `keep_last` not those of the last call."""
+        if keep_last:
+            self._targets, self._other_targets = self._other_targets, self._targets
+        self._targets += [RenderTarget(self._asynchronous) for _ in range(count - len(self._targets))]
+        return self._targets[:count]
+
+    def drop_large(self) -> None:
+        """Drop render targets of more than MAX_KEPT_PIXELS; samples that were read from them stay valid."""
+        for targets in (self._targets, self._other_targets):
+            for number, target in enumerate(targets):
+                if target.n_pixels > MAX_KEPT_PIXELS:
+                    targets[number] = RenderTarget(self._asynchronous)
+
+
 class Renderer:
     """Draws a fan's sectors side by side, an image for each pose, and reads them back.
 
@@ -139,6 +194,7 @@ class Renderer:
     buffers : SceneBuffers
     fan : Fan
     specular : add the specular lobes of smooth bodies
+    room : DrawingRoom to share with other renderers; None for its own
 
     Raises
     ------
@@ -146,15 +202,16 @@ class Renderer:
         if the samples do not fit the driver's limits.
     """
 
-    def __init__(self, buffers: SceneBuffers, fan: Fan, specular: bool = False):
+    def __init__(
+        self, buffers: SceneBuffers, fan: Fan, specular: bool = False, room: DrawingRoom | None = None
+    ):
         context = buffers.context
         self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
-        self._limit, self._asynchronous = side_limit(context), not buffers.rasterizes
+        self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector) for sector in fan.sectors]
-        self._list, self._uniforms, self._size = DrawList(), {}, (0, 0)
-        self._targets, self._other_targets = [], []
+        self._uniforms, self._room = {}, DrawingRoom(buffers) if room is None else room
 
     def render(
         self,
@@ -167,7 +224,7 @@ class Renderer:
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
 
-        The next call overwrites the samples.
+        The next call, of any renderer that shares the room, overwrites the samples.
 
         Parameters
         ----------
@@ -177,13 +234,10 @@ class Renderer:
         planes : clip plane of each pose, before which all lies that is drawn, or None: the water's surface
         keep_last : the samples of the last call stay valid until the next one
         """
-        if keep_last:
-            self._targets, self._other_targets = self._other_targets, self._targets
-        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._list
+        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._room.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
-        self._targets += [RenderTarget(self._asynchronous) for _ in bodies[len(self._targets) :]]
-        targets = self._targets[: len(bodies)]
+        targets = self._room.targets(len(bodies), keep_last)
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
         for target, sectors in zip(targets, draws, strict=True):
@@ -192,12 +246,12 @@ class Renderer:
                 max(d.window.rows for d in sectors),
             )
             target.has_bodies = with_bodies
-        self._make_room(max(one.width for one in targets), max(one.height for one in targets))
+        self._check_room(max(one.width for one in targets), max(one.height for one in targets))
         if out.draws.used:
             self._buffers.upload(rows, out)
         for target, sectors, one in zip(targets, draws, bodies, strict=True):
             if target.width:
-                target.allocate(self._context, self._size)
+                target.allocate(self._context, self._limit)
                 self._draw(target, rows, sectors, one.plane)
                 target.begin_read()
         # while one is read the driver's threads may fill the next
@@ -207,7 +261,7 @@ class Renderer:
 
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
-        meshes, out, draws = self._buffers.meshes, self._list, []
+        meshes, out, draws = self._buffers.meshes, self._room.draw_list, []
         n_bodies = len(meshes.bodies)
         for view in self._sectors:
             found = SectorDraws(0, 0, 0, slice(out.samples.used, out.samples.used), Window())
@@ -236,8 +290,9 @@ class Renderer:
                     u = getattr(sector, name)
                     array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
                 one_sided, two_sided = moderngl.DEPTH_TEST | moderngl.CULL_FACE, moderngl.DEPTH_TEST
-                self._buffers.draw(array, one_sided, rows, self._list, first, n_closed)
-                self._buffers.draw(array, two_sided, rows, self._list, first + n_closed, n - n_closed)
+                out = self._room.draw_list
+                self._buffers.draw(array, one_sided, rows, out, first, n_closed)
+                self._buffers.draw(array, two_sided, rows, out, first + n_closed, n - n_closed)
             left += window.columns
         framebuffer.scissor = None
         self._context.disable_direct(CLIP_DISTANCE0)
@@ -249,7 +304,7 @@ class Renderer:
         for view, (*_, mine, (i, j, columns, rows)) in zip(self._sectors, draws, strict=True):
             sector = view.sector
             if target.width:
-                samples = tuple(array[mine] for array in self._list.samples.arrays)
+                samples = tuple(array[mine] for array in self._room.draw_list.samples.arrays)
                 merge_samples(samples, i, j, left, plane_echo, body_id)
             if columns == 0:
                 sectors.append(SectorSamples(replace(sector, columns=0, rows=0), NO_SAMPLES, NO_BODIES))
@@ -268,28 +323,14 @@ class Renderer:
         if max(width, height) > self._limit:
             raise Error(f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}")
 
-    def _make_room(self, width: int, height: int) -> None:
-        """Let render targets have at least so many pixels."""
+    def _check_room(self, width: int, height: int) -> None:
+        """Raise an Error if a render target must not have so many pixels."""
         self._check_size(width, height)
         if width * height > MAX_SAMPLES:
             raise Error(
                 f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
                 f"by {height} rows; ask for a larger tolerance or fewer samples)"
             )
-        if width > self._size[0] or height > self._size[1]:
-            # a little more, so that a window that grows does not need new targets every time
-            size = tuple(
-                min(max(old, 64 * -(-new // 64)), self._limit)
-                for old, new in zip(self._size, (width, height), strict=True)
-            )
-            more = math.prod(size) - math.prod(self._size)
-            check_room(self._context, len(self._targets) * more * self._sample_bytes(), "samples")
-            self._size = size
-
-    def _sample_bytes(self) -> int:
-        """Return the bytes that a sample takes in the driver's memory."""
-        read = sum(components * np.dtype(dtype).itemsize for components, dtype in LAYOUTS)
-        return DEPTH_BYTES + read * (2 if self._asynchronous else 1)
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""

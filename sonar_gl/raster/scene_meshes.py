@@ -96,26 +96,27 @@ class SceneMeshes:
         return self.rows[:, REFLECTIVITY]
 
     def add(self, bodies) -> list:
-        """Append bodies. Those that share a mesh share all that is made of it.
+        """Append bodies. Those that share a mesh share all that is made of it. A copy made before stays as it is.
 
         Returns
         -------
         the new meshes, `MeshWithLevels`, in the order of their vertices
         """
-        made, added, rows = [], [], []
+        made, added, rows, meshes = [], [], [], dict(self._meshes)  # copies of this object have the old one
         n_patches = len(self.levels.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             key = id(body.surface), id(body.normals), id(body.reflectivity) if by_face else None
-            if key not in self._meshes:
+            if key not in meshes:
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                self._meshes[key] = one.centre, one.bounds, one.closed, (n_patches, end)
+                meshes[key] = one.centre, one.bounds, one.closed, (n_patches, end)
                 n_patches = end
                 made.append(one)
-            added.append(self._meshes[key])
+            added.append(meshes[key])
             mu = 1.0 if by_face else body.reflectivity
             rows.append([0.0] * 12 + [mu, number, body.specular, body.roughness_rad])
+        self._meshes = meshes
         self._append_levels(made)
         if bodies:
             self.rows = np.concatenate([self.rows, np.asarray(rows, self.rows.dtype)])

@@ -106,10 +106,10 @@ def test_a_caller_that_is_interrupted_in_its_own_second_half_blocks_no_later_job
     other.start()
     is_busy.wait(LIMIT_S)
 
-    def interrupted(_half):
+    def interrupted(_job):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sonar_gl.core.worker.Job.do", interrupted)
+    monkeypatch.setattr("sonar_gl.core.worker.Job.settle", interrupted)
     with pytest.raises(KeyboardInterrupt):
         thread.run_halves(lambda half: half)  # the thread is busy, so that this caller runs both halves
     monkeypatch.undo()

@@ -4,6 +4,7 @@
     python -m tools.docs.failures --markdown       # the table of docs/failures.md
     python -m tools.docs.failures --soak 100000    # only many pings: memory, GL objects, time
     python -m tools.docs.failures --triangles 10   # only a mesh of so many million triangles
+    python -m tools.docs.failures --moving 20000   # only a moving sonar whose samples change: memory; some minutes
     python -m tools.docs.failures --rods 6         # only rods by tolerance, so many of each kind
 
 The measures are those of the tests, in tests/support/: regimes.py, oddities.py, rods.py, soak.py. One of them
@@ -22,7 +23,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
-from tests.support import naive, oddities, regimes, rods, soak
+from tests.support import moving, naive, oddities, regimes, rods, soak
 
 SHARE = "{:.2g}".format
 
@@ -171,6 +172,12 @@ def print_soak(n_pings):
         print(f"GL objects before {objects}\nGL objects after  {soak.gl_objects(simulator)}")
 
 
+def print_moving(n_pings):
+    """Print the memory of a sequence whose samples change, with labels and noise."""
+    after, peak, n_samplings = moving.measure(n_pings)
+    print(f"{n_pings} pings with {n_samplings} samplings: {after:.0f} MB after them, {peak:.0f} MB at most")
+
+
 def print_triangles(millions):
     """Print time and memory of a ping of one rough floor of so many triangles."""
     side = round(math.sqrt(millions * 1e6 / 2))
@@ -226,6 +233,7 @@ def main():
     )
     parser.add_argument("--markdown", action="store_true", help="the table of docs/failures.md")
     parser.add_argument("--soak", type=int, metavar="N", help="only so many pings")
+    parser.add_argument("--moving", type=int, metavar="N", help="only so many pings of a moving sonar")
     parser.add_argument(
         "--triangles", type=float, metavar="M", help="only a mesh of so many million triangles"
     )
@@ -234,11 +242,13 @@ def main():
     warnings.simplefilter("ignore")  # no echo came back: that is measured
     if options.soak:
         print_soak(options.soak)
+    if options.moving:
+        print_moving(options.moving)
     if options.triangles:
         print_triangles(options.triangles)
     if options.rods:
         print_rods(options.rods)
-    if not (options.soak or options.triangles or options.rods):
+    if not (options.soak or options.moving or options.triangles or options.rods):
         print_table(options.markdown)
 
 

@@ -1,0 +1,68 @@
+"""An interrupt (Ctrl-C) at any line: afterwards a simulator makes the same bytes, or raises an Error."""
+
+import pytest
+
+from tests.support import interrupts
+
+EVERY = 20
+
+
+@pytest.mark.timeout(60, method="thread")  # a hang may be one that no signal ends
+def test_a_ping_is_interrupted_at_each_of_its_lines():
+    """Early versions hung, gave the ping before, or lacked framebuffers."""
+    found = interrupts.interrupt(interrupts.ACTIONS["ping"], lambda places: dict.fromkeys(places))
+    assert found.n_interrupts > 300
+    assert found.faults == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300, method="thread")
+def test_everything_that_a_simulator_does_is_interrupted():
+    """Each line at least once, and of those that several actions run every EVERY-th again.
+
+    `python -m tests.support.interrupts` interrupts all lines of all actions, which takes many minutes.
+    """
+    seen, faults, n_interrupts = set(), [], 0
+    for name, action in interrupts.ACTIONS.items():
+
+        def choose(places):
+            new = [place for place in dict.fromkeys(places) if place not in seen]
+            return [*new, *[place for place in dict.fromkeys(places) if place in seen][::EVERY]]
+
+        found = interrupts.interrupt(action, choose)
+        seen.update(found.places)
+        n_interrupts += found.n_interrupts
+        faults += [(name, fault) for fault in found.faults]
+    assert n_interrupts > 1500
+    assert faults == []
+
+
+@pytest.mark.parametrize("kind", [KeyError, SystemExit, GeneratorExit])
+def test_what_a_generator_of_poses_raises_comes_after_the_pings_before(kind):
+    """Early versions lost up to five pings to what is no Exception."""
+
+    def poses():
+        yield from interrupts.POSES
+        raise kind("no more poses")
+
+    with interrupts.make_simulator(interrupts.ACTIONS["pings"].settings) as it:
+        expected, got = [interrupts.contents(it.ping(pose)) for pose in interrupts.POSES], []
+        with pytest.raises(kind):
+            for ping in it.pings(poses()):
+                got.append(interrupts.contents(ping))
+        assert got == expected
+        assert interrupts.contents(it.ping(interrupts.POSES[0])) == expected[0]
+
+
+def test_an_interrupt_in_a_generator_of_poses_comes_at_once():
+    """A caller that takes one more ping only would never get it otherwise."""
+
+    def poses():
+        yield interrupts.POSES[0]
+        raise KeyboardInterrupt
+
+    with interrupts.make_simulator(interrupts.ACTIONS["pings"].settings) as it:
+        expected = interrupts.contents(it.ping(interrupts.POSES[0]))
+        with pytest.raises(KeyboardInterrupt):
+            next(it.pings(poses()))
+        assert interrupts.contents(it.ping(interrupts.POSES[0])) == expected
