@@ -243,7 +243,7 @@ def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
     assert (xr.open_dataset(tmp_path / "out" / "pings.zarr", group="level").status == 2).all()
     assert COCO(str(tmp_path / "out" / "coco" / "level" / "instances.json")).getImgIds() == []
     assert not list((tmp_path / "out").glob("*.mp4")) and not (tmp_path / "out" / "bag").exists()
-    assert check(batch.folder, batch.manifest, nullcontext) == []
+    assert check(batch.folder, nullcontext) == []
 
 
 def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
@@ -300,11 +300,11 @@ def test_optical_images_are_stored_with_the_pings(small, tmp_path):
 
 def test_a_batch_may_be_written_to_a_url(tmp_path):
     write_job(tmp_path, 4, "[pictures]\nheight = 40\n")
-    manifest = make_all(tmp_path / "job.toml", "memory://batch")
+    make_all(tmp_path / "job.toml", "memory://batch")
     data = xr.open_dataset("memory://batch/pings.zarr", group="level", engine="zarr")
     assert float(data.intensity.max()) > 0 and (data.status == 1).all()
     assert fsspec.filesystem("memory").exists("/batch/png/level/00000/00000003.png")
-    assert check(Folder("memory://batch"), manifest, nullcontext) == []
+    assert check(Folder("memory://batch"), nullcontext) == []
     make_all(tmp_path / "job.toml", tmp_path / "out")
     for name, data in files_of(tmp_path / "out").items():
         assert fsspec.filesystem("memory").cat_file(f"/batch/{name}") == data
@@ -328,7 +328,7 @@ def test_the_size_of_parts_follows_from_that_of_pings():
     assert default_pings_per_part(1.0) == 128
     assert default_pings_per_part(1e6) == 128
     assert default_pings_per_part(4e6) == 32
-    manifest = Manifest({}, "", 10, 4, [], [])
+    manifest = Manifest({}, "", 10, 4, [], [], None)
     assert manifest.n_parts == 3 and list(manifest.numbers(2)) == [8, 9]
 
 

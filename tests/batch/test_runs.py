@@ -100,7 +100,7 @@ def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
         pool.call("create")
         pool.run_parts(range(3), Manifest.load(Folder(out)).numbers, done)
     assert parts == [0, 1, 2]
-    assert warnings == ["a process died at part 1 (exit code -9); another takes its place"]
+    assert warnings == ["a process died at part 1 (SIGKILL); another takes its place"]
     found = files_of(out / "parts")
     assert found == {name: expected[f"parts/{name}"] for name in found} and len(found) == 6
 
@@ -131,7 +131,7 @@ def test_a_batch_can_be_resumed_whatever_stopped_it(job, expected, tmp_path):
     assert status == 130
     command = f"sonar-gl batch {job} --out {out} --resume"
     assert re.fullmatch(f"{out}: \\d+ of {N} pings; continue with: {command}\n", shown)
-    assert len(re.findall(r"^a process died at part \d \(exit code -9\)", err, re.MULTILINE)) == 1
+    assert len(re.findall(r"^a process died at part \d \(SIGKILL\)", err, re.MULTILINE)) == 1
     assert "finishing the parts in progress" in err and "Traceback" not in err
     first = files_of(out / "parts")
     assert 4 <= len(first) < 2 * N / PART

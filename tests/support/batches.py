@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.folder import LOCK, Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.parts import Batch, create_store, finalize, make_part, plan_manifest
@@ -91,11 +91,11 @@ def write_job(folder: Path, n_pings: int = 10, more: str = LABELS) -> Path:
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    """Return the bytes of every file in a folder, by name."""
+    """Return the bytes of every file in a folder, by name, but for that by which batches lock it."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file()
+        if path.is_file() and path.name != LOCK
     }
 
 
