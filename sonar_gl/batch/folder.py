@@ -198,7 +198,7 @@ class Folder:
         """
         if (data := self.get(name)) is None:
             return None
-        with suppress(ValueError, AttributeError, KeyError):  # no JSON, no object, or without a checksum
+        with suppress(ValueError, TypeError, AttributeError, KeyError):  # no JSON, no object, no checksum
             values = json.loads(data)
             values.pop(CHECKSUM_KEY)
             if record_bytes(values) == data:

@@ -2,18 +2,16 @@
 
 import hashlib
 import shutil
-from contextlib import contextmanager
 
 import pytest
 
 from sonar_gl.batch import folder as folder_module
-from sonar_gl.batch import run as runs
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import DoneRecord, Manifest, PartRecord, record_name, recorded_parts
-from tests.support.batches import files_of, write_job
+from tests.support.batches import files_of, write_plain_job
 from tests.support.disk_log import DiskLog
-from tests.support.inline_pool import InlinePool
+from tests.support.inline_pool import run_batch, use_inline_pool
 
 N, PART = 4, 2
 OUTPUTS = '[labels]\nlayers = ["body"]\n[coco]\nheight = 40\n[ros]\n'
@@ -21,28 +19,13 @@ OUTPUTS = '[labels]\nlayers = ["body"]\n[coco]\nheight = 40\n[ros]\n'
 
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch):
-    monkeypatch.setattr(runs, "Pool", InlinePool)
+    use_inline_pool(monkeypatch)
 
 
 @pytest.fixture
 def job(tmp_path):
     """One sonar, nothing that varies, three outputs."""
-    path = write_job(tmp_path, N)
-    text = path.read_text().replace("pings_per_part = 4", f"pings_per_part = {PART}")
-    one, poses, vary = (text.index(at) for at in ('[[sonars]]\nname = "upright"', "[[poses]]", "[[vary"))
-    path.write_text(text[:one] + text[poses:vary] + OUTPUTS)
-    return read_job(path)
-
-
-def run_batch(job, out, done=lambda: None, **settings):
-    """Run a batch to its end; `done` is called after each part."""
-
-    @contextmanager
-    def progress(_n_pings, _n_done):
-        yield lambda _count: done()
-
-    outcome = runs.run(job, str(out), [None], lambda _text: None, progress, runs.RunSettings(**settings))
-    assert outcome.is_complete and not outcome.set_aside
+    return read_job(write_plain_job(tmp_path, N, PART, OUTPUTS))
 
 
 def files_of_records(out):
