@@ -27,6 +27,7 @@ from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose_numbers
+from sonar_gl.scene.scene import Scene
 
 
 @dataclass
@@ -253,6 +254,8 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         first, last = run.numbers[0], run.numbers[-1]
         start_s, end_s = requests[first].time_s, requests[last].time_s
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
+    for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
+        lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
     for scene, by_sonar in enumerate(manifest.samplings):
         for name, sampling in by_sonar.items():
             sonar = requests.sonars[name]
@@ -269,6 +272,13 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         f"{manifest.system.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
     )
     return "\n".join(lines)
+
+
+def _contents_text(scene: Scene) -> str:
+    """Return what is in a scene: its bodies, plumes, and water's surface."""
+    names = ", ".join(entry.name for entry in (*scene.bodies, *scene.plumes))
+    surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
+    return names + surface
 
 
 def _amount(size: float) -> str:
