@@ -16,9 +16,8 @@ from sonar_gl.core.errors import Error
 class System:
     """What may change pings by rounding, from one machine or day to another.
 
-    Libraries that only encode files, such as Zarr, are not among it, since readers get the same values. Nor is
-    the processor, so that a cluster may have several kinds: code for Haswell, Skylake-X and Zen 5 gave the same
-    bits.
+    Libraries that draw or encode what was computed, such as OpenCV and Zarr, are not among it. Nor is the
+    processor, so that a cluster may have several kinds: code for Haswell, Skylake-X and Zen 5 gave the same bits.
 
     Attributes
     ----------
