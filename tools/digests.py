@@ -38,9 +38,10 @@ ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_suffix(".json")
 LIBRARIES = "numpy", "numba", "llvmlite", "opencv-contrib-python-headless", "trimesh", "embreex", "zarr"
 STABLE_META = "sampling", "has_echo", "absorption_db_m", "sound_speed_m_s", "n_rays", "difference"
-NOT_DIGESTED = "done.json", "parts/*.json"  # of a batch: checksums of the other files
+NOT_DIGESTED = "done.json", "parts/*.json", ".lock"  # of a batch: checksums of the other files, and the lock
 SETTINGS = "sonar", "acoustics"  # of a ping: what made it
-VOLATILE = {"version", "source", "gl_renderer", "folder"}  # keys of a batch's JSON files
+# keys of a batch's JSON files
+VOLATILE = {"version", "source", "gl_renderer", "gl_version", "numpy", "numba", "system", "folder", "sha256"}
 
 SONAR = sg.Sonar("digests", 900e3, 96, 300, 60.0, 20.0, 1.0, 0.5, 15.0)
 POSE = sg.pose(0, 0, -1, 0.05, 0.15, 0.1)

@@ -67,7 +67,10 @@ NOISE = (
     "test_k_distribution|test_speckle",
     "test_place_speckle|test_speckle",
 )
-STORE = ("test_batch", "test_runs|test_batch_runs")
+STORE = ("test_store|test_batch",)
+ENCODING = ("test_batch",)
+RECORDS = ("test_records|test_batch",)
+POWER = ("test_power_failure|test_batch",)
 GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 
@@ -423,9 +426,27 @@ MUTATIONS = (
         (("out /= np.float32(looks)", "out /= np.float32(looks + 1)"),),
     ),
     # the store of a batch
-    Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", STORE),
+    Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", ENCODING),
     Mutation(
-        "store/place of a shard", "first // group[name].shards[0]", "first // group[name].chunks[0]", STORE
+        "store/place of a shard",
+        "first // array.shards[0]",
+        "first // array.chunks[0]",
+        STORE,
+        (("first // group[name].shards[0]", "first // group[name].chunks[0]"),),
+    ),
+    Mutation(
+        "store/shards of nothing", '{"write_empty_chunks": True}', '{"write_empty_chunks": False}', STORE
+    ),
+    Mutation(
+        "store/order of metadata",
+        "folder.put_json(name, json.loads(folder.get(name)))",
+        "folder.get(name)",
+        STORE,
+        (("folder.put_json(name, folder.get_json(name))", "folder.get_json(name)"),),
+    ),
+    Mutation("store/fill of a shard", '{"fill_value": array.fill_value,', "{", STORE),
+    Mutation(
+        "store/repair of metadata", "if folder.get(name) != data:", "if folder.get(name) is None:", STORE
     ),
     Mutation(
         "store/bodies of later scenes",
@@ -440,7 +461,10 @@ MUTATIONS = (
         ),
     ),
     Mutation(
-        "store/rounding of labels", "np.int32(np.rint(value * per_step))", "np.int32(value * per_step)", STORE
+        "store/rounding of labels",
+        "np.int32(np.rint(value * per_step))",
+        "np.int32(value * per_step)",
+        ENCODING,
     ),
     Mutation(
         "store/pings of a chunk",
@@ -449,6 +473,23 @@ MUTATIONS = (
         STORE,
         (("np.gcd(CHUNK, part)", "min(CHUNK, part)"),),
     ),
+    # records of a batch
+    Mutation("records/checksum", "if record_bytes(values) == data:", "if values is not None:", RECORDS),
+    Mutation(
+        "records/plan of a part",
+        "if record.plan != manifest.plan_digest:",
+        "if record.plan is None:",
+        RECORDS,
+    ),
+    Mutation("records/plan made again", "if plans != {manifest.plan_digest}:", "if not plans:", RECORDS),
+    Mutation(
+        "records/system of a worker",
+        "self._system.check(self._batch.manifest.system, self.folder.url)",
+        "self._system.check(self._system, self.folder.url)",
+        RECORDS,
+    ),
+    Mutation("records/flush of all files", "sync_file_system(self.root)", "sync(self.root)", POWER),
+    Mutation("records/flush of a name", "sync(str(target.parent))", "sync(self.root)", POWER),
     # the guard of a host's OpenGL state
     Mutation(
         "guard/objects that are gone",

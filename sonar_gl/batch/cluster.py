@@ -20,7 +20,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch, make_part
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
 POLL_S = 1.0  # between checks whether workers came or went
@@ -38,6 +38,7 @@ class Cluster:
     ----------
     address : address of a Dask scheduler
     job, url : the job and the folder of the batch
+    any_system : as for `Batch`
 
     Raises
     ------
@@ -45,9 +46,9 @@ class Cluster:
         if Dask is not installed.
     """
 
-    def __init__(self, address: str, job: Job, url: str):
+    def __init__(self, address: str, job: Job, url: str, any_system: bool = False):
         check_installed()
-        self._address, self.arguments = address, (json.dumps(job.plain), url)
+        self._address, self.arguments = address, (json.dumps(job.plain), url, any_system)
 
     def call(self, name: str, *arguments):
         """Run one of `parts.STEPS` on a worker, and return its result."""
@@ -57,7 +58,9 @@ class Cluster:
             partial(_run_step, *self.arguments, name, arguments),
             [0],
             lambda _number, result: results.append(result),
-            lambda _number, why: results.append(Error(f"workers must live (in the step {name!r} {why})")),
+            lambda _number, why: results.append(
+                MachineError(f"workers must live (in the step {name!r} {why}; try again by --resume)")
+            ),
         )
         if isinstance(results[0], Error):
             raise results[0]
@@ -92,18 +95,18 @@ class Cluster:
 
 
 @lru_cache(1)
-def _batch_of_worker(job: str, url: str) -> Batch:
+def _batch_of_worker(job: str, url: str, any_system: bool) -> Batch:
     """Return the batch of this worker, the same from part to part. job : plain values as JSON."""
     os.environ.setdefault("LP_NUM_THREADS", "1")  # the software driver would otherwise use all cores
-    return Batch(Job(**json.loads(job)), Folder(url))
+    return Batch(Job(**json.loads(job)), Folder(url), any_system=any_system)
 
 
-def _make_part(job: str, url: str, part: int) -> PartRecord:
-    return make_part(_batch_of_worker(job, url), part)
+def _make_part(job: str, url: str, any_system: bool, part: int) -> PartRecord:
+    return make_part(_batch_of_worker(job, url, any_system), part)
 
 
-def _run_step(job: str, url: str, name: str, arguments: tuple, _number: int):
-    return STEPS[name](_batch_of_worker(job, url), *arguments)
+def _run_step(job: str, url: str, any_system: bool, name: str, arguments: tuple, _number: int):
+    return STEPS[name](_batch_of_worker(job, url, any_system), *arguments)
 
 
 # ---- parts of anything on a cluster -----------------------------------------------------------------
@@ -229,7 +232,7 @@ class _Progress:
         try:
             yield
         except (asyncio.CancelledError, CancelledError, CommClosedError, *kinds):
-            raise Error(
+            raise MachineError(
                 f"the scheduler at {self._address} must stay (it has gone; start the cluster again, then the "
                 "batch with --resume)"
             ) from None

@@ -1,7 +1,13 @@
-"""The folder of a batch, on this machine or at any URL that fsspec supports. Files are written atomically."""
+"""The folder of a batch, on this machine or at any URL that fsspec supports. Files are written atomically.
+
+Records say that other files are complete. They have a checksum of their own, and reach the disk after all that
+was written before them, so that they are true after a power failure, too.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import fcntl
 import hashlib
 import json
@@ -18,6 +24,52 @@ from sonar_gl.core.atomic_file import temporary_path
 from sonar_gl.core.errors import Error
 
 LOCK, UNFINISHED = ".lock", ".begun"  # the latter is a folder of files that are being written
+CHECKSUM_KEY = "sha256"  # of a record: that of its other keys
+
+
+class DamagedRecordError(Error):
+    """A record of a batch is not as it was written."""
+
+
+def sync_file_system(path: str) -> None:
+    """Write all that waits in memory for the file system of a folder to its disk."""
+    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+    if syncfs is None:  # Linux has it
+        os.sync()
+        return
+    with _descriptor(path) as descriptor:
+        if syncfs(descriptor):
+            code = ctypes.get_errno()
+            raise OSError(code, os.strerror(code), path)
+
+
+def sync(path: str) -> None:
+    """Write a file, or the names in a folder, to the disk."""
+    with _descriptor(path) as descriptor:
+        try:
+            os.fsync(descriptor)
+        except OSError as why:
+            if why.errno != errno.EINVAL:  # some network file systems cannot do this for a folder
+                raise
+
+
+@contextmanager
+def _descriptor(path: str):
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def record_bytes(values: dict) -> bytes:
+    """Return the bytes of a record: plain values and their checksum as JSON."""
+    checksum = hashlib.sha256(_json_bytes(values)).hexdigest()
+    return _json_bytes(values | {CHECKSUM_KEY: checksum})
+
+
+def _json_bytes(value) -> bytes:
+    return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
 
 
 @contextmanager
@@ -69,12 +121,14 @@ class Folder:
 
     @contextmanager
     def locked(self):
-        """Keep other batches of this machine out of the folder during the block; an Error if one is in it."""
+        """Keep other batches of this machine out of the folder during the block; an Error if one is in it.
+
+        The file of the lock stays: who has opened it meanwhile would otherwise lock a file that has gone.
+        """
         if not self.is_local:
             yield
             return
-        lock = Path(self.path(LOCK))
-        with lock.open("w") as file:
+        with Path(self.path(LOCK)).open("w") as file:
             try:
                 fcntl.flock(
                     file, fcntl.LOCK_EX | fcntl.LOCK_NB
@@ -88,15 +142,17 @@ class Folder:
                 yield
             finally:
                 shutil.rmtree(self.path(UNFINISHED), ignore_errors=True)
-                lock.unlink(missing_ok=True)
 
     def open(self, name: str):
         """Open a file for reading bytes."""
         return self.fs.open(self.path(name), "rb")
 
     @contextmanager
-    def writing(self, name: str):
-        """Give the path of a local file to write, which becomes the file `name` at the end of the block."""
+    def writing(self, name: str, is_record: bool = False):
+        """Give the path of a local file to write, which becomes the file `name` at the end of the block.
+
+        is_record : all that was written before is on the disk before it, and itself at the end of the block
+        """
         target = PurePosixPath(self.path(name))
         if not self.is_local:  # object stores write atomically
             with tempfile.TemporaryDirectory() as folder:
@@ -110,22 +166,54 @@ class Folder:
         temporary.parent.mkdir(exist_ok=True)
         try:
             yield temporary
+            if is_record:
+                sync(str(temporary))
+                sync_file_system(self.root)
             os.replace(temporary, target)
+            if is_record:
+                sync(str(target.parent))
         finally:
             temporary.unlink(missing_ok=True)
 
-    def put(self, name: str, data: bytes) -> None:
-        """Write bytes to a file."""
+    def put(self, name: str, data: bytes, is_record: bool = False) -> None:
+        """Write bytes to a file; is_record : as for `writing`."""
         if self.is_local:
-            with self.writing(name) as path:
+            with self.writing(name, is_record) as path:
                 path.write_bytes(data)
         else:
             self.fs.makedirs(str(PurePosixPath(self.path(name)).parent), exist_ok=True)
             self.fs.pipe_file(self.path(name), data)
 
+    def put_record(self, name: str, values: dict) -> None:
+        """Write plain values as a record; the same values give the same bytes."""
+        self.put(name, record_bytes(values), is_record=True)
+
+    def get_record(self, name: str, cure: str) -> dict | None:
+        """Return the values of a record, or None if it does not exist.
+
+        Raises
+        ------
+        DamagedRecordError
+            if it is not as it was written; the message ends with the cure.
+        """
+        if (data := self.get(name)) is None:
+            return None
+        with suppress(ValueError, TypeError, AttributeError, KeyError):  # no JSON, no object, no checksum
+            values = json.loads(data)
+            values.pop(CHECKSUM_KEY)
+            if record_bytes(values) == data:
+                return values
+        raise DamagedRecordError(f"{self.path(name)}: must be as it was written (it is damaged; {cure})")
+
+    def remove_record(self, name: str) -> None:
+        """Delete a record if it exists, on the disk, too, before what it says is changed."""
+        self.remove(name)
+        if self.is_local:
+            sync(str(PurePosixPath(self.path(name)).parent))
+
     def put_json(self, name: str, value) -> None:
         """Write plain values as JSON; the same values give the same bytes."""
-        self.put(name, (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode())
+        self.put(name, _json_bytes(value))
 
     def get(self, name: str) -> bytes | None:
         """Return the bytes of a file, or None if it does not exist."""
@@ -133,14 +221,6 @@ class Folder:
             return self.fs.cat_file(self.path(name))
         except FileNotFoundError:
             return None
-
-    def get_json(self, name: str):
-        """Return the values of a JSON file, or None if it does not exist."""
-        data = self.get(name)
-        try:
-            return None if data is None else json.loads(data)
-        except ValueError:
-            raise Error(f"{self.path(name)}: must be JSON (it is damaged; delete it)") from None
 
     def names(self, folder: str) -> list[str]:
         """Return the sorted names of the files in a folder; none if it does not exist."""

@@ -204,6 +204,8 @@ class Job(Table):
 
     Attributes
     ----------
+    only, without : names of bodies with the wildcards * and ?; the others, or these, are left out of all scenes
+    surface_z_m : height of the water's surface in all scenes
     where : the job file's name in error messages
     folder : folder of the job file; relative paths in the job start there
     """
@@ -214,6 +216,9 @@ class Job(Table):
     scenes: Names
     resource_paths: list[str] = Field([])
     skip_missing: bool = False
+    only: Names = None
+    without: Names = None
+    surface_z_m: Annotated[float, Field(ge=-1e8, le=1e8)] = None
     pings_per_part: Annotated[int, Field(ge=1, le=4096)] = None
     acoustics: dict = Field({})
     noise: dict = Field({})
@@ -233,6 +238,11 @@ class Job(Table):
     def plain(self) -> dict:
         """The job as plain values; `Job(**job.plain)` is the same job."""
         return self.model_dump(exclude_none=True)
+
+    @property
+    def changes_scenes(self) -> bool:
+        """Whether scenes differ from their files."""
+        return any(value is not None for value in (self.only, self.without, self.surface_z_m))
 
     @cached_property
     def digest(self) -> str:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import chain
+from pathlib import PurePosixPath
 
 from sonar_gl._version import __version__
-from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.folder import DamagedRecordError, Folder
+from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error
 
 MANIFEST_NAME = "planned.json"
@@ -14,6 +20,8 @@ DONE_NAME = "done.json"  # written last: the batch is complete
 PART_BYTES = 128e6  # of a part's arrays before compression
 CHUNK_PINGS = 8  # packed together in the store; a part holds a whole number of chunks
 MAX_PART_PINGS = 128  # limits what is lost, or made again, with a part
+RECORD_CURE = "delete it, or mend the batch by --resume --mend"
+MANIFEST_CURE = "restore a copy, or have --resume --mend plan again; if no part is done, delete the folder"
 
 
 def record_name(part: int) -> str:
@@ -37,8 +45,8 @@ class Manifest:
     n_pings, pings_per_part : number of pings in all and of each part but the last
     samplings : for each scene, sonar -> fields of `Sampling`
     estimates : for each scene, sonar -> estimated error of its pings
-    version : version of sonar_gl that planned the batch
-    gl_renderer : OpenGL renderer that planned it
+    system : OpenGL and libraries that planned the batch
+    version : version of sonar_gl that planned it
     """
 
     job: dict
@@ -47,12 +55,21 @@ class Manifest:
     pings_per_part: int
     samplings: list
     estimates: list
+    system: System
     version: str = __version__
-    gl_renderer: str = ""
 
     @property
     def n_parts(self) -> int:
         return -(-self.n_pings // self.pings_per_part)
+
+    @cached_property
+    def plan_digest(self) -> str:
+        """SHA-256 of all that decides the parts, by which records say of which plan they are.
+
+        The job is in it by its own digest, which does not depend on where the file of the job is.
+        """
+        values = {key: value for key, value in asdict(self).items() if key != "job"}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def numbers(self, part: int) -> range:
         """Return the numbers of a part's pings."""
@@ -61,7 +78,7 @@ class Manifest:
 
     def save(self, folder: Folder) -> None:
         """Write the manifest to the folder of the batch."""
-        folder.put_json(MANIFEST_NAME, asdict(self))
+        folder.put_record(MANIFEST_NAME, asdict(self))
 
     @classmethod
     def load(cls, folder: Folder) -> Manifest | None:
@@ -69,22 +86,20 @@ class Manifest:
 
         Raises
         ------
+        DamagedRecordError
+            if it is not as it was written.
         Error
-            if it is invalid, or was written by another version, whose pings may differ.
+            if it was written by another version, whose pings may differ.
         """
-        found = folder.get_json(MANIFEST_NAME)
+        found = folder.get_record(MANIFEST_NAME, MANIFEST_CURE)
         if found is None:
             return None
-        try:
-            manifest = cls(**found)
-        except TypeError as why:
-            raise Error(f"{folder.path(MANIFEST_NAME)}: must be the manifest of a batch ({why})") from None
-        if manifest.version != __version__:
+        if found.get("version") != __version__:
             raise Error(
                 f"{folder.path(MANIFEST_NAME)}: a batch must be finished by the version that began it (got "
-                f"{manifest.version}, this is {__version__}; use that version, or another folder)"
+                f"{found.get('version')}, this is {__version__}; use that version, or another folder)"
             )
-        return manifest
+        return cls(**found | {"system": System(**found["system"])})
 
 
 def default_pings_per_part(bytes_per_ping: float) -> int:
@@ -99,70 +114,115 @@ class PartRecord:
 
     Attributes
     ----------
+    plan : `Manifest.plan_digest` of its batch
     part : number of the part
     first, pings : number of its first ping, and of its pings
     set_aside : number of each ping that could not be made (as text, for JSON) -> why
     without_echo : number of pings without an echo
-    files : name of each file of the part -> SHA-256, None for an array of which nothing is stored
+    files : name of each file of the part -> SHA-256
+    system : None, or what made it, if that is not the system that planned the batch
     """
 
+    plan: str
     part: int
     first: int
     pings: int
     set_aside: dict[str, str]
     without_echo: int
-    files: dict[str, str | None]
+    files: dict[str, str]
+    system: dict[str, str] | None = None
 
     def save(self, folder: Folder) -> None:
         """Write the record to the folder of the batch."""
-        folder.put_json(record_name(self.part), asdict(self))
+        folder.put_record(record_name(self.part), asdict(self))
 
     @classmethod
     def load(cls, folder: Folder, part: int) -> PartRecord | None:
         """Read the record of a part, or None if the part is not done; an Error if the record is damaged."""
-        found = folder.get_json(record_name(part))
-        try:
-            return None if found is None else cls(**found)
-        except TypeError:
-            raise Error(
-                f"{folder.path(record_name(part))}: must be the record of a part (it is damaged; delete it)"
-            ) from None
+        found = folder.get_record(record_name(part), RECORD_CURE)
+        return None if found is None else cls(**found)
+
+
+@dataclass(frozen=True)
+class DoneRecord:
+    """What a complete batch consists of beside its parts.
+
+    Attributes
+    ----------
+    parts, pings : their numbers
+    files : name of each file that belongs to no part -> SHA-256
+    """
+
+    parts: int
+    pings: int
+    files: dict[str, str]
+
+    def save(self, folder: Folder) -> None:
+        """Write the record to the folder of the batch."""
+        folder.put_record(DONE_NAME, asdict(self))
+
+    @classmethod
+    def load(cls, folder: Folder) -> DoneRecord | None:
+        """Read the record, or None if the batch is not complete; an Error if it is damaged."""
+        found = folder.get_record(DONE_NAME, RECORD_CURE)
+        return None if found is None else cls(**found)
+
+
+def recorded_parts(folder: Folder) -> list[int]:
+    """Return the numbers of the parts that have a record."""
+    names = [PurePosixPath(name) for name in folder.names("parts")]
+    return [int(name.stem) for name in names if name.suffix == ".json" and name.stem.isdigit()]
 
 
 def part_records(folder: Folder, manifest: Manifest) -> Iterator[PartRecord]:
-    """Yield the records of the parts that are done."""
-    existing = set(folder.names("parts"))
-    for part in range(manifest.n_parts):
-        if record_name(part).partition("/")[2] in existing:
-            yield PartRecord.load(folder, part)
+    """Yield the records of the parts that are done; an Error if one is damaged or of another plan."""
+    for part in recorded_parts(folder):
+        record = PartRecord.load(folder, part)
+        if record.plan != manifest.plan_digest:
+            raise Error(
+                f"{folder.path(record_name(part))}: must be of the plan in {MANIFEST_NAME} (got one of another; "
+                f"restore {MANIFEST_NAME}, or make the part again by --resume --mend)"
+            )
+        yield record
 
 
-def check(folder: Folder, manifest: Manifest, progress: Callable) -> list[str]:
+def check(folder: Folder, progress: Callable) -> list[str]:
     """Compare all files of a batch with their checksums.
 
     Parameters
     ----------
-    progress : function that turns the range of parts into a context manager of an iterable of them
+    progress : function that turns the numbers of parts into a context manager of an iterable of them
 
     Returns
     -------
     list of str, one line for each file that is missing or changed; for a batch that is not complete, a line
     that says so
+
+    Raises
+    ------
+    Error
+        if the folder holds no batch, or one of another version.
     """
-    faults = []
-    done = folder.get_json(DONE_NAME)
-    if done is None:
-        faults.append(
-            f"{folder.path(DONE_NAME)}: is missing: the batch is not complete; --resume continues it"
-        )
-    with progress(range(manifest.n_parts)) as parts:
+    found = recorded_parts(folder)
+    faults, done, manifest = [], None, None
+    try:
+        manifest = Manifest.load(folder)
+    except DamagedRecordError:
+        faults.append(_changed(folder, MANIFEST_NAME))
+    else:
+        if manifest is None and not found:
+            raise Error(f"{folder.url}: must be the folder of a batch (got one without a manifest)")
+        if manifest is None:
+            faults.append(_missing(folder, MANIFEST_NAME))
+    try:
+        if (done := DoneRecord.load(folder)) is None:
+            faults.append(f"{_missing(folder, DONE_NAME)}: the batch is not complete; --resume continues it")
+    except DamagedRecordError:
+        faults.append(_changed(folder, DONE_NAME))
+    with progress(sorted({*found, *range(done.parts if done else 0)})) as parts:
         for part in parts:
-            record = PartRecord.load(folder, part)
-            if record is not None:
-                faults += _faults(folder, record.files)
-            elif done is not None:
-                faults.append(f"{folder.path(record_name(part))}: is missing")
-    return [*faults, *(_faults(folder, done["files"]) if done else ())]
+            faults += _faults_of_part(folder, part, manifest)
+    return [*faults, *(_faults(folder, done.files) if done else ())]
 
 
 def discard_damaged(folder: Folder, manifest: Manifest, report: Callable[[str], None]) -> None:
@@ -172,20 +232,36 @@ def discard_damaged(folder: Folder, manifest: Manifest, report: Callable[[str], 
     ----------
     report : function that is given a line for each such file
     """
-    is_damaged, done = False, folder.get_json(DONE_NAME)
-    for part in range(manifest.n_parts):
+    try:
+        done = DoneRecord.load(folder)
+        faults = list(_faults(folder, done.files)) if done else []
+    except DamagedRecordError:
+        faults = [_changed(folder, DONE_NAME)]
+    recorded = recorded_parts(folder)
+    by_part = {part: list(_faults_of_part(folder, part, manifest)) for part in recorded}
+    damaged = [part for part, lines in by_part.items() if lines]
+    for line in chain(faults, *by_part.values()):
+        report(line)
+    if faults or damaged or len(recorded) < manifest.n_parts:
+        folder.remove_record(DONE_NAME)
+    for part in damaged:
+        folder.remove_record(record_name(part))
+
+
+def _faults_of_part(folder: Folder, part: int, manifest: Manifest | None) -> Iterator[str]:
+    """Yield a line for each file of a part that is missing or changed."""
+    name = record_name(part)
+    try:
         record = PartRecord.load(folder, part)
-        for line in _faults(folder, record.files) if record else ():
-            report(line)
-            folder.remove(record_name(part))
-            is_damaged = True
-    for name, checksum in (done["files"] if done else {}).items():
-        if folder.checksum(name) != checksum:
-            report(f"{folder.path(name)}: has changed since it was written")
-            folder.remove(name)
-            is_damaged = True
-    if is_damaged:
-        folder.remove(DONE_NAME)
+    except DamagedRecordError:
+        yield _changed(folder, name)
+        return
+    if record is None:
+        yield _missing(folder, name)
+        return
+    if manifest is not None and record.plan != manifest.plan_digest:
+        yield f"{folder.path(name)}: is of another plan than that of {MANIFEST_NAME}"
+    yield from _faults(folder, record.files)
 
 
 def _faults(folder: Folder, files: dict) -> Iterator[str]:
@@ -193,5 +269,12 @@ def _faults(folder: Folder, files: dict) -> Iterator[str]:
     for name, expected in files.items():
         found = folder.checksum(name)
         if found != expected:
-            fault = "is missing" if found is None else "has changed since it was written"
-            yield f"{folder.path(name)}: {fault}"
+            yield (_missing if found is None else _changed)(folder, name)
+
+
+def _missing(folder: Folder, name: str) -> str:
+    return f"{folder.path(name)}: is missing"
+
+
+def _changed(folder: Folder, name: str) -> str:
+    return f"{folder.path(name)}: has changed since it was written"

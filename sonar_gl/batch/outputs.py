@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -14,7 +15,14 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
-from sonar_gl.batch.ros import BagSettings, CameraRecord, PingRecord, finish_bag, write_part
+from sonar_gl.batch.ros import (
+    BagSettings,
+    CameraRecord,
+    PingRecord,
+    bag_metadata,
+    read_contents,
+    write_part,
+)
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import MADE, PingStore
 from sonar_gl.core.poses import pose as make_pose
@@ -296,7 +304,11 @@ class RosOutput(Output):
         names = [self._part_name(part) for part in range(manifest.n_parts)]
         existing = [name for name in names if self.folder.fs.exists(self.folder.path(name))]
         if existing:  # otherwise all pings were set aside
-            finish_bag(self.folder.path("bag"), existing)
+            contents = []
+            for name in existing:
+                with self.folder.open(name) as file:
+                    contents.append(read_contents(file, PurePosixPath(name).name))
+            self.folder.put("bag/metadata.yaml", bag_metadata(contents).encode())
         return ["bag/metadata.yaml"] if existing else []
 
     @staticmethod

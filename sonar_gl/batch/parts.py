@@ -17,7 +17,7 @@ import numpy as np
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import (
-    DONE_NAME,
+    DoneRecord,
     Manifest,
     PartRecord,
     default_pings_per_part,
@@ -37,7 +37,8 @@ from sonar_gl.batch.store import (
     rows_to_bytes,
     shared_files,
 )
-from sonar_gl.core.errors import Error
+from sonar_gl.batch.system import System
+from sonar_gl.core.errors import Error, is_out_of_memory
 from sonar_gl.engine.adaptive import MAX_POSES
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
@@ -70,6 +71,7 @@ class Batch:
     job : Job
     folder : folder of the batch
     device : index of an EGL device, or None for the default
+    any_system : make parts also with other OpenGL or libraries than those that planned the batch
 
     Attributes
     ----------
@@ -81,8 +83,8 @@ class Batch:
         if the job is invalid.
     """
 
-    def __init__(self, job: Job, folder: Folder, device: int | None = None):
-        self.folder, self.device = folder, device
+    def __init__(self, job: Job, folder: Folder, device: int | None = None, any_system: bool = False):
+        self.folder, self.device, self.any_system = folder, device, any_system
         self.requests = BatchRequests(job)
         self.schema = Schema(self.requests)
         self.table = PingTable(self.requests)
@@ -110,7 +112,7 @@ class Batch:
 
 def plan_manifest(batch: Batch, report: Report = no_report) -> Manifest:
     """Choose the sampling of each scene and sonar, by a few pings spread over the job."""
-    requests, schema, samplings, estimates, renderer = batch.requests, batch.schema, [], [], ""
+    requests, schema, samplings, estimates, system = batch.requests, batch.schema, [], [], None
     for scene, name in enumerate(requests.job.scenes):
         samplings.append({})
         estimates.append({})
@@ -122,7 +124,7 @@ def plan_manifest(batch: Batch, report: Report = no_report) -> Manifest:
                 plan = plan_sampling(simulator.run, [request.for_sonar(mount) for request in spread])
                 samplings[-1][sonar] = asdict(plan.sampling)
                 estimates[-1][sonar] = plan.error_estimate
-                renderer = simulator.gl_info["renderer"]
+                system = System.of(simulator.gl_info)
         for warning in caught:
             report("warning", f"scene {name!r}: {warning.message}")
     job = requests.job
@@ -133,12 +135,12 @@ def plan_manifest(batch: Batch, report: Report = no_report) -> Manifest:
         job.pings_per_part or default_pings_per_part(schema.bytes_per_ping),
         samplings,
         estimates,
-        gl_renderer=renderer,
+        system,
     )
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:
-    """Create the store, empty, as far as it does not exist."""
+    """Create the store, empty, as far as it does not exist; what is there of it is repaired."""
     schema, manifest, groups = batch.schema, batch.manifest, {}
     for name, sonar in batch.requests.sonars.items():
         groups[name] = SonarGroup(sonar, schema.arrays(name), schema.sonar_attributes(manifest, name))
@@ -170,7 +172,7 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
     begin_s = time.perf_counter()
     record = make_part(batch, 0, report=report)
     taken_s, folder = time.perf_counter() - begin_s, batch.folder
-    sizes = [folder.fs.size(folder.path(name)) for name, checksum in record.files.items() if checksum]
+    sizes = [folder.fs.size(folder.path(name)) for name in record.files]
     return Cost(taken_s / record.pings, sum(sizes) / record.pings)
 
 
@@ -183,7 +185,7 @@ def finalize(batch: Batch, report: Report = no_report) -> None:
     part_arrays = {array.name for sonar in requests.sonars for array in schema.arrays(sonar)}
     files += shared_files(folder, part_arrays)
     checksums = {name: folder.checksum(name) for name in sorted(files)}
-    folder.put_json(DONE_NAME, {"parts": manifest.n_parts, "pings": manifest.n_pings, "files": checksums})
+    DoneRecord(manifest.n_parts, manifest.n_pings, checksums).save(folder)
 
 
 # The steps by name, as pools and clusters run them: function (batch, *arguments, report).
@@ -245,10 +247,16 @@ class _Part:
 
 
 class PartMaker:
-    """Makes the parts of a batch. The simulators of the last scene stay open until `close()`."""
+    """Makes the parts of a batch. The simulators of the last scene stay open until `close()`.
+
+    Raises
+    ------
+    Error
+        from `make`, if OpenGL or a library is not that which planned the batch, unless the batch allows it.
+    """
 
     def __init__(self, batch: Batch):
-        self._batch, self.folder = batch, batch.folder
+        self._batch, self.folder, self._system = batch, batch.folder, None
         self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
         self._stack, self._scene, self._simulators = ExitStack(), None, {}
 
@@ -259,6 +267,9 @@ class PartMaker:
             samplings = self._batch.manifest.samplings[scene]
             self._simulators = _open_simulators(self._batch, scene, self._stack, samplings)
             self._scene = scene
+            self._system = System.of(next(iter(self._simulators.values())).gl_info)
+            if not self._batch.any_system:
+                self._system.check(self._batch.manifest.system, self.folder.url)
         return self._simulators
 
     def close(self) -> None:
@@ -325,13 +336,16 @@ class PartMaker:
         self.folder.put(files[-1], rows_to_bytes(rows))
         has_echo = [table.column(rows, ("has_echo", sonar)) == 1 for sonar in self._batch.requests.sonars]
         is_silent = (table.column(rows, "status") == MADE) & ~np.any(has_echo, axis=0)
+        manifest = self._batch.manifest
         record = PartRecord(
+            manifest.plan_digest,
             part,
             first,
             len(task.numbers),
             {str(number): why for number, why in sorted(task.failed.items())},
             int(is_silent.sum()),
             {file: self.folder.checksum(file) for file in files},
+            None if self._system in (None, manifest.system) else asdict(self._system),
         )
         record.save(self.folder)
         return record
@@ -355,9 +369,9 @@ class PartMaker:
                 while remaining:
                     yield remaining[0], _report_warnings(lambda: next(pings), task.report)
                     task.report("finished", remaining.popleft().number)
-            except (OSError, MemoryError):
-                raise
-            except Exception:  # of one of several pings; made alone, the one shows
+            except Exception as why:  # of one of several pings; made alone, the one shows
+                if isinstance(why, OSError) or is_out_of_memory(why):
+                    raise
                 pings.close()
         for request in remaining:
             ping = self._make_alone(task, request, lambda r: make_ping(run, for_sonar(r)))
@@ -374,9 +388,9 @@ class PartMaker:
             task.report("started", request.number)
             try:
                 return _report_warnings(lambda: make(request), task.report)
-            except (OSError, MemoryError):
-                raise
             except Exception as why:
+                if isinstance(why, OSError) or is_out_of_memory(why):
+                    raise
                 kind = "" if isinstance(why, Error) else f"{type(why).__name__}: "
                 reason = f"{kind}{why}"
         task.failed[request.number] = reason

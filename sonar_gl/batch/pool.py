@@ -18,13 +18,14 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
 MAX_DEATHS = 2  # at a ping, after which it is set aside
 MAX_UNEXPLAINED_DEATHS = 5  # at one part while no ping was being made
+MAX_DEATHS_IN_STEP = 3  # of processes that plan, create or finalize
 # The software driver, like other libraries, would otherwise use all cores in every process.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A killed process leaks resources, which the tracker frees; its warning would only confuse.
@@ -34,7 +35,7 @@ NO_LEAK_WARNING = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resour
 # ---- in the process that makes parts ----------------------------------------------------------------
 
 
-def serve(pipe: Connection, job: dict, url: str, device: int | None) -> None:
+def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system: bool) -> None:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
@@ -55,19 +56,27 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None) -> None:
         try:
             if batch is None:
                 load_numba()
-                batch = Batch(Job(**job), Folder(url), device)
+                batch = Batch(Job(**job), Folder(url), device, any_system)
             name, *arguments = command
             message = "result", STEPS[name](batch, *arguments, report=report)
-        except Error as why:
-            message = "error", str(why)
-        except OSError as why:
-            message = "error", f"{why.filename or url}: {why.strerror or why}; continue with --resume"
-        except BaseException:
-            message = "error", f"a part could not be made:\n{traceback.format_exc()}"
+        except BaseException as why:
+            message = "error", _describe_failure(why, url)
         try:
             pipe.send(message)
         except OSError:  # the pool has gone
             return
+
+
+def _describe_failure(why: BaseException, url: str) -> str:
+    """Return the text of an error; only for a mistake in the code it is more than a sentence."""
+    if is_out_of_memory(why):
+        cure = "have fewer --workers, or ask for fewer beams, bins or pixels, and continue with --resume"
+        return f"memory ran out ({why or type(why).__name__}); {cure}"
+    if isinstance(why, Error):
+        return str(why)
+    if isinstance(why, OSError):
+        return f"{why.filename or url}: {why.strerror or why}; continue with --resume"
+    return f"a part could not be made:\n{''.join(traceback.format_exception(why))}"
 
 
 def _receive(pipe: Connection):
@@ -138,7 +147,7 @@ class Process:
 
     Parameters
     ----------
-    job, url, device : as for `serve`
+    arguments : job, url, device and any_system, as for `serve`
 
     Attributes
     ----------
@@ -147,10 +156,10 @@ class Process:
     pid : its process id
     """
 
-    def __init__(self, job: dict, url: str, device: int | None):
+    def __init__(self, *arguments):
         context = multiprocessing.get_context("spawn")  # a fork would share the parent's OpenGL
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, job, url, device), daemon=True)
+        self._process = context.Process(target=serve, args=(theirs, *arguments), daemon=True)
         with _environment_of_children():
             self._process.start()
         theirs.close()
@@ -193,12 +202,13 @@ class Process:
         """Return whether it is dead or hangs."""
         return not self.is_alive() or time.monotonic() - self._last_message_s > STALL_S
 
-    def end(self) -> int:
-        """Kill it, and return its exit code. Finished parts are stored; nothing else matters."""
+    def end(self) -> str:
+        """Kill it, and say how it ended. Finished parts are stored; nothing else matters."""
         self._process.kill()
         self._process.join()
         self._pipe.close()
-        return self._process.exitcode
+        code = self._process.exitcode
+        return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
 
 
 class Pool:
@@ -210,6 +220,7 @@ class Pool:
     url : folder of the batch
     devices : index of the EGL device of each process, or None for the default
     warn : function that is given the text of a warning
+    any_system : as for `Batch`
 
     Attributes
     ----------
@@ -217,8 +228,15 @@ class Pool:
     processes : place in the pool -> its process
     """
 
-    def __init__(self, job: dict, url: str, devices: list[int | None], warn: Callable[[str], None]):
-        self._arguments = [(job, url, device) for device in devices]
+    def __init__(
+        self,
+        job: dict,
+        url: str,
+        devices: list[int | None],
+        warn: Callable[[str], None],
+        any_system: bool = False,
+    ):
+        self._arguments = [(job, url, device, any_system) for device in devices]
         self.processes: dict[int, Process] = {}
         self.warn, self.stopping = warn, False
 
@@ -230,27 +248,32 @@ class Pool:
             process.end()
 
     def call(self, name: str, *arguments):
-        """Run one of `parts.STEPS` in a process, and return its result.
+        """Run one of `parts.STEPS` in a process, and return its result. If it dies, another takes its place.
 
         Raises
         ------
         Error
-            if the step fails, or its process dies.
+            if the step fails.
+        MachineError
+            if processes die of it again and again.
         """
-        process = self._living_process(0)
-        process.send(None, name, *arguments)
-        while True:
-            wait(process.handles, timeout=1.0)
-            is_dead = not process.is_alive()  # asked before its last messages are read
-            for kind, value in process.messages():
-                if kind == "result":
-                    return value
-                self._handle(kind, value)
-            if is_dead:
-                raise Error(
-                    f"a process must live (it ended with exit code {process.end()} in the step {name!r}; "
-                    "'sonar-gl doctor' may say why)"
-                )
+        for death in range(1, MAX_DEATHS_IN_STEP + 1):
+            process, is_dead = self._living_process(0), False
+            process.send(None, name, *arguments)
+            while not is_dead:
+                wait(process.handles, timeout=1.0)
+                is_dead = not process.is_alive()  # asked before its last messages are read
+                for kind, value in process.messages():
+                    if kind == "result":
+                        return value
+                    self._handle(kind, value)
+            ending = process.end()
+            if death < MAX_DEATHS_IN_STEP:
+                self.warn(f"a process died in the step {name!r} ({ending}); another takes its place")
+        raise MachineError(
+            f"processes must live (the step {name!r} ended {MAX_DEATHS_IN_STEP} of them, the last by {ending}; "
+            "is memory short? 'sonar-gl doctor' may say why; try again by --resume)"
+        )
 
     def run_parts(
         self,
@@ -272,6 +295,8 @@ class Pool:
         ------
         Error
             if a step fails, such as for a full disk; the parts in progress are finished first.
+        MachineError
+            likewise, if processes die of a part again and again.
         """
         new, again, failure = (Task(part, one_by_one) for part in parts), deque(), None
         while True:
@@ -322,13 +347,13 @@ class Pool:
 
     def _take_task_back(self, process: Process, numbers: Callable[[int], range]) -> Task:
         """Return the task of a dead process, to be made again ping by ping."""
-        task, code = process.task, process.end()
+        task, ending = process.task, process.end()
         process.task = None
         task.count_death([number for number in process.pings if number in numbers(task.part)])
         if task.deaths.get(None, 0) >= MAX_UNEXPLAINED_DEATHS:
-            raise Error(
+            raise MachineError(
                 f"processes must live (part {task.part} ended {MAX_UNEXPLAINED_DEATHS} of them at no ping, "
-                f"the last with exit code {code}; is memory short? 'sonar-gl doctor' may say why)"
+                f"the last by {ending}; is memory short? 'sonar-gl doctor' may say why; try again by --resume)"
             )
-        self.warn(f"a process died at part {task.part} (exit code {code}); another takes its place")
+        self.warn(f"a process died at part {task.part} ({ending}); another takes its place")
         return task

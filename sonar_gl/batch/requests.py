@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import WATER, Acoustics
-from sonar_gl.batch.job import Job, SonarTable, build, matching_names
+from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
@@ -118,6 +118,7 @@ class BatchRequests(Sequence):
         self.runs = _runs(trajectories, len(job.scenes))
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names = {}, {}
+        self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
         table = dict(self.job.poses[index])
@@ -177,19 +178,48 @@ class BatchRequests(Sequence):
         return bodies, reflectivity
 
     def scene(self, index: int) -> Scene:
-        """Return a scene of the job. The last two are cached."""
+        """Return a scene of the job, with the bodies and the surface that the job wants. The last two are cached."""
         if index not in self._scenes:
-            name = self.job.scenes[index]
-            path = self.job.path(name)
-            is_file = self.job.path(split_arguments(name)[0]).is_file()
-            folders = [self.job.path(folder) for folder in self.job.resource_paths]
-            with errors_at(f"{self.job.where}: scenes[{index}]"):
-                check_no_link_loop(path)
-                scene = load_scene(str(path) if is_file else name, folders, self.job.skip_missing)
-            while len(self._scenes) > 1:
-                self._scenes.pop(next(iter(self._scenes)))
-            self._scenes[index] = scene
+            self._keep_scene(index, self._load_scene(index))
         return self._scenes[index]
+
+    def _load_scene(self, index: int) -> Scene:
+        """Return a scene of the job as it is in its file."""
+        name = self.job.scenes[index]
+        path = self.job.path(name)
+        is_file = self.job.path(split_arguments(name)[0]).is_file()
+        folders = [self.job.path(folder) for folder in self.job.resource_paths]
+        with errors_at(f"{self.job.where}: scenes[{index}]"):
+            check_no_link_loop(path)
+            return load_scene(str(path) if is_file else name, folders, self.job.skip_missing)
+
+    def _keep_scene(self, index: int, scene: Scene) -> None:
+        """Cache a scene without what the job leaves out. A pattern need not match a body of every scene."""
+        job = self.job
+        if job.only is not None:
+            scene = scene.only(*_matched(job.only, scene))
+        if job.without is not None:
+            scene = scene.without(*_matched(job.without, scene))
+        if job.surface_z_m is not None:
+            scene = scene.with_surface(job.surface_z_m)
+        while len(self._scenes) > 1:
+            self._scenes.pop(next(iter(self._scenes)))
+        self._scenes[index] = scene
+
+    def _check_names_of_bodies(self) -> None:
+        """Raise an Error if `only` or `without` names what no scene has, or leaves nothing of a scene."""
+        job, known, empty = self.job, {}, []
+        for index, name in enumerate(job.scenes) if job.only or job.without else ():
+            scene = self._load_scene(index)
+            known |= dict.fromkeys(_names(scene))
+            self._keep_scene(index, scene)
+            empty += [] if _names(self.scene(index)) else [f"scenes[{index}], {name!r}"]
+        for key in ("only", "without") if known else ():
+            check_patterns(getattr(job, key) or [], known, f"{job.where}: {key}")
+        if empty:
+            raise Error(
+                f"{job.where}: only and without must leave a body of each scene (got none of {empty[0]})"
+            )
 
     def bodies_and_plumes(self, scene: int) -> dict:
         """Return the bodies and plumes of a scene by name."""
@@ -208,6 +238,16 @@ class BatchRequests(Sequence):
         index = list(self.sonars).index(sonar)
         key = np.random.SeedSequence(self.job.seed, spawn_key=(NOISE_STREAM, index))
         return int(key.generate_state(1, np.uint32)[0])
+
+
+def _names(scene: Scene) -> list[str]:
+    """Return the names of bodies and plumes."""
+    return [entry.name for entry in (*scene.bodies, *scene.plumes)]
+
+
+def _matched(patterns: list[str], scene: Scene) -> list[str]:
+    """Return those patterns that match something in a scene."""
+    return [pattern for pattern in patterns if matching_names([pattern], _names(scene))]
 
 
 def _draw(random, value) -> float:

@@ -7,18 +7,27 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from sonar_gl.batch.cluster import Cluster
-from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.folder import DamagedRecordError, Folder
 from sonar_gl.batch.job import LOCATION_KEYS, Job
-from sonar_gl.batch.manifest import DONE_NAME, Manifest, PartRecord, discard_damaged, part_records
+from sonar_gl.batch.manifest import (
+    MANIFEST_NAME,
+    DoneRecord,
+    Manifest,
+    PartRecord,
+    discard_damaged,
+    part_records,
+    recorded_parts,
+)
 from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose_numbers
+from sonar_gl.scene.scene import Scene
 
 
 @dataclass
@@ -72,15 +81,31 @@ def devices_of(workers: int | None, devices) -> list[int | None]:
     return [devices[k % len(devices)] for k in range(count)]
 
 
+@dataclass(frozen=True)
+class RunSettings:
+    """How a batch is run.
+
+    Attributes
+    ----------
+    resume : continue a batch that is in the folder
+    mend : compare checksums, make parts with damaged files again, and plan again if the plan is damaged
+    any_system : make parts also with other OpenGL or libraries than those that planned the batch
+    cluster : address of a Dask scheduler whose workers make the parts; None uses processes of this machine
+    """
+
+    resume: bool = False
+    mend: bool = False
+    any_system: bool = False
+    cluster: str | None = None
+
+
 def run(
     job: Job,
     url: str,
     devices: list[int | None],
     report: Callable[[str], None],
     progress: Callable,
-    resume: bool = False,
-    mend: bool = False,
-    cluster: str | None = None,
+    settings: RunSettings = RunSettings(),
 ) -> Outcome:
     """Make all pings of a job that are not in the folder yet, and finalize the batch.
 
@@ -90,14 +115,13 @@ def run(
     devices : EGL device of each process, see `devices_of`
     report : function that shows a line of text
     progress : function (pings in all, pings done) -> context manager of a function (further pings)
-    resume : continue a batch that is in the folder
-    mend : compare checksums, and make parts with damaged files again
-    cluster : address of a Dask scheduler whose workers make the parts; None uses processes of this machine
 
     Raises
     ------
     Error
         if the job or the folder is unsuitable, or parts cannot be made.
+    MachineError
+        if processes die again and again.
     """
     folder = Folder(url, create=False)
     if "memory" in folder.fs.protocol:
@@ -106,18 +130,22 @@ def run(
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     batch = Batch(job, folder)  # finds what is wrong with the job before anything is made
     folder.create()
-    with folder.locked(), Pool(job.plain, folder.url, devices, report) as pool:
-        remote = None if cluster is None else Cluster(cluster, job, folder.url)
+    any_system = settings.any_system
+    with folder.locked(), Pool(job.plain, folder.url, devices, report, any_system) as pool:
+        remote = None
+        if settings.cluster is not None:
+            remote = Cluster(settings.cluster, job, folder.url, any_system)
         workers = pool if remote is None else remote
-        manifest = _begin(batch, resume, workers.call, report)
-        if mend:
+        manifest = _begin(batch, settings, workers.call, report)
+        if settings.mend:
             discard_damaged(folder, manifest, report)
         outcome, finished = Outcome(batch.requests, manifest.n_pings), set()
         for record in part_records(folder, manifest):
             outcome.add(record)
             finished.add(record.part)
-        if not finished or mend:
-            workers.call("create")  # the batch may have been stopped before or during it
+        if outcome.is_complete and DoneRecord.load(folder) is not None:
+            return outcome
+        workers.call("create")  # the batch may have been stopped before or during it
         missing = [part for part in range(manifest.n_parts) if part not in finished]
         if missing:
             with progress(manifest.n_pings, outcome.n_done) as advance:
@@ -130,12 +158,12 @@ def run(
                     missing = remote.run_parts(missing, done, report)
                 with _stop_on_signals(pool, report):
                     pool.run_parts(missing, manifest.numbers, done, one_by_one=remote is not None)
-        if outcome.is_complete and folder.get(DONE_NAME) is None:
+        if outcome.is_complete:
             pool.call("finalize")
     return outcome
 
 
-def _begin(batch: Batch, resume: bool, call: Callable, report: Callable[[str], None]) -> Manifest:
+def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable[[str], None]) -> Manifest:
     """Return the manifest in the folder, or make a new one.
 
     Raises
@@ -144,8 +172,14 @@ def _begin(batch: Batch, resume: bool, call: Callable, report: Callable[[str], N
         if there is a batch that shall not be resumed, or one of another job, or other files.
     """
     folder, job = batch.folder, batch.requests.job
-    manifest = Manifest.load(folder)
-    if manifest is not None and not resume:
+    plans = _finished_plans(folder) if settings.mend else set()
+    try:
+        manifest = Manifest.load(folder)
+    except DamagedRecordError:
+        if not plans:
+            raise
+        manifest = None
+    if manifest is not None and not settings.resume:
         cure = "continue it by --resume, or give another folder"
         raise Error(f"{folder.url}: must hold no batch yet ({cure})")
     if manifest is not None and manifest.digest != batch.schema.digest:
@@ -156,13 +190,31 @@ def _begin(batch: Batch, resume: bool, call: Callable, report: Callable[[str], N
             f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
             "that, or give another folder)"
         )
+    if manifest is None and plans:
+        report(f"{folder.path(MANIFEST_NAME)}: is missing or damaged: choosing the samples again")
+        manifest = call("plan")
+        if plans != {manifest.plan_digest}:
+            raise Error(
+                f"{folder.url}: a batch must be planned again by the job, OpenGL and libraries that planned it "
+                "(got another plan than that of the finished parts; restore these, or give another folder)"
+            )
+        manifest.save(folder)
     if manifest is None:
         if any(not name.startswith(".") for name in folder.names("")):  # unfinished files begin with a dot
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
-        report("there is no batch yet: choosing the samples" if resume else "choosing the samples")
+        report("there is no batch yet: choosing the samples" if settings.resume else "choosing the samples")
         manifest = call("plan")
         manifest.save(folder)  # from now on the batch can be resumed
     return manifest
+
+
+def _finished_plans(folder: Folder) -> set[str]:
+    """Return the plans of the finished parts whose records can be read; of an undamaged batch it is one."""
+    plans = set()
+    for part in recorded_parts(folder):
+        with suppress(DamagedRecordError):
+            plans.add(PartRecord.load(folder, part).plan)
+    return plans
 
 
 @contextmanager
@@ -202,6 +254,8 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         first, last = run.numbers[0], run.numbers[-1]
         start_s, end_s = requests[first].time_s, requests[last].time_s
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
+    for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
+        lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
     for scene, by_sonar in enumerate(manifest.samplings):
         for name, sampling in by_sonar.items():
             sonar = requests.sonars[name]
@@ -215,9 +269,16 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     one_s = n * cost.seconds_per_ping
     lines.append(
         f"time: {_duration(one_s)} in one process ({1e3 * cost.seconds_per_ping:.1f} ms a ping, on "
-        f"{manifest.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
+        f"{manifest.system.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
     )
     return "\n".join(lines)
+
+
+def _contents_text(scene: Scene) -> str:
+    """Return what is in a scene: its bodies, plumes, and water's surface."""
+    names = ", ".join(entry.name for entry in (*scene.bodies, *scene.plumes))
+    surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
+    return names + surface
 
 
 def _amount(size: float) -> str:

@@ -354,7 +354,7 @@ class Schema:
             "Conventions": "CF-1.11",
             "title": self._job.name,
             "source": f"sonar_gl {__version__}",
-            "gl_renderer": manifest.gl_renderer,
+            **asdict(manifest.system),
             "seed": self._job.seed,
             "tolerance": self._job.tolerance,
             "scenes": self._job.scenes,

@@ -7,6 +7,7 @@ a table, one file for each part; the end of the batch gathers them into arrays o
 from __future__ import annotations
 
 import io
+import json
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
+from zarr.storage import MemoryStore
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import check_patterns
@@ -45,7 +47,7 @@ class SonarGroup:
 def create_arrays(
     folder: Folder, manifest: Manifest, groups: dict[str, SonarGroup], attributes: dict
 ) -> None:
-    """Create the empty arrays of a store. Existing arrays stay, as other processes may be writing into them.
+    """Create the empty arrays of a store. Files that are there as they should be stay, and so do all pings.
 
     Parameters
     ----------
@@ -53,15 +55,12 @@ def create_arrays(
     attributes : of the data set
     """
     _remove_partial_files(folder)
-    root = _open_group(folder, "a")
-    root.attrs.update(attributes)
-    part = manifest.pings_per_part
+    files, part = {}, manifest.pings_per_part
+    root = zarr.create_group(MemoryStore(files), attributes=attributes)
     for name, entry in groups.items():
         group = root if len(groups) == 1 else root.require_group(name)
         group.attrs.update({**attributes, **entry.attributes})
         for array in entry.arrays:
-            if array.name in group:
-                continue
             coordinates = {"coordinates": "azimuth_rad"} if "beam" in array.dims else {}
             group.create_array(
                 array.name,
@@ -78,6 +77,10 @@ def create_arrays(
         _create_axis(group, "azimuth_rad", "beam", entry.sonar.azimuth_rad, azimuth)
         bins = {"long_name": "slant range, bin centres", "units": "m"}
         _create_axis(group, "range", "range", entry.sonar.range_m, bins)
+    for key, data in sorted(files.items()):
+        name, data = f"{STORE_NAME}/{key}", data.to_bytes()
+        if folder.get(name) != data:  # a power failure may have left half of it
+            folder.put(name, data)
 
 
 def _open_group(folder: Folder, mode: str) -> zarr.Group:
@@ -93,7 +96,6 @@ def _create_axis(group: zarr.Group, name: str, dim: str, values: np.ndarray, att
         chunks=values.shape,
         dimension_names=(dim,),
         attributes=attributes,
-        overwrite=True,
     )
     array[:] = values
 
@@ -136,14 +138,11 @@ class PingStore:
         """
         group, names = self.group(sonar), []
         for name, values in arrays.items():
-            shard = [first // group[name].shards[0], *[0] * (values.ndim - 1)]
-            names.append("/".join([STORE_NAME, group[name].path, "c", *map(str, shard)]))
-            self._folder.remove(names[-1])  # it may be damaged, and would be read
-            array = group[name].with_config({"write_empty_chunks": True})  # finding empty ones takes as long
-            array[first : first + len(values)] = values
-            if self._folder.is_local:  # left by a process that was killed
-                for path in Path(self._folder.path(names[-1])).parent.glob("*.partial"):
-                    path.unlink(missing_ok=True)
+            array = group[name]
+            shard = [first // array.shards[0], *[0] * (values.ndim - 1)]
+            key = "/".join(["c", *map(str, shard)])
+            names.append(f"{STORE_NAME}/{array.path}/{key}")
+            self._folder.put(names[-1], _encode_shard(array, first, values, key))
         return names
 
     def create_variable(self, sonar: str, array: ArraySpec, n_pings: int) -> None:
@@ -160,6 +159,18 @@ class PingStore:
         )
 
 
+def _encode_shard(array: zarr.Array, first: int, values: np.ndarray, key: str) -> bytes:
+    """Return the bytes of a shard, which holds the pings from `first` on and no others.
+
+    They are encoded in memory and not in the store, where a shard that is there would be read, which may be
+    damaged. Empty chunks are written, since finding them takes as long.
+    """
+    files, how = {}, {"fill_value": array.fill_value, "config": {"write_empty_chunks": True}}
+    alone = zarr.from_array(MemoryStore(files), data=array, write_data=False, **how)
+    alone[first : first + len(values)] = values
+    return files[key].to_bytes()
+
+
 def consolidate(folder: Folder) -> None:
     """Gather the metadata of all arrays into one file, which readers open first."""
     _remove_partial_files(folder)
@@ -167,7 +178,7 @@ def consolidate(folder: Folder) -> None:
         warnings.simplefilter("ignore", UserWarning)
         zarr.consolidate_metadata(_open_group(folder, "r+").store)
     name = f"{STORE_NAME}/zarr.json"
-    folder.put_json(name, folder.get_json(name))  # sorted, since folders are listed in any order
+    folder.put_json(name, json.loads(folder.get(name)))  # sorted, since folders are listed in any order
 
 
 def shared_files(folder: Folder, part_arrays: set[str]) -> list[str]:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from sonar_gl.batch import run as runs
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
-from sonar_gl.batch.manifest import Manifest, check
+from sonar_gl.batch.manifest import check
 from sonar_gl.cli.common import progress as show_progress
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error, escape_controls
@@ -29,17 +29,15 @@ def batch(options) -> int:
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command
     if options.check is not None:
-        folder = Folder(options.check, create=False)
-        if (manifest := Manifest.load(folder)) is None:
-            raise Error(f"{options.check}: must be the folder of a batch (got one without a manifest)")
-        return _show_faults(options.check, check(folder, manifest, show_progress))
+        return _show_faults(options.check, check(Folder(options.check, create=False), show_progress))
     job = read_job(options.job)
     devices = runs.devices_of(options.workers, options.device)
     if options.dry_run:
         echo(runs.dry_run(job, devices, _report))
         return 0
     url = options.out or Path(options.job).stem
-    outcome = runs.run(job, url, devices, _report, _progress, options.resume, options.mend, options.cluster)
+    settings = runs.RunSettings(options.resume, options.mend, options.any_system, options.cluster)
+    outcome = runs.run(job, url, devices, _report, _progress, settings)
     for number, why in sorted(outcome.set_aside.items()):
         _report(f"set aside: {outcome.describe(number)}: {why}")
     return _show_outcome(outcome, url, options.job)

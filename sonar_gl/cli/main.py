@@ -18,7 +18,7 @@ from sonar_gl import cli
 from sonar_gl._version import __version__
 from sonar_gl.cli.options import DEVICE, option, ping_options
 from sonar_gl.cli.output import echo
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
 
@@ -45,6 +45,8 @@ class CommandGroup(click.Group):
             if why.errno == errno.EPIPE:  # `| head` has closed the pipe
                 raise
             message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+        except MachineError as why:
+            message, status = str(why), 4
         except Error as why:
             message, status = str(why), 2
         if status:
@@ -192,7 +194,8 @@ Examples:
 
 \b
 Exit status: 0 all pings are made, 1 --check found damage, 2 a mistake in the command line or the job, or a
-full disk, 3 all pings are made but some that were set aside, 130 stopped by Ctrl-C.
+full disk, 3 all pings are made but some that were set aside, 4 processes died again and again, 130 stopped by
+Ctrl-C.
 """
 
 
@@ -204,6 +207,11 @@ full disk, 3 all pings are made but some that were set aside, 130 stopped by Ctr
 )
 @click.option("--resume", is_flag=True, help="Continue the batch in the folder.")
 @click.option("--mend", is_flag=True, help="With --resume: find damaged files, and make them again.")
+@click.option(
+    "--any-system",
+    is_flag=True,
+    help="Make pings also with other OpenGL or libraries than those that planned the batch.",
+)
 @click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
 @click.option(

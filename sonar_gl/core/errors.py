@@ -32,6 +32,24 @@ class Error(ValueError):
         super().__init__(escape_controls(str(message)))
 
 
+class MachineError(Error):
+    """A failure of the machine, not of the caller: the same may succeed when it is tried again."""
+
+
+OUT_OF_MEMORY = ("cannot allocate memory", "can't start new thread", "insufficient memory")
+
+
+def is_out_of_memory(why: BaseException) -> bool:
+    """Return whether an exception says that memory ran out, which libraries do in words of their own.
+
+    >>> is_out_of_memory(RuntimeError("can't start new thread"))
+    True
+    """
+    if isinstance(why, MemoryError):
+        return True
+    return any(words in str(why).lower() for words in OUT_OF_MEMORY)
+
+
 @contextmanager
 def errors_at(location: str) -> Iterator[None]:
     """Put a file, element or argument before the messages of errors raised in a with block.

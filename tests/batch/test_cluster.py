@@ -131,6 +131,7 @@ def test_a_batch_has_the_same_bytes_if_a_worker_dies(address, tmp_path):
     """The command line, with workers that write into the folder themselves."""
     job, out = write_job(tmp_path, 48, more=""), tmp_path / "out"
     with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)  # some have died before
         workers = list(client.run(os.getpid).values())
     command = "batch", job, "--out", out, "--cluster", address
     batch = subprocess.Popen([sys.executable, "-m", "sonar_gl", *command], stdout=subprocess.PIPE)

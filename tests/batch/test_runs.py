@@ -18,7 +18,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
-from tests.support.batches import LABELS, files_of, make_all, write_job
+from tests.support.batches import LABELS, files_of, make_all, write_job, write_plain_job
 
 ROOT = Path(__file__).resolve().parents[2]
 N, PART = 48, 4
@@ -100,7 +100,7 @@ def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
         pool.call("create")
         pool.run_parts(range(3), Manifest.load(Folder(out)).numbers, done)
     assert parts == [0, 1, 2]
-    assert warnings == ["a process died at part 1 (exit code -9); another takes its place"]
+    assert warnings == ["a process died at part 1 (SIGKILL); another takes its place"]
     found = files_of(out / "parts")
     assert found == {name: expected[f"parts/{name}"] for name in found} and len(found) == 6
 
@@ -131,7 +131,7 @@ def test_a_batch_can_be_resumed_whatever_stopped_it(job, expected, tmp_path):
     assert status == 130
     command = f"sonar-gl batch {job} --out {out} --resume"
     assert re.fullmatch(f"{out}: \\d+ of {N} pings; continue with: {command}\n", shown)
-    assert len(re.findall(r"^a process died at part \d \(exit code -9\)", err, re.MULTILINE)) == 1
+    assert len(re.findall(r"^a process died at part \d \(SIGKILL\)", err, re.MULTILINE)) == 1
     assert "finishing the parts in progress" in err and "Traceback" not in err
     first = files_of(out / "parts")
     assert 4 <= len(first) < 2 * N / PART
@@ -207,3 +207,54 @@ def test_a_batch_can_be_resumed_after_a_full_disk(job, expected, tmp_path):
     assert first == "" and then == f"{disk}/out: {N} of {N} pings\nstatus 0\n", (shown, err)
     assert "No space left on device" in err and "--resume" in err and "Traceback" not in err
     assert_same(files_of(tmp_path / "out"), expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGSEGV"])
+def test_a_process_that_dies_while_it_plans_is_replaced(job, expected, tmp_path, name):
+    out, left = tmp_path / "out", tmp_path / "left"
+    left.write_text("2")
+    process = start(job, "--out", out, "--workers", "1", DEADLY_PLANS=str(left), SIGNAL=name)
+    status, shown, err = finish(process)
+    assert (status, shown) == (0, f"{out}: {N} of {N} pings\n"), err
+    assert err.count(f"a process died in the step 'plan' ({name}); another takes its place\n") == 2
+    assert_same(files_of(out), expected)
+
+
+@pytest.mark.slow
+def test_processes_that_die_again_and_again_are_no_mistake_of_the_user(job, tmp_path):
+    """Status 2 would tell a queue not to try again."""
+    out, left = tmp_path / "out", tmp_path / "left"
+    left.write_text("1000")
+    status, shown, err = finish(start(job, "--out", out, "--workers", "1", DEADLY_PLANS=str(left)))
+    assert (status, shown) == (4, "")
+    assert err.splitlines()[-1] == (
+        "error: processes must live (the step 'plan' ended 3 of them, the last by SIGKILL; is memory short? "
+        "'sonar-gl doctor' may say why; try again by --resume)"
+    )
+    assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_a_ping_by_which_processes_segfault_is_set_aside(job, tmp_path):
+    out = tmp_path / "out"
+    status, shown, err = finish(start(job, "--out", out, "--workers", "1", DEADLY="1.2", SIGNAL="SIGSEGV"))
+    assert (status, shown) == (3, f"{out}: {N - 1} of {N} pings, 1 set aside\n")
+    assert err.count("a process died at part 1 (SIGSEGV); another takes its place\n") == 2
+
+
+@pytest.mark.slow
+def test_the_error_of_a_process_without_memory_is_one_sentence(tmp_path):
+    """Its pings take more than it is allowed: of 1024 beams and 8192 bins, 34 MB for each array."""
+    job = write_plain_job(tmp_path, 4, 4, LABELS)
+    sonar = tmp_path / "small.toml"
+    sonar.write_text(sonar.read_text().replace("n_beams = 24", "n_beams = 1024").replace("= 80", "= 8192"))
+    status, shown, err = finish(start(job, "--out", tmp_path / "out", "--workers", "1", MEMORY_MB="20"))
+    assert (status, shown) == (2, "")
+    *_, line = err.splitlines()
+    assert re.fullmatch(
+        r"error: memory ran out \(.+\); have fewer --workers, or ask for fewer beams, bins or pixels, and "
+        "continue with --resume",
+        line,
+    )
+    assert "Traceback" not in err

@@ -318,8 +318,21 @@ def test_bodies_and_surface_by_options():
     ]
     status, out, err = run("render", "pylon", "--without", "bix")
     assert (status, out) == (2, "") and "(got 'bix'; did you mean 'box'?)" in err
-    status, out, err = run("render", "pylon", "--tolerance", 0.1, "--format", "npz", "--surface", "-20")
-    assert status == 0 and "strongest echo" in out  # above the surface all is as without it
+
+
+def test_the_surface_by_option_is_that_of_the_scene():
+    """The surface mirrors echoes."""
+    pings = {}
+    for name, options in {"scene": (), "option": ("--surface", "0.2")}.items():
+        render("--format", "npz", "--acoustics", "multipath=incoherent", *options)
+        pings[name] = ping("tank.npz")
+    scene, sonar = sg.load_scene("tank.sdf").with_surface(0.2), sg.load_sonar("small.toml")
+    acoustics = sg.Acoustics.parse("multipath=incoherent", "physical")
+    with sg.Simulator(scene, sonar, acoustics, tolerance=0.05) as simulator:
+        expected = simulator.ping(scene.sonar_pose)
+    np.testing.assert_array_equal(pings["option"].intensity, expected.intensity)
+    assert not np.array_equal(pings["option"].intensity, pings["scene"].intensity)
+    assert pings["option"].meta["sampling"] == expected.meta["sampling"]
 
 
 def test_resource_path_and_skip_missing():

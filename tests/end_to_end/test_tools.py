@@ -189,13 +189,14 @@ def test_bench_host():
 
 @pytest.mark.slow
 def test_bench_batch():
-    found, _ = bench("batch", "--quick", "rate", "writing", "plan", "long", "--pings", "12")
+    found, _ = bench("batch", "--quick", "rate", "writing", "flushes", "plan", "long", "--pings", "12")
     rate, writing, plan = found["rate"], found["writing"], found["plan"]
     for pair in ("b / a", "c / a", "c / b"):  # of one round
         assert rate[pair] == pytest.approx(rate[pair[0]] / rate[pair[-1]])
     stages = [busy_s for stage, (_, busy_s) in writing.items() if stage != "all"]
     assert len(stages) == 5
     assert 0 < sum(stages) < writing["all"][1]
+    assert found["flushes"]["ms a part"] > 0 and found["flushes"]["ratio"] > 0
     hours = {row["workers"]: row["hours"] for row in plan["workers"]}
     assert hours[1] == pytest.approx(1e7 / (rate["c"] / 2) / 3600)
     assert hours[1] == pytest.approx(10 * hours[10])

@@ -1,27 +1,52 @@
 """The command line, for tests of batches in which something goes wrong: pings are slow, and some kill.
 
-SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them; STALL_S : of
-`pool`. Processes that make parts load this file as they start, as they do with any program that begins a
-batch.
+SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them; DEADLY_PLANS :
+file with the number of processes that shall die as they plan; SIGNAL : by which they die, SIGKILL by default;
+MEMORY_MB : memory that processes may take beyond what they have, from their first ping on; STALL_S : of `pool`.
+Processes that make parts load this file as they start, as they do with any program that begins a batch.
 """
 
 import os
+import resource
 import signal
 import time
+from pathlib import Path
 
 from sonar_gl.batch import pool
 from sonar_gl.cli import main as cli
 from sonar_gl.engine.run import Run
 
 real = Run.set_up
+end_signal = getattr(signal, os.environ.get("SIGNAL", "SIGKILL"))
+deadly_plans = os.environ.get("DEADLY_PLANS")
+memory_mb = os.environ.get("MEMORY_MB")
 slow_s = float(os.environ.get("SLOW_S", "0"))
 deadly = [float(word) for word in os.environ.get("DEADLY", "").split()]
 
 
+def die():
+    """End this process at once."""
+    os.kill(os.getpid(), end_signal)
+
+
+def limit_memory():
+    """Give this process no more than MEMORY_MB beyond what it has."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    limit = size + int(float(memory_mb) * 1e6)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+
+
 def set_up(run, request):
+    if deadly_plans and run.sampler.tolerance is not None:
+        left = int(Path(deadly_plans).read_text())
+        Path(deadly_plans).write_text(str(left - 1))
+        if left > 0:
+            die()
+    if memory_mb:
+        limit_memory()
     if run.sampler.tolerance is None:  # the samples are planned
         if any(abs(request.time_s - at) < 1e-6 for at in deadly):
-            os.kill(os.getpid(), signal.SIGKILL)
+            die()
         time.sleep(slow_s)
     return real(run, request)
 

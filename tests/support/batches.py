@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.folder import LOCK, Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.parts import Batch, create_store, finalize, make_part, plan_manifest
@@ -90,12 +90,21 @@ def write_job(folder: Path, n_pings: int = 10, more: str = LABELS) -> Path:
     return path
 
 
+def write_plain_job(folder: Path, n_pings: int, part: int, more: str = "") -> Path:
+    """Write a job with one sonar, in which nothing varies; return the path of its file."""
+    path = write_job(folder, n_pings)
+    text = path.read_text().replace("pings_per_part = 4", f"pings_per_part = {part}")
+    one, poses, vary = (text.index(at) for at in ('[[sonars]]\nname = "upright"', "[[poses]]", "[[vary"))
+    path.write_text(text[:one] + text[poses:vary] + more)
+    return path
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
-    """Return the bytes of every file in a folder, by name."""
+    """Return the bytes of every file in a folder, by name, but for that by which batches lock it."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file()
+        if path.is_file() and path.name != LOCK
     }
 
 

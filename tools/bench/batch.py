@@ -2,6 +2,7 @@
 
     python -m tools.bench batch                            # rate, writing, plan: some minutes
     python -m tools.bench batch rate plan
+    python -m tools.bench batch flushes
     python -m tools.bench batch long --pings 10000         # one batch from its beginning to its end
     python -m tools.bench batch --quick
 
@@ -11,6 +12,8 @@ rate : pings a second of (a) `Simulator.pings` and `add_noise` in one process, w
     use all cores, (b) a batch with one worker, (c) with two. The rate of a batch is that of a round's parts,
     by workers that have made some before. The start of a worker is measured apart, without planning
 writing : where a worker's time goes, alone on one core, by the clock and by the time of its processors
+flushes : what it costs that each part is on the disk before its record, by a worker that does so and does not by
+    turns
 plan : what 10^7 such pings take by the rates and sizes of this run, and how many workers one parent and one
     disk can serve
 long : a batch from its beginning: rate of the first and the last pings, memory of all processes, size
@@ -31,6 +34,7 @@ from statistics import median
 import numpy as np
 
 import sonar_gl as sg
+from sonar_gl.batch import folder as folder_module
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import Manifest, default_pings_per_part, record_name
@@ -45,7 +49,7 @@ from tools.bench import harness
 from tools.bench.harness import Aim
 
 ROUNDS = 7, 1
-PARTS = "rate", "writing", "plan", "long"
+PARTS = "rate", "writing", "flushes", "plan", "long"
 PLANNED_PINGS = 10_000_000
 WORKERS = 1, 2, 10, 100
 STAGES = {  # of writing: name of the stage, clock of its processors
@@ -167,14 +171,19 @@ def time_maker(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float
     """Do the work of `measure_writing`, on one core."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     maker, spent = Batch(Job(**job), Folder(url)).maker, defaultdict(lambda: np.zeros(2))
+    running = []  # stages; of a file that the store writes, its stage counts, and not "other files"
 
     def clocked(stage, function, busy_s):
-        def call(*arguments):
+        def call(*arguments, **more):
+            if running and running[-1] != "all":
+                return function(*arguments, **more)
+            running.append(stage)
             start = np.array([time.perf_counter(), busy_s()])
             try:
-                return function(*arguments)
+                return function(*arguments, **more)
             finally:
                 spent[stage] += np.array([time.perf_counter(), busy_s()]) - start
+                running.pop()
 
         return call
 
@@ -190,6 +199,45 @@ def time_maker(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float
             found[stage].append(pair / record.pings)
     maker.close()
     return {stage: tuple(np.median(pairs, axis=0).tolist()) for stage, pairs in found.items()}
+
+
+def measure_flushes(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict[str, float]:
+    """Return the times of parts that are flushed to the disk and of parts that are not, like a worker."""
+    url = begin_batch(job, manifest, f"{folder}/flushed")
+    spawning = multiprocessing.get_context("spawn")
+    with environment(**dict.fromkeys(ONE_THREAD, "1")), ProcessPoolExecutor(1, spawning) as child:
+        return child.submit(time_flushes, job.plain, url, rounds).result()
+
+
+def time_flushes(job: dict, url: str, rounds: int) -> dict[str, float]:
+    """Do the work of `measure_flushes`."""
+    maker, flushes_s, parts_s = Batch(Job(**job), Folder(url)).maker, [], {True: [], False: []}
+    real = {name: getattr(folder_module, name) for name in ("sync", "sync_file_system")}
+    is_flushed = False
+
+    def clocked(flush):
+        def call(path):
+            start_s = time.perf_counter()
+            if is_flushed:
+                flush(path)
+            flushes_s.append(time.perf_counter() - start_s)
+
+        return call
+
+    for name, flush in real.items():
+        setattr(folder_module, name, clocked(flush))
+    maker.make(0)  # compiles, and opens the simulator
+    totals_s = []
+    for part in range(1, 2 * rounds + 1):
+        is_flushed = part % 2 == 1
+        flushes_s.clear()
+        start_s = time.perf_counter()
+        maker.make(part)
+        parts_s[is_flushed].append(time.perf_counter() - start_s)
+        totals_s += [sum(flushes_s)] if is_flushed else []
+    maker.close()
+    with_s, without_s = median(parts_s[True]), median(parts_s[False])
+    return {"ms a part": 1e3 * median(totals_s), "part, s": with_s, "ratio": with_s / without_s}
 
 
 def measure_long(job: Job, pings: int, folder: str) -> dict:
@@ -260,7 +308,7 @@ def add_options(parser):
 
 def run(options) -> dict:
     """Return the figures of the parts."""
-    parts, quick, rounds = set(options.parts or PARTS[:3]), options.quick, options.rounds
+    parts, quick, rounds = set(options.parts or PARTS[:4]), options.quick, options.rounds
     if unknown := parts - set(PARTS):
         raise SystemExit(f"PART must be of {', '.join(PARTS)} (got {', '.join(unknown)})")
     few = make_job(1, quick)
@@ -274,6 +322,8 @@ def run(options) -> dict:
             found["rate"] = measure_rate(job, manifest, rounds, folder)
         if "writing" in parts:
             found["writing"] = measure_writing(job, manifest, rounds, folder)
+        if "flushes" in parts:
+            found["flushes"] = measure_flushes(job, manifest, rounds, folder)
         if "plan" in parts:
             disk = disk_mb_s(folder, 4_000_000 if quick else 256_000_000)
             found["plan"] = plan_of(found["rate"], manifest, disk)
@@ -313,6 +363,12 @@ def report(found: dict):
                 {"stage": stage, "clock": f"{1e3 * clock_s:.3f}", "busy": f"{1e3 * busy_s:.3f}"}
                 for stage, (clock_s, busy_s) in writing.items()
             ]
+        )
+    if flushes := found.get("flushes"):
+        print(
+            f"\nflushes: {flushes['ms a part']:.1f} ms for each part of {flushes['part, s']:.2f} s, "
+            f"{flushes['ms a part'] / 10 / flushes['part, s']:.1f} %; a part takes {flushes['ratio']:.3f} times as "
+            "long as without"
         )
     if plan := found.get("plan"):
         print(

@@ -1,0 +1,47 @@
+"""The software that decides the last bits of pings: OpenGL, and the libraries that compute."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numba
+import numpy as np
+
+from sonar_gl.core.errors import Error
+
+
+@dataclass(frozen=True)
+class System:
+    """What may change pings by rounding, from one machine or day to another.
+
+    Libraries that draw or encode what was computed, such as OpenCV and Zarr, are not among it. Nor is the
+    processor, so that a cluster may have several kinds: code for Haswell, Skylake-X and Zen 5 gave the same bits.
+
+    Attributes
+    ----------
+    gl_renderer, gl_version : the driver's names of itself and of its version
+    numpy, numba : their versions. NumPy computes functions and random numbers, Numba compiles the sums
+    """
+
+    gl_renderer: str
+    gl_version: str
+    numpy: str
+    numba: str
+
+    @classmethod
+    def of(cls, gl_info: Mapping) -> System:
+        """Return that of this process; gl_info : as of a Simulator."""
+        return cls(gl_info["renderer"], gl_info["version"], np.__version__, numba.__version__)
+
+    def check(self, planned: System, url: str) -> None:
+        """Raise an Error if this is not the system that planned the batch at a URL."""
+        now, then = asdict(self), asdict(planned)
+        changed = [f"{key} {now[key]!r} instead of {then[key]!r}" for key in now if now[key] != then[key]]
+        if changed:
+            raise Error(
+                f"{url}: pings must be made by the OpenGL and the libraries that planned them, as others round "
+                f"otherwise (got {', '.join(changed)} on {platform.node()}; restore these, give another folder, "
+                "or accept other last bits by --any-system)"
+            )

@@ -1,0 +1,134 @@
+"""The store of a batch: where pings are in its files, whatever the size of parts and chunks."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+import sonar_gl as sg
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.manifest import Manifest
+from sonar_gl.batch.schema import ArraySpec, bin_layers
+from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays
+
+N = 30
+SONAR = sg.Sonar("small", 900e3, 3, 5, 40.0, 10.0, 2.0, 0.5, 8.5)
+SPECS = [
+    ArraySpec("intensity", "float32", (3, 5), ("beam", "range"), 0.0, {"units": "1"}),
+    ArraySpec("elevation_rad", "int16", (3, 5), ("beam", "range"), -7, {}),
+    ArraySpec("body_box", "int32", (2, 4), ("body", "box"), -1, {}),
+]
+
+
+def make_store(folder, part, n_sonars=1):
+    """Create an empty store; return it and its manifest."""
+    manifest = Manifest({}, "", N, part, [], [], None)
+    groups = {f"sonar_{k}": SonarGroup(SONAR, SPECS, {"sonar": f"sonar_{k}"}) for k in range(n_sonars)}
+    create_arrays(folder, manifest, groups, {"title": "any"})
+    return PingStore(folder, n_sonars), manifest
+
+
+def values_of(numbers):
+    """Return other values for each ping."""
+    random = np.random.default_rng(0)
+    whole = {spec.name: (100 * random.random((N, *spec.shape))).astype(spec.dtype) for spec in SPECS}
+    return {name: values[numbers] for name, values in whole.items()}
+
+
+@pytest.mark.parametrize(
+    ("part", "chunk"), [(1, 1), (4, 4), (8, 8), (12, 4), (15, 1), (16, 8), (30, 2), (40, 8)]
+)
+def test_every_part_is_found_where_it_was_written(tmp_path, part, chunk):
+    """Parts are whole shards, and a shard holds whole chunks of up to 8 pings."""
+    folder = Folder(tmp_path)
+    store, manifest = make_store(folder, part)
+    for number in reversed(range(manifest.n_parts)):
+        numbers = manifest.numbers(number)
+        names = store.write("sonar_0", numbers[0], values_of(numbers))
+        assert names == [
+            f"pings.zarr/intensity/c/{number}/0/0",
+            f"pings.zarr/elevation_rad/c/{number}/0/0",
+            f"pings.zarr/body_box/c/{number}/0/0",
+        ]
+        assert [folder.checksum(name) is None for name in names] == [False] * 3
+    consolidate(folder)
+    data = xr.open_dataset(tmp_path / "pings.zarr", mask_and_scale=False)
+    for name, values in values_of(range(N)).items():
+        assert np.array_equal(data[name], values)
+        array = zarr.open_array(tmp_path / "pings.zarr" / name)
+        assert (array.chunks[0], array.shards[0]) == (chunk, part)
+    assert np.array_equal(data.azimuth_rad, SONAR.azimuth_rad) and np.array_equal(data.range, SONAR.range_m)
+
+
+def test_parts_of_which_nothing_differs_from_the_fill_are_files_all_the_same(tmp_path):
+    """A record names them; who copies the set would otherwise not miss them."""
+    folder = Folder(tmp_path)
+    store, _ = make_store(folder, 12)
+    fills = {spec.name: np.full((12, *spec.shape), spec.fill, spec.dtype) for spec in SPECS}
+    names = store.write("sonar_0", 12, fills)
+    assert len(names) == 3 and all((tmp_path / name).stat().st_size > 0 for name in names)
+    for spec in SPECS:
+        assert (zarr.open_array(tmp_path / "pings.zarr" / spec.name)[:] == spec.fill).all()
+
+
+def test_a_shard_has_the_bytes_that_zarr_gives_it_whatever_was_there(tmp_path):
+    folder, by_zarr = Folder(tmp_path / "a"), Folder(tmp_path / "b")
+    store, manifest = make_store(folder, 12)
+    group = make_store(by_zarr, 12)[0].group("sonar_0")
+    for numbers in (manifest.numbers(0), manifest.numbers(2)):  # the last is no whole shard
+        names = store.write("sonar_0", numbers[0], values_of(numbers))
+        for name, values in values_of(numbers).items():
+            group[name].with_config({"write_empty_chunks": True})[numbers[0] : numbers[-1] + 1] = values
+        expected = [by_zarr.get(name) for name in names]
+        assert [folder.get(name) for name in names] == expected
+        for damage in (b"", expected[0][:50], bytes(len(expected[0]))):
+            for name in names:
+                folder.put(name, damage)
+            store.write("sonar_0", numbers[0], values_of(numbers))
+            assert [folder.get(name) for name in names] == expected
+
+
+def test_metadata_do_not_depend_on_the_order_in_which_folders_are_listed(tmp_path):
+    folder = Folder(tmp_path)
+    make_store(folder, 12, n_sonars=2)
+    consolidate(folder)
+    text = (tmp_path / "pings.zarr" / "zarr.json").read_text()
+    found = json.loads(text)
+    assert set(found["consolidated_metadata"]["metadata"]) == {
+        *("sonar_0", "sonar_1"),
+        *(
+            f"sonar_{k}/{name}"
+            for k in range(2)
+            for name in ("intensity", "elevation_rad", "body_box", "azimuth_rad", "range")
+        ),
+    }
+    assert text == json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def test_creation_repairs_what_is_damaged_and_leaves_the_rest(tmp_path):
+    folder = Folder(tmp_path)
+    store, _ = make_store(folder, 12)
+    store.write("sonar_0", 0, values_of(range(12)))
+    paths = [path for path in tmp_path.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in paths}
+    damaged = [path for path in paths if path.name == "zarr.json" or path.parent.parent.name == "range"]
+    assert len(damaged) == 7
+    for path in damaged:
+        path.write_bytes(path.read_bytes()[:20])
+    times = {path: path.stat().st_mtime_ns for path in paths if path not in damaged}
+    make_store(folder, 12)
+    assert {path: path.read_bytes() for path in paths} == before
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+
+
+@pytest.mark.parametrize("first", [0, 5])
+def test_bins_without_a_body_have_none_in_later_scenes_either(first):
+    """Bodies of the second scene are numbered from `first` on."""
+    (_, layer) = bin_layers(["body"], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
+    ids = np.arange(15, dtype=np.uint16).reshape(3, 5) % 4
+    ping = sg.Ping(np.zeros((3, 5), np.float32), SONAR.azimuth_rad, SONAR.range_m, body_id=ids)
+    assert np.array_equal(
+        layer.encode(ping, np.zeros(10, np.uint8), first), np.where(ids > 0, ids + first, 0)
+    )
