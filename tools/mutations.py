@@ -338,7 +338,7 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/reviews by number",
-        "self._since >= CHECK_EVERY or moved > self._far_m",
+        "n_pings >= CHECK_EVERY or moved > self._far_m",
         "moved > self._far_m",
         ADAPTIVE,
         (("self.since >= CHECK_EVERY or moved > self.far_m", "moved > self.far_m"),),

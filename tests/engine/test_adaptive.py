@@ -11,7 +11,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.engine import adaptive
-from sonar_gl.engine.adaptive import CHECK_EVERY, ReplanTrigger
+from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.visibility import BodyExtents, count_bodies
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import make_fan
@@ -205,9 +205,10 @@ def test_the_trigger_s_angle_is_that_of_the_rotation():
     state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
     for axis in ("roll", "pitch", "yaw"):
         for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
-            trigger = ReplanTrigger(SONAR)
-            trigger.checked(np.eye(4), state, 1.0)
-            assert trigger.notice(sg.pose(**{axis: math.radians(angle_deg)}), state) == is_due
+            turned = sg.pose(**{axis: math.radians(angle_deg)})
+            assert (
+                ReplanTrigger(SONAR).is_due(LastCheck(np.eye(4), state, 1.0, 0), turned, state, 1) == is_due
+            )
 
 
 def test_samples_are_counted_in_the_aperture_alone():
