@@ -65,7 +65,7 @@ NOISE = (
     "test_speckle",
     "test_receiver|test_speckle",
     "test_k_distribution|test_speckle",
-    "test_place_speckle|test_speckle",
+    "test_place_locked_speckle|test_place_speckle|test_speckle",
 )
 STORE = ("test_store|test_batch",)
 ENCODING = ("test_batch",)

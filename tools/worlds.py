@@ -16,7 +16,6 @@ import re
 import subprocess
 import warnings
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -140,14 +139,12 @@ def main():
             parser.error(f"{checkout} must be a folder")
     folders, found = {checkout: model_folders(checkout) for checkout in checkouts}, {}
     # a fresh process each few files: libraries that read meshes keep memory
-    with ProcessPoolExecutor(
-        2, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=100
-    ) as pool:
+    with multiprocessing.get_context("spawn").Pool(2, maxtasksperchild=100) as pool:
         for checkout in checkouts:
             others = [folder for other in checkouts if other != checkout for folder in folders[other]]
             opener = partial(open_world, paths=folders[checkout] + others, with_ping=options.ping)
             files = files_of(checkout)
-            found[checkout] = list(tqdm(pool.map(opener, files), checkout.name, len(files)))
+            found[checkout] = list(tqdm(pool.imap(opener, files), checkout.name, len(files)))
     print_table(found)
     if options.refused:
         lines = [
