@@ -218,7 +218,7 @@ class Job(Table):
     skip_missing: bool = False
     only: Names = None
     without: Names = None
-    surface_z_m: Annotated[float, Field(ge=-1e8, le=1e8)] = None
+    surface_z_m: Annotated[float, Field(ge=-1e5, le=1e5)] = None
     pings_per_part: Annotated[int, Field(ge=1, le=4096)] = None
     acoustics: dict = Field({})
     noise: dict = Field({})

@@ -266,10 +266,10 @@ class PartMaker:
             self.close()
             samplings = self._batch.manifest.samplings[scene]
             self._simulators = _open_simulators(self._batch, scene, self._stack, samplings)
-            self._scene = scene
             self._system = System.of(next(iter(self._simulators.values())).gl_info)
             if not self._batch.any_system:
                 self._system.check(self._batch.manifest.system, self.folder.url)
+            self._scene = scene  # last: after an error the next part is checked again
         return self._simulators
 
     def close(self) -> None:

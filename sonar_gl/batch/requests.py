@@ -186,8 +186,8 @@ class BatchRequests(Sequence):
     def _load_scene(self, index: int) -> Scene:
         """Return a scene of the job as it is in its file."""
         name = self.job.scenes[index]
-        path = self.job.path(name)
-        is_file = self.job.path(split_arguments(name)[0]).is_file()
+        path, file = self.job.path(name), self.job.path(split_arguments(name)[0])
+        is_file = any(one.is_file() for one in (file, file / "model.sdf", file / "model.config"))
         folders = [self.job.path(folder) for folder in self.job.resource_paths]
         with errors_at(f"{self.job.where}: scenes[{index}]"):
             check_no_link_loop(path)

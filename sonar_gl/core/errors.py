@@ -50,6 +50,10 @@ def is_out_of_memory(why: BaseException) -> bool:
     return any(words in str(why).lower() for words in OUT_OF_MEMORY)
 
 
+class SampleLimitError(Error):
+    """More samples than the driver can draw: fewer would do."""
+
+
 @contextmanager
 def errors_at(location: str) -> Iterator[None]:
     """Put a file, element or argument before the messages of errors raised in a with block.
@@ -63,7 +67,7 @@ def errors_at(location: str) -> Iterator[None]:
     try:
         yield
     except Error as why:
-        raise Error(f"{location}: {why}") from None
+        raise type(why)(f"{location}: {why}") from None
 
 
 def closed_error(kind: str) -> Error:

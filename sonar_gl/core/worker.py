@@ -163,8 +163,8 @@ class SecondThread:
             first = work(0)
             return first, half.result()
         except BaseException:
+            self._abandoned.append(half)  # first: a second interrupt must not lose a half that runs
             half.cancel()
-            self._abandoned.append(half)
             raise
 
     def settle(self) -> None:

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.stage import StageCache
@@ -302,7 +302,7 @@ class AdaptiveSampling:
         while level not in found:
             try:
                 found[level] = judged = self._judge(setup, level)
-            except Error:  # beyond the driver's limits
+            except SampleLimitError:
                 if level == 0:
                     raise
                 self._finest = level - 1

@@ -86,6 +86,7 @@ class Run:
             for job in self._in_flight:
                 if job is not beside:
                     job.settle()
+            self._in_flight = [job for job in self._in_flight if not job.is_over]  # they hold arrays
             self.check_open()  # it may have been closed while this one waited
             yield context
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import moderngl
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.gl import egl
 
 OUT_OF_MEMORY, CONTEXT_LOST = 0x0505, 0x0507
@@ -37,7 +37,7 @@ def check_room(context: moderngl.Context, n_bytes: int, what: str) -> None:
     """Raise an Error if the graphics card is known to lack the memory for `what`."""
     free = free_bytes(context)
     if free is not None and n_bytes > free:
-        raise Error(
+        raise SampleLimitError(
             f"{what} must fit the memory of the graphics card (got {n_bytes / 1e6:.1f} MB, where {free / 1e6:.1f} "
             f"MB are free; {COARSER})"
         )

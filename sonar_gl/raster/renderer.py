@@ -10,7 +10,7 @@ import moderngl
 import numpy as np
 
 from sonar_gl.acoustics.boundary import plane_of
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.gl import egl
 from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.gl.memory import check_driver, check_room, side_limit
@@ -321,13 +321,15 @@ class Renderer:
     def _check_size(self, width: int, height: int) -> None:
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
         if max(width, height) > self._limit:
-            raise Error(f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}")
+            raise SampleLimitError(
+                f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}"
+            )
 
     def _check_room(self, width: int, height: int) -> None:
         """Raise an Error if a render target must not have so many pixels."""
         self._check_size(width, height)
         if width * height > MAX_SAMPLES:
-            raise Error(
+            raise SampleLimitError(
                 f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
                 f"by {height} rows; ask for a larger tolerance or fewer samples)"
             )

@@ -73,3 +73,22 @@ def test_a_loop_in_the_environment_is_passed_over_as_is_a_missing_folder(tmp_pat
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", f"{tmp_path}/loop:{tmp_path}/none")
     assert sg.load_scene("pylon").bodies
+
+
+def test_a_loop_in_one_resource_path_does_not_hide_the_model_of_another(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "a" / "box").symlink_to(tmp_path / "a" / "box")
+    (tmp_path / "b" / "box").mkdir()
+    (tmp_path / "b" / "box" / "model.sdf").write_text(MODEL.format("<box/>", ""))
+    world = "<sdf version='1.9'><world name='w'><include><uri>model://box</uri></include></world></sdf>"
+    (tmp_path / "w.sdf").write_text(world)
+    scene = sg.load_scene(tmp_path / "w.sdf", [tmp_path / "a", tmp_path / "b"])
+    assert [body.name for body in scene.bodies] == ["m"]
+
+
+def test_a_job_names_the_folder_of_a_model_relative_to_its_file(tmp_path):
+    (tmp_path / "box").mkdir()
+    (tmp_path / "box" / "model.sdf").write_text(MODEL.format("<box/>", ""))
+    (tmp_path / "sound.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")
+    assert [body.name for body in run_job(tmp_path, scene="box").bodies] == ["m"]

@@ -49,9 +49,10 @@ def test_a_sequence_whose_samples_change_stays_within_its_memory():
     command = [sys.executable, "-m", "tests.support.moving", "600"]
     root = Path(__file__).resolve().parents[2]
     run = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
-    after_mb, _, n_samplings = map(float, run.stdout.split())
+    after_mb, most_mb, n_samplings = map(float, run.stdout.split())
     assert n_samplings >= 5
-    assert after_mb < 600  # a fifth above what was measured: drivers and versions of Numba differ
+    # a fifth above what was measured: drivers and versions of Numba differ
+    assert after_mb < 600 and most_mb < 770
 
 
 def test_many_simulators_do_not_leak():

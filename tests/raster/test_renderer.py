@@ -414,6 +414,22 @@ def test_a_failure_of_the_driver_is_an_error_and_no_black_ping(monkeypatch, fail
         np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
 
 
+@pytest.mark.parametrize("failure", [0x0502, 0x0505, 0x0507])
+@pytest.mark.parametrize("at", range(4))
+def test_a_failure_in_the_choice_of_samples_is_an_error_and_changes_no_later_choice(monkeypatch, at, failure):
+    """The search for the coarsest samples took each error for the driver's limit: other samples, without a word."""
+    bodies = [sg.Body("ball", trimesh.creation.icosphere(3, 0.4), sg.pose(6))]
+    with sg.Simulator(sg.Scene(bodies), sonar(), sg.Acoustics.ideal(), tolerance=0.05) as simulator:
+        expected = simulator.ping(sg.pose()).intensity
+    errors = iter([[]] * at + [[failure]])
+    with sg.Simulator(sg.Scene(bodies), sonar(), sg.Acoustics.ideal(), tolerance=0.05) as simulator:
+        with monkeypatch.context() as patch:
+            patch.setattr(Functions, "take_errors", lambda _: next(errors, []))
+            with pytest.raises(sg.Error):
+                simulator.ping(sg.pose())
+        np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
+
+
 def test_samples_that_are_read_later_are_the_same(monkeypatch):
     """As from a graphics card: by buffers of the driver, when all pictures of a batch are drawn."""
     bodies = [

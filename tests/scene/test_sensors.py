@@ -210,6 +210,32 @@ def test_a_wrong_pose_of_a_sensor_that_is_not_taken_is_no_error(read):
     assert [one.name for one in scene.sensors] == ["front_sonar"] and texts == []
 
 
+@pytest.mark.parametrize(
+    ("model", "name", "is_sonar"),
+    [
+        ("rov_with_dvl", "multibeam_sonar", True),
+        ("rov_with_dvl", "front", False),
+        ("sonar_rov", "front", True),
+        ("sonar_rov", "dvl_sonar", False),
+        ("dvl_sonar", "front", False),
+    ],
+)
+def test_sensors_named_after_a_dvl_are_no_imaging_sonars(tmp_path, model, name, is_sonar):
+    """A vehicle that is named after its DVL may carry a sonar as well."""
+    text = sensor(scan(angles(-45, 45, 180)), name)
+    (tmp_path / "a.sdf").write_text(
+        f"<sdf version='1.9'><world name='w'><model name='{model}'><link name='l'>{text}</link></model></world></sdf>"
+    )
+    assert (sg.load_scene(tmp_path / "a.sdf").sonar_pose is not None) == is_sonar
+
+
+def test_rays_beyond_all_floats_are_replaced(read):
+    samples = "<samples>1e308</samples><resolution>1e308</resolution><min_angle>-1</min_angle>"
+    scene, (text,) = read(sensor(scan(samples + "<max_angle>1</max_angle>")))
+    assert scene.sonar.n_beams == 256
+    assert "the rays of <horizontal> must be a number (got 1e+308 samples x 1e+308)" in text
+
+
 @pytest.mark.parametrize("prefix", ["xmlns:gz='http://gazebosim.org/schema'", ""])
 @pytest.mark.parametrize(("kind", "is_sonar"), [("odometer", False), ("multibeam_sonar", True)])
 def test_a_custom_sensor_of_another_kind_is_no_sonar(read, prefix, kind, is_sonar):

@@ -186,10 +186,10 @@ class Resources:
             candidates += [root / tail for root in self.roots if scheme and root.name == head]
         candidates = list(dict.fromkeys(candidates))
         try:
-            if loop := next(filter(is_link_loop, candidates), None):
-                raise Error(f"{location}: {uri!r} must be a path (got {LINK_LOOP} at {loop})")
             inside = [c for c in candidates if self._is_inside(c)]
             found = next((c for c in inside if c.exists()), None)
+            if found is None and (loop := next(filter(is_link_loop, candidates), None)):
+                raise Error(f"{location}: {uri!r} must be a path (got {LINK_LOOP} at {loop})")
             outside = [c for c in candidates if c not in inside]
             escapes = found is None and outside and (not inside or any(c.exists() for c in outside))
         except Error:
@@ -225,6 +225,7 @@ class Resources:
                 with suppress(Error):  # one that cannot be read is known by its folder's name alone
                     name = (self.parse(path / PACKAGE_FILE).findtext("name") or "").strip()
                     self._packages.setdefault(name, path)
+                self.recovered.pop(path / PACKAGE_FILE, None)  # its XML is not the scene's
                 self._packages.setdefault(path.name, path)
                 inner.clear()
             if len(path.relative_to(root).parts) >= MAX_PACKAGE_DEPTH:

@@ -74,8 +74,10 @@ def find_sonars(links) -> list[SensorOfLink]:
             by_sensor, by_model = (
                 any(word in text.lower() for word in SONAR_WORDS) for text in (" ".join(names), owner)
             )
-            if any(word in f"{names[0]} {owner}".lower() for word in OTHER_SONARS):
+            if any(word in names[0].lower() for word in OTHER_SONARS):
                 by_sensor = by_model = False
+            elif any(word in owner.lower() for word in OTHER_SONARS):
+                by_model = False
             if kind == "custom" and (by_sensor or not custom_kind):
                 rank = 0
             elif by_sensor:
@@ -265,7 +267,13 @@ class _Tags:
         to_deg = 1.0 if in_degrees else math.degrees(1.0)
         count = self._first(f"scan/{name}/samples", f"scan/{name}/beams", f"scan/{name}/rays")
         resolution = self.number(f"scan/{name}/resolution")
-        return _Span(low * to_deg, high * to_deg, count and round(count * (resolution or 1.0)))
+        rays = count and count * (resolution or 1.0)
+        if rays is not None and not math.isfinite(rays):
+            self.notes.append(
+                f"the rays of <{name}> must be a number (got {count:g} samples x {resolution:g})"
+            )
+            rays = None
+        return _Span(low * to_deg, high * to_deg, None if rays is None else round(rays))
 
     def _camera(self) -> dict:
         """Return what `<camera>` states: its image is as many beams wide, and as high as its shape says."""
