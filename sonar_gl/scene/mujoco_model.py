@@ -17,8 +17,8 @@ from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
 from sonar_gl.scene.sdf.resources import Resources
-from sonar_gl.scene.sdf.sensors import SONAR_WORDS
 from sonar_gl.scene.sdf.shapes import ShapeOfLink, join_shapes
+from sonar_gl.scene.sonar_sensor import SONAR_WORDS
 
 SUFFIXES = (".xml", ".mjcf")
 VISIBLE_GROUPS = 2  # geoms of groups 0 to 2 are what MuJoCo's viewer shows; models keep collisions in group 3

@@ -9,6 +9,7 @@ import numpy as np
 from sonar_gl.sonar.sonar import Sonar
 
 DEFAULT_SONAR = "p900-45"  # preset; its values stand for those that a sensor does not state
+SONAR_WORDS = ("sonar", "fls", "multibeam")  # in names of what stands for a sonar
 
 
 @dataclass(frozen=True, eq=False)

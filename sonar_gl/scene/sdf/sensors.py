@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.links import Link
-from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR, SonarSensor
+from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR, SONAR_WORDS, SonarSensor
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
-SONAR_WORDS = ("sonar", "fls", "multibeam")
 OTHER_SONARS = ("dvl", "altimeter")  # which make no images
 # Types of sensor that Gazebo's users simulate sonars with. In a model that is named after a sonar only these
 # are taken for one: the model may hold an IMU as well.
