@@ -211,7 +211,7 @@ def check(folder: Folder, progress: Callable) -> list[str]:
         faults.append(_changed(folder, MANIFEST_NAME))
     else:
         if manifest is None and not found:
-            raise Error(f"{folder.url}: must be the folder of a batch (got one without a manifest)")
+            raise Error(f"{folder.url}: must be the folder of a batch (there is no {MANIFEST_NAME} in it)")
         if manifest is None:
             faults.append(_missing(folder, MANIFEST_NAME))
     try:

@@ -201,7 +201,9 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
         manifest.save(folder)
     if manifest is None:
         if any(not name.startswith(".") for name in folder.names("")):  # unfinished files begin with a dot
-            raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume (got files)")
+            is_cut = settings.resume and _finished_plans(folder)
+            known = f"there is no {MANIFEST_NAME}; --resume --mend makes it again" if is_cut else "got files"
+            raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume ({known})")
         report("there is no batch yet: choosing the samples" if settings.resume else "choosing the samples")
         manifest = call("plan")
         manifest.save(folder)  # from now on the batch can be resumed

@@ -75,6 +75,6 @@ def _show_faults(url: str, faults: list[str]) -> int:
     """Print the damage that was found, and return the exit status."""
     for line in faults:
         echo(line)
-    ending = f"{len(faults)} files are missing or damaged" if faults else "all files are as they were written"
-    echo(f"{url}: {ending}")
+    counted = "1 file is" if len(faults) == 1 else f"{len(faults)} files are"
+    echo(f"{url}: {f'{counted} missing or damaged' if faults else 'all files are as they were written'}")
     return 1 if faults else 0

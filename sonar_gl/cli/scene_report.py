@@ -46,6 +46,8 @@ def report_text(scene: Scene, messages: Iterable[str] = ()) -> str:
     parts = ["\n".join(f"{name:8}  {value}" for name, value in rows)]
     if scene.sensors:
         parts.append(_sensors_text(scene))
+    elif scene.sonar_pose is not None:
+        parts[0] += f"\npose      {_numbers(pose_numbers(scene.sonar_pose))}"
     else:
         parts[0] += "\npose      none in the scene; give the sonar's with --pose"
     if scene.bodies:

@@ -40,7 +40,14 @@ class _Collector:
             gc.enable()
 
 
-class CollectorPause:
+class EndedPause:
+    """A pause that has ended. It has no finaliser: Python drops an interrupt that comes in one."""
+
+    def end(self) -> None:
+        """Do nothing."""
+
+
+class CollectorPause(EndedPause):
     """A pause of the garbage collector, from its construction to `end`. Several may overlap, in any thread.
 
     The collector runs finalisers in whichever thread allocates memory. A finaliser of another program may make
@@ -55,8 +62,11 @@ class CollectorPause:
     def end(self) -> None:
         """End the pause; a second call does nothing."""
         _collector.resume(id(self))
+        self.__class__ = EndedPause
 
-    __del__ = end  # of one that an interrupt has cut off from its `end`
+    def __del__(self):
+        """End a pause that an interrupt has cut off from its `end`."""
+        _collector.resume(id(self))
 
 
 _collector = _Collector()

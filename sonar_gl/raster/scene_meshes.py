@@ -203,8 +203,8 @@ class SceneMeshes:
         lobes = bodies.rows[:, LOBE] > 0
         limits = DetailLimits(
             near_m=NEAR_M,
-            far_m=far_m,
-            range_max_m=range_max_m,
+            far_m=float(far_m),  # a whole number would have the kernel compiled a second time
+            range_max_m=float(range_max_m),
             error_per_m=ERROR_SAMPLES * view.sample_rad,
             echo_errors=np.where(lobes, 0.0, ECHO_PER_RAD * view.sample_rad),
         )

@@ -97,6 +97,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     endings = " ".join(SUFFIXES)
     if suffix in USD_SUFFIXES:
         raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
+    if path.is_dir():
+        raise Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     raise Error(

@@ -34,7 +34,7 @@ class SonarSensor:
     assumed: tuple[str, ...] = ()
 
     def __str__(self):
-        return f"sensor {self.name!r} of model {self.model!r}"
+        return f"sensor {self.name!r}" + (f" of model {self.model!r}" if self.model else "")
 
     def describe(self) -> str:
         """Return the sonar's numbers in words, and which of them are the preset's."""

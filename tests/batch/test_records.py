@@ -86,7 +86,7 @@ def test_damage_of_a_record_is_found_refused_and_mended(made, out, name, damage)
     assert path.read_text() != before
     status, shown, err = run("batch", "--check", out)
     assert (status, err) == (1, "")
-    expected = f"{path}: has changed since it was written\n{out}: 1 files are missing or damaged\n"
+    expected = f"{path}: has changed since it was written\n{out}: 1 file is missing or damaged\n"
     assert shown == expected
     status, shown, err = resume(made, out)
     assert (status, shown) == (2, "")
@@ -253,3 +253,16 @@ def test_a_plan_says_what_made_it(made):
         )
     import_versions = {name: __import__(name).__version__ for name in ("numpy", "numba")}
     assert {"numpy": system.numpy, "numba": system.numba} == import_versions
+
+
+def test_a_plan_that_is_missing_is_mended_or_the_message_says_how(made, half):
+    (half / PLANNED).unlink()
+    status, _, err = resume(made, half)
+    assert status == 2
+    assert err.endswith(f"--resume (there is no {PLANNED}; --resume --mend makes it again)\n")
+    assert resume(made, half, "--mend")[0] == 0 and run("batch", "--check", half)[0] == 0
+
+
+def test_a_folder_without_a_batch_is_called_so(tmp_path):
+    status, _, err = run("batch", "--check", tmp_path)
+    assert status == 2 and err.endswith(f"must be the folder of a batch (there is no {PLANNED} in it)\n")

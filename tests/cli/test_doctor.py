@@ -432,3 +432,12 @@ def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
     assert "plume     'diver::bubbles' at " in out and re.search(
         "^floor .* 0.235, smooth_concrete$", out, re.MULTILINE
     )
+
+
+def test_the_pose_of_a_sonar_that_no_sensor_gives_is_shown(tmp_path):
+    """As of a MuJoCo model, whose site is the sonar."""
+    (tmp_path / "m.xml").write_text(
+        "<mujoco><worldbody><site name='sonar' pos='0 0 1.5'/><geom size='1'/></worldbody></mujoco>"
+    )
+    status, out, _ = run("--scene", tmp_path / "m.xml")
+    assert status == 0 and "pose      0 0 1.5 0 0 0" in out

@@ -558,7 +558,7 @@ def test_scene_files_that_cannot_be_read():
         refused(scene="folder.sdf")
         == "folder.sdf: a scene must be a file, or the folder of a model (it has no model.sdf)"
     )
-    assert refused(scene="folder").startswith("folder: a scene file must end in one of .sdf .world ")
+    assert refused(scene="folder").startswith("folder: a folder must be that of a model (it has neither ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
     message = refused(scene="latin.sdf")
     assert message == "latin.sdf: line 1, column 26: broken XML (not well-formed (invalid token))"

@@ -31,6 +31,15 @@ def test_overlapping_pauses_of_two_threads_restore_the_state(was_on):
     assert gc.isenabled() == was_on
 
 
+def test_a_pause_that_has_ended_has_no_finaliser():
+    """An interrupt that came in it was lost, and a command went on after Ctrl-C."""
+    pause = CollectorPause()
+    assert hasattr(pause, "__del__")
+    pause.end()
+    assert not hasattr(pause, "__del__")
+    pause.end()
+
+
 def test_a_pause_that_is_never_ended_ends_with_its_object(was_on):
     pause = CollectorPause()
     assert not gc.isenabled()

@@ -21,6 +21,7 @@ import sonar_gl as sg
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
+from sonar_gl.raster.cull import choose_patches
 
 ROOT = Path(__file__).resolve().parents[2]
 BOX = sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2, 0), 0.8)
@@ -615,3 +616,31 @@ def test_closing_in_another_thread_while_a_ping_waits():
     closing.join()
     waiting.join()
     assert [type(why) for why in outcome] == [sg.Error]
+
+
+def test_a_sonar_above_the_water_warns_once():
+    """The surface has no effect on it, so that a wrong sign would go unnoticed."""
+    body = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8))
+    scene = sg.Scene([body], surface_z_m=-2.0)
+    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
+        with pytest.warns(UserWarning) as caught:
+            for _ in range(2):
+                simulator.ping(sg.pose(z=-1.5))
+        (text,) = (str(one.message) for one in caught)
+        assert text.startswith(
+            "the sonar should be below the water's surface (it is at z = -1.5 m, the surface at -2 m"
+        )
+    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            simulator.ping(sg.pose(z=-2.5))
+
+
+def test_whole_numbers_of_a_sonar_compile_nothing_more():
+    body, kinds = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8)), []
+    for range_m in (10.0, 10):
+        sonar = sg.load_sonar("p900-45").with_range(range_m)
+        with sg.Simulator(sg.Scene([body]), sonar, sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
+            simulator.ping(sg.pose())
+        kinds.append(len(choose_patches.signatures))
+    assert kinds[0] == kinds[1]

@@ -84,7 +84,8 @@ def test_invalid_paths(two_scenes):
         f"{two_scenes / 'a.fbx'}: a scene file must end in one of {ENDINGS} (got '.fbx')"
     )
     assert (
-        error_message(str(two_scenes)) == f"{two_scenes}: a scene file must end in one of {ENDINGS} (got '')"
+        error_message(str(two_scenes))
+        == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
     assert error_message("a.usdz") == "a.usdz: USD is not read; convert it to .glb, for instance by Blender"
     assert error_message(3) == (

@@ -574,7 +574,7 @@ def test_the_folder_of_a_model_is_a_scene(tmp_path):
     )
     assert [body.name for body in sg.load_scene(str(tmp_path / "rock")).bodies] == ["newer"]
     (tmp_path / "other").mkdir()
-    with pytest.raises(Error, match="must end in one of"):
+    with pytest.raises(Error, match="a folder must be that of a model"):
         sg.load_scene(tmp_path / "other")
 
 
