@@ -630,10 +630,11 @@ def test_a_sonar_above_the_water_warns_once():
         assert text.startswith(
             "the sonar should be below the water's surface (it is at z = -1.5 m, the surface at -2 m"
         )
-    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
-        with warnings.catch_warnings():
+    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as below:
+        quiet = warnings.catch_warnings()
+        with quiet:
             warnings.simplefilter("error")
-            simulator.ping(sg.pose(z=-2.5))
+            below.ping(sg.pose(z=-2.5))
 
 
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
