@@ -11,7 +11,6 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import closed_error
-from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
@@ -47,7 +46,6 @@ class Run:
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
         self._in_flight, self._summing, self._is_closed = [], Lock(), False
-        self._has_warned_of_air = False
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -107,16 +105,6 @@ class Run:
         self._in_flight = [*(one for one in self._in_flight if not one.is_over), job]
         return job
 
-    def _warn_if_in_air(self, pose: np.ndarray) -> None:
-        """Warn, once, of a sonar above the water's surface, which then has no effect."""
-        surface_z_m = self.world.scene.surface_z_m
-        if surface_z_m is not None and pose[2, 3] > surface_z_m and not self._has_warned_of_air:
-            self._has_warned_of_air = True
-            warn_caller(
-                f"the sonar should be below the water's surface (it is at z = {pose[2, 3]:.4g} m, the surface at "
-                f"{surface_z_m:.4g} m; the ping is one without a surface)"
-            )
-
     def set_up(self, request: PingRequest) -> PingSetup:
         """Resolve a request in the scene as it is now; not inside `drawing`.
 
@@ -127,7 +115,6 @@ class Run:
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         with world.unchanged():
-            self._warn_if_in_air(request.pose)
             state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
             background = None if request.background is None else world.mask_of(request.background)
             return self.instrument.set_up(request, state, len(world.scene.bodies), background)

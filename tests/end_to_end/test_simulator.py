@@ -618,25 +618,6 @@ def test_closing_in_another_thread_while_a_ping_waits():
     assert [type(why) for why in outcome] == [sg.Error]
 
 
-def test_a_sonar_above_the_water_warns_once():
-    """The surface has no effect on it, so that a wrong sign would go unnoticed."""
-    body = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8))
-    scene = sg.Scene([body], surface_z_m=-2.0)
-    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
-        with pytest.warns(UserWarning) as caught:
-            for _ in range(2):
-                simulator.ping(sg.pose(z=-1.5))
-        (text,) = (str(one.message) for one in caught)
-        assert text.startswith(
-            "the sonar should be below the water's surface (it is at z = -1.5 m, the surface at -2 m"
-        )
-    with sg.Simulator(scene, sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)) as below:
-        quiet = warnings.catch_warnings()
-        with quiet:
-            warnings.simplefilter("error")
-            below.ping(sg.pose(z=-2.5))
-
-
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
     body, kinds = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8)), []
     for range_m in (10.0, 10):

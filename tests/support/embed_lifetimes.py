@@ -209,7 +209,7 @@ def failing_to_be_made(kind):
         raise sg.Error("none of these")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(buffers.SceneBuffers, "add", fail)
+        patch.setattr(buffers.UploadedMeshes, "with_more", fail)
         with pytest.raises(sg.Error, match="none of these"):
             soak.make_simulator("current")
     assert host.platform() == current
