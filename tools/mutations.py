@@ -369,7 +369,10 @@ MUTATIONS = (
         "planner/height of rows", "min(sample_deg, MAX_ROW_DEG)", "max(sample_deg, MAX_ROW_DEG)", ADAPTIVE
     ),
     Mutation(
-        "planner/bound of a body", "WORST_BODY * self.tolerance", "2 * WORST_BODY * self.tolerance", ADAPTIVE
+        "planner/bound of a body",
+        "finer = (errors[worst] / (WORST_BODY * self.tolerance))",
+        "finer = (errors[worst] / (2 * WORST_BODY * self.tolerance))",
+        ADAPTIVE,
     ),
     Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", PROMISE),
     Mutation("planner/bodies in two lattices", "DIFFERENCE_FACTOR = 0.7", "DIFFERENCE_FACTOR = 0.0", PROMISE),
