@@ -3,7 +3,7 @@
     python -m tools.drivers                              # all; exit status 1 if one that can be had fails
     python -m tools.drivers softpipe "OpenGL 3.3"        # some
     python -m tools.drivers --no-tests                   # pictures only
-    python -m tools.drivers --debian /var/tmp/debian13   # keeps the Debian 13 of `zink` there for the next time
+    python -m tools.drivers --debian debian13   # keeps the Debian 13 of `zink` there for the next time
 
 `softpipe` is another rasteriser; `OpenGL 3.3` draws bodies one by one; `as on a card` leaves all triangles to the
 driver and reads by pixel-pack buffers, as graphics cards do; `zink` translates to SPIR-V for Mesa's Vulkan driver. Mesa

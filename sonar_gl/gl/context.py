@@ -168,6 +168,7 @@ def make_context(loader) -> moderngl.Context:
 
 @_preserve_default_context()
 def egl_context(index: int | None) -> moderngl.Context:
+    """Return a context without a window on an EGL device, by its index, or on glcontext's own choice for None."""
     egl.process_contexts.use()
     settings = {"mode": "standalone", "glversion": REQUIRED_GL, **LIBRARIES}
     if index is None:  # glcontext's own choice
