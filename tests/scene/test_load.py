@@ -60,6 +60,12 @@ def test_every_bundled_scene_loads_without_a_warning():
         assert scene.n_triangles > 0 and scene_description(path)
 
 
+def test_the_sonar_of_every_bundled_scene_is_under_water():
+    for name in bundled_scenes():
+        scene = load_scene(name)
+        assert scene.surface_z_m is None or scene.sonar_pose[2, 3] < scene.surface_z_m, name
+
+
 @pytest.fixture
 def two_scenes(tmp_path, monkeypatch):
     for name in ("pylon", "harbour"):

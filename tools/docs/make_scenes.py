@@ -94,10 +94,10 @@ def add_floor(world, z: float, size: float, specular: bool = False):
         add(element, "sonar_gl:material", "smooth_concrete")
 
 
-def add_pool(world, floor: float):
-    """Add a smooth floor, and the calm water's surface 3 m above."""
+def add_pool(world, floor: float, depth: float = 3.0):
+    """Add a smooth floor, and the calm water's surface above it."""
     add_floor(world, floor, 40, specular=True)
-    add(world, "sonar_gl:surface", f"{floor + 3:g}")
+    add(world, "sonar_gl:surface", f"{floor + depth:g}")
 
 
 def add_breath(link, position):
@@ -241,7 +241,7 @@ def make_divers(out: Path):
         save(out / f"{name}.sdf", root, text + " Range 10 m.")
 
     root, world = new_world("diver_swimming", (0, 0, floor + 3.3, 0, 0.38, 0))
-    add_pool(world, floor)
+    add_pool(world, floor, depth=4.0)  # above the sonar, too
     add_diver(world, SWIMMING, (4.3, 0.1, floor + 1.5, 0, 1.42, 2.0), centre=(0, 0, 1.0))
     text = "A diver with fins swims 1.5 m above a pool's floor, its shadow on the floor behind. Range 10 m."
     save(out / "diver_swimming.sdf", root, text)
