@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.scene.extent import body_bounds, bounds_of, is_infinite, size_text
+from sonar_gl.scene.extent import air_text, body_bounds, bounds_of, is_infinite, size_text
 from sonar_gl.scene.scene import Body, Scene
 
 MAX_LISTED = 40  # bodies and other things in a list; a terminal shows as many
@@ -21,7 +21,10 @@ def scene_report(scene_name: str, options) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         scene = scene_from(scene_name, options)
-    return report_text(scene, [str(one.message) for one in caught])
+    messages = [str(one.message) for one in caught]
+    if scene.sonar_pose is not None:
+        messages += filter(None, [air_text(scene, scene.sonar_pose)])
+    return report_text(scene, messages)
 
 
 def report_text(scene: Scene, messages: Iterable[str] = ()) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import closed_error
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
@@ -21,6 +22,7 @@ from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
+from sonar_gl.scene.extent import air_text
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
@@ -46,6 +48,7 @@ class Run:
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
         self._in_flight, self._summing, self._is_closed = [], Lock(), False
+        self._has_warned_of_air = False
         self.image_sources = None
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -115,9 +118,16 @@ class Run:
         """
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         with world.unchanged():
+            self._warn_of_air(request.pose)
             state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
             background = None if request.background is None else world.mask_of(request.background)
             return self.instrument.set_up(request, state, len(world.scene.bodies), background)
+
+    def _warn_of_air(self, pose: np.ndarray) -> None:
+        """Warn, once, of a sonar above the water's surface."""
+        if not self._has_warned_of_air and (text := air_text(self.world.scene, pose)):
+            self._has_warned_of_air = True
+            warn_caller(text)
 
     def with_later_bodies(self, setup: PingSetup) -> PingSetup:
         """Return a setup in a scene to which bodies may have been added since: they are absent."""

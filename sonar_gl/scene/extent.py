@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from sonar_gl.scene.primitives import INFINITE_PLANE_M
-from sonar_gl.scene.scene import Body
+from sonar_gl.scene.scene import Body, Scene
 
 
 def body_bounds(body: Body) -> np.ndarray:
@@ -30,6 +30,16 @@ def bounds_of(bodies: Iterable[Body]) -> np.ndarray | None:
     if not bounds:
         return None
     return np.array([np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]])
+
+
+def air_text(scene: Scene, pose: np.ndarray) -> str:
+    """Return the warning of a sonar above the water's surface; "" if it is in the water, or there is no surface."""
+    if scene.surface_z_m is None or pose[2, 3] <= scene.surface_z_m:
+        return ""
+    return (
+        f"the sonar at z = {pose[2, 3]:.4g} m is above the water's surface at z = {scene.surface_z_m:.4g} m, which "
+        "has no effect on it; give it a lower pose, or the scene another surface (--surface, Scene.with_surface)"
+    )
 
 
 def size_text(size_m) -> str:

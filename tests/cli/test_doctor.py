@@ -434,6 +434,15 @@ def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
     )
 
 
+def test_a_sonar_above_the_water_is_told(tmp_path):
+    path = write_world(tmp_path / "a.sdf")
+    assert "above" not in run("--scene", path, "--surface", 1)[1]
+    out = run("--scene", path, "--surface", -3)[1]
+    assert (
+        "\nwarnings\n" in out and "  the sonar at z = 0 m is above the water's surface at z = -3 m, " in out
+    )
+
+
 def test_the_pose_of_a_sonar_that_no_sensor_gives_is_shown(tmp_path):
     """As of a MuJoCo model, whose site is the sonar."""
     (tmp_path / "m.xml").write_text(

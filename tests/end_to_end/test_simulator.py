@@ -618,6 +618,26 @@ def test_closing_in_another_thread_while_a_ping_waits():
     assert [type(why) for why in outcome] == [sg.Error]
 
 
+def test_a_sonar_above_the_water_warns_once():
+    """The surface has no effect on it, so that a wrong sign would go unnoticed."""
+    body = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8))
+    scene, kinds = sg.Scene([body], surface_z_m=-2.0), (sg.load_sonar("p900-45"), sg.Acoustics.ideal())
+    with sg.Simulator(scene, *kinds, sg.Sampling(1, 20)) as simulator:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            simulator.ping(sg.pose(z=-2.5))
+        with pytest.warns(UserWarning) as caught:
+            for _ in range(2):
+                simulator.ping(sg.pose(z=-1.5))
+            list(simulator.pings([sg.pose(z=1.0)] * 2))
+    (only,) = caught
+    assert str(only.message) == (
+        "the sonar at z = -1.5 m is above the water's surface at z = -2 m, which has no effect on it; give it a "
+        "lower pose, or the scene another surface (--surface, Scene.with_surface)"
+    )
+    assert only.filename == __file__
+
+
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
     body, kinds = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8)), []
     for range_m in (10.0, 10):
