@@ -33,7 +33,8 @@ HELP = {
     "fps": "Frames per second of gif and mp4.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
     "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
-    "skip_missing": "Leave out models that are not found and shapes that are not known, with a warning.",
+    "skip_missing": "Leave out models and meshes that are not found, and unknown shapes, with a warning; "
+    "not what a xacro file includes.",
     "without": 'Leave out bodies of this name, such as "boat*"; may be repeated.',
     "only": "Leave out all bodies but those of this name; may be repeated.",
     "surface": "Height of the water's surface, metres.",

@@ -271,7 +271,8 @@ def test_arguments_follow_the_path():
 def test_an_argument_without_default_is_named(tmp_path):
     path = write(tmp_path / "a.xacro", XACRO.format("<link name='$(arg name)'/>"))
     assert error_message(path) == (
-        f"{path}: the argument 'name' has no default; give it after the file, as in \"{path} name:=VALUE\""
+        f"{path}: line 1, <link>: the argument 'name' has no default; give it after the file, as in "
+        f'"{path} name:=VALUE"'
     )
     assert load(f"{path} name:=x")[0].bodies == ()
     urdf = write(tmp_path / "a.urdf", ARM.format(""))
@@ -354,6 +355,50 @@ def test_a_xacro_file_reads_nothing_outside_of_the_resource_paths(tmp_path):
 def test_errors_of_xacro_files(tmp_path, content, message):
     path = write(tmp_path / "a.xacro", XACRO.format(content))
     assert (found := error_message(path)).startswith(f"{path}: ") and message in found
+
+
+def test_errors_of_xacro_files_name_file_and_line(tmp_path):
+    """The line of the element that is expanded; of a macro, of its body; of an included file, that of the other."""
+    write(
+        tmp_path / "parts.xacro",
+        XACRO.format("\n<xacro:macro name='ball' params='z'>\n<link name='${z / 0}'/></xacro:macro>"),
+    )
+    start = "\n<xacro:include filename='parts.xacro'/>\n"
+    parts = f"{tmp_path / 'parts.xacro'}: line 3, <link>"
+    for content, where in (
+        ("\n\n<link name='a'/><link name='${n}'/>", "line 3, <link>: "),
+        ("\n<xacro:if value='maybe'><link name='l'/></xacro:if>", "line 2, <xacro:if>: "),
+        ("\n<xacro:property name='a-b' value='1'/>", "line 2, <xacro:property>: "),
+        ("\n<xacro:include filename='x.xacro'/>", "line 2, <xacro:include>: there is no file "),
+        (
+            "\n<xacro:include filename='$(find no)/x.xacro'/>",
+            "line 2, <xacro:include>: the ROS package 'no' ",
+        ),
+        (start + "<xacro:ball/>", "line 3, <xacro:ball>: "),
+        (start + "<xacro:ball z='2'/>", f"{parts}: "),
+    ):
+        path = write(tmp_path / "a.xacro", XACRO.format(content))
+        found = error_message(path)
+        assert found.startswith(f"{path}: {where}"), found
+        assert "\n" not in found
+
+
+def test_a_line_is_named_though_macros_repeat_blocks(tmp_path):
+    text = (
+        "<xacro:macro name='twice' params='*block'><xacro:insert_block name='block'/></xacro:macro>\n"
+        "<xacro:twice>\n<link name='${n}'/>\n</xacro:twice>"
+    )
+    path = write(tmp_path / "a.xacro", XACRO.format(text))
+    assert error_message(path).startswith(f"{path}: line 3, <link>: ")
+
+
+def test_a_missing_package_of_includes_cannot_be_skipped(tmp_path):
+    path = write(tmp_path / "a.xacro", XACRO.format("<xacro:include filename='$(find no_such)/x.xacro'/>"))
+    with pytest.raises(sg.Error) as caught:
+        sg.load_scene(path, skip_missing=True)
+    assert "; its macros cannot be skipped (--skip-missing, skip_missing= are for models and meshes))" in str(
+        caught.value
+    )
 
 
 def test_entities_and_comments_that_gazebo_accepts(tmp_path):

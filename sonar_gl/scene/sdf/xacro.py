@@ -17,6 +17,7 @@ from xml.parsers.expat import ExpatError
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.xml_lines import line_of, parse_with_lines
 
 # What the library must have, so that nothing here is replaced in vain.
 REPLACED = "abs_filename_spec", "eval_extension", "load_yaml", "parse", "safe_eval"
@@ -29,6 +30,7 @@ NODES = (
 )
 REFUSED_ATTRIBUTES = re.compile("_.*|format|format_map")  # `format` reads attributes that its text names
 REFUSED_BUILTINS = "type", "vars"  # of those that xacro offers as `python.type`
+ELEMENTS = "node", "elt", "tag"  # names of the library's variables that hold the element it expands
 MAX_NESTING = 50  # of files that include files
 PART = re.compile("is not defined|unknown macro name")  # of messages about a file that is a part of another
 ARGUMENT = re.compile(r"(\w+):=(\S*)")  # as ROS's own commands take arguments
@@ -64,16 +66,33 @@ def expand(path: Path, arguments: dict[str, str], resources: Resources) -> bytes
     try:
         return _Expansion(path, arguments, resources).xml()
     except Exception as why:  # expressions raise anything
-        cause = why
+        cause, location = why, _location_of(why, path)
         while getattr(cause, "exc", None) is not None and not isinstance(cause, Error):
             cause = cause.exc
         if isinstance(cause, RecursionError):
             cause = Error("macros and includes must end (these call themselves)")
         if isinstance(cause, Error):
-            raise Error(f"{path}: {cause}") from None
+            raise Error(f"{location}: {cause}") from None
         text = " ".join(str(why).split())
         hint = "; if other files include this one, give one of them" if PART.search(text) else ""
-        raise Error(f"{path}: xacro cannot expand this file ({text}{hint})") from None
+        raise Error(f"{location}: xacro cannot expand this ({text}{hint})") from None
+
+
+def _location_of(why: Exception, path: Path) -> str:
+    """Return file, line and element of what was expanded when an exception was raised; else the file alone.
+
+    The library passes no elements on with its exceptions, but its functions hold them.
+    """
+    found, trace = None, why.__traceback__
+    while trace is not None:
+        variables = trace.tb_frame.f_locals
+        places = [line_of(variables[name]) for name in ELEMENTS if name in variables]
+        found = next(filter(None, places), found)
+        trace = trace.tb_next
+    if found is None:
+        return f"{path}"
+    file, line, tag = found
+    return f"{path}: {'' if file == str(path) else f'{file}: '}line {line}, <{tag}>"
 
 
 class _Expansion:
@@ -124,7 +143,7 @@ class _Expansion:
         path = self._allowed(name)
         xml = self.resources.read(path)
         try:
-            return parseString(xml, forbid_dtd=True)
+            return parse_with_lines(xml, name)
         except (ExpatError, DefusedXmlException):
             # raises the error of any broken file; else the file is one that Gazebo reads all the same
             return parseString(tostring(self.resources.parse_xml(xml, path)))
@@ -134,7 +153,8 @@ class _Expansion:
         if package := re.search("package://([^/]+)", name):
             raise Error(
                 f"the ROS package {package[1]!r} must be in the resource paths; give the folder that holds it "
-                f"(--resource-path, resource_paths=; searched: {', '.join(map(str, self.resources.roots))})"
+                f"(--resource-path, resource_paths=; searched: {', '.join(map(str, self.resources.roots))}; its "
+                "macros cannot be skipped (--skip-missing, skip_missing= are for models and meshes))"
             )
         return self._absolute(name)
 
