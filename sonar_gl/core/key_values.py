@@ -59,7 +59,14 @@ def parse_fields(
             continue
         if key not in kinds:
             known = [*kinds, *presets] if may_be_preset else kinds
-            raise Error(f"{location}: unknown name (got {key!r}; {nearest_names(key, known)})")
+            hint = nearest_names(key, known)
+            if (
+                may_be_preset
+                and presets
+                and not any(repr(name) in hint or f" {name}" in hint for name in presets)
+            ):
+                hint = f"presets are {', '.join(presets)}; {hint}"
+            raise Error(f"{location}: unknown name (got {key!r}; {hint})")
         if key in out:
             raise Error(f"{location}: {key} must be given once")
         if not equals and bool not in kinds[key]:

@@ -188,6 +188,10 @@ def test_parse(text, noise):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
+        (
+            "foo",
+            "noise 'foo': unknown name (got 'foo'; presets are none, demarco2015, physical; did you mean 'looks'?)",
+        ),
         ("fysical", "noise 'fysical': unknown name (got 'fysical'; did you mean 'physical'?)"),
         (
             "gausian=1",
