@@ -266,6 +266,7 @@ Examples:
     help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
     "scenes, to send it in.",
 )
+@option("device", **DEVICE)
 @click.option("--scene", metavar="SCENE", help="Say what this scene holds; check nothing else.")
 @option("resource_path", multiple=True)
 @option("skip_missing", is_flag=True)

@@ -338,6 +338,10 @@ def test_commands_take_a_device(several, monkeypatch, tmp_path):
         result = CliRunner().invoke(cli.main, [*command, "--device", "1"])
         assert result.exit_code in (0, 1) and set(several) == {1}, (command, result.output)
         assert os.environ["SONAR_GL_DEVICE"] == "2"  # as it was
+    del several[:]
+    result = CliRunner().invoke(cli.main, ["doctor", "--device", "1"])
+    assert result.exit_code == 0 and f"1 {gl.devices()[1].name}, used; 2 " in result.output, result.output
+    assert os.environ["SONAR_GL_DEVICE"] == "2"
     result = CliRunner().invoke(cli.main, ["plan", *ping, "--device", "7"])
     told = "error: the OpenGL device must be 0 to 2 (got 7, by --device or the variable SONAR_GL_DEVICE; there are 3: "
     assert result.exit_code == 2 and told in result.output
