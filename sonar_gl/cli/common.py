@@ -24,11 +24,16 @@ MAX_NAMED = 3  # sensors that are not taken
 
 def scene_from(scene_name: str, options) -> Scene:
     """Return the scene of a command line, with the bodies and the water's surface that its options name."""
-    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    scene = loaded = load_scene(scene_name, options.resource_path, options.skip_missing)
     if options.only:
         scene = scene.only(*options.only)
     if options.without:
         scene = scene.without(*options.without)
+    if loaded.bodies and not scene.bodies:
+        raise Error(
+            f"--without and --only must leave a body (they leave out all {len(loaded.bodies)} bodies of scene "
+            f"{scene.name!r}; 'sonar-gl doctor --scene' lists them)"
+        )
     return scene if options.surface is None else scene.with_surface(options.surface)
 
 

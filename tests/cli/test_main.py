@@ -318,6 +318,16 @@ def test_bodies_and_surface_by_options():
     ]
     status, out, err = run("render", "pylon", "--without", "bix")
     assert (status, out) == (2, "") and "(got 'bix'; did you mean 'box'?)" in err
+    for command in ("render", "plan", "verify"):
+        status, out, err = run(command, "pylon", "--without", "*")
+        everybody = f"all {len(everything)} bodies of scene 'pylon'"
+        assert (status, out, err) == (
+            2,
+            "",
+            f"error: --without and --only must leave a body (they leave out {everybody}; 'sonar-gl doctor --scene' "
+            "lists them)\n",
+        )
+    assert run("doctor", "--scene", "diver", "--only", "diver::bubbles")[0] == 2
 
 
 def test_the_surface_by_option_is_that_of_the_scene():
