@@ -1005,7 +1005,11 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     [
         ("<sdf>\n  <world>\n</sdf>", "line 3, column 3: broken XML (mismatched tag)"),
         ("", "line 1, column 1: broken XML (no element found)"),
-        ("<sdf><a b=c/></sdf>", "line 1, column 11: broken XML (not well-formed (invalid token))"),
+        (
+            "<sdf><a b=c/></sdf>",
+            "line 1, column 11: broken XML (not well-formed (invalid token); attribute values need quotes: 'b=c')",
+        ),
+        ("<sdf><a b='c<'/></sdf>", "line 1, column 13: broken XML (not well-formed (invalid token))"),
         ("<sdf>&nothing;</sdf>", "line 1, column 6: broken XML (undefined entity)"),
         ("<scene/>", "the root element must be <sdf>, or <robot> of URDF (got <scene>)"),
         ("<sdf/>", "must hold a <world> or a <model>"),

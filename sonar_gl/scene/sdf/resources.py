@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import LINK_LOOP, is_link_loop
 from sonar_gl.scene.sdf.extensions import declare_namespace
@@ -20,6 +21,7 @@ MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
 TOLERATED[202] = TOLERATED[201]
+BARE_VALUE = re.compile(r"""<[^<>"']*?([\w:.-]+=[^"'\s<>/]+)""")  # of an attribute, without quotes
 BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
     "model://sun": "<sdf><light/></sdf>",
     "model://ground_plane": "<sdf><model name='ground_plane'><link name='link'><collision name='collision'>"
@@ -118,6 +120,9 @@ class Resources:
             root = self._recover(xml, path)
             if root is None:
                 (line, column), text = why.position, expat.ErrorString(why.code)
+                row = xml.splitlines()[line - 1 : line]
+                bare = BARE_VALUE.search(row[0].decode(errors="replace")) if row else None
+                text += f"; attribute values need quotes: {shown(bare[1])}" if bare else ""
                 raise Error(f"{path}: line {line}, column {column + 1}: broken XML ({text})") from None
             return root
         except DefusedXmlException:
