@@ -11,8 +11,13 @@ from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import air_text, body_bounds, bounds_of, is_infinite, size_text
+from sonar_gl.scene.load import is_sdf
 from sonar_gl.scene.scene import Body, Scene
 
+ECHOING = (
+    "bodies are the collisions of links; visuals count where a link has no collision, or where they alone have "
+    "<laser_retro>"
+)
 MAX_LISTED = 40  # bodies and other things in a list; a terminal shows as many
 
 
@@ -24,15 +29,16 @@ def scene_report(scene_name: str, options) -> str:
     messages = [str(one.message) for one in caught]
     if scene.sonar_pose is not None:
         messages += filter(None, [air_text(scene, scene.sonar_pose)])
-    return report_text(scene, messages)
+    return report_text(scene, messages, ECHOING if is_sdf(scene_name) else "")
 
 
-def report_text(scene: Scene, messages: Iterable[str] = ()) -> str:
+def report_text(scene: Scene, messages: Iterable[str] = (), note: str = "") -> str:
     """Return what a scene holds, in words and tables.
 
     Parameters
     ----------
     messages : warnings of its reader, in order
+    note : what the bodies are
     """
     surface = "none" if scene.surface_z_m is None else f"surface at z = {scene.surface_z_m:g} m"
     rows = [
@@ -54,7 +60,7 @@ def report_text(scene: Scene, messages: Iterable[str] = ()) -> str:
     else:
         parts[0] += "\npose      none in the scene; give the sonar's with --pose"
     if scene.bodies:
-        parts.append(_bodies_text(scene.bodies))
+        parts += filter(None, [_bodies_text(scene.bodies), note])
     messages = list(dict.fromkeys(messages))
     if messages:
         parts.append("warnings\n" + "\n".join("  " + text.replace("\n", "\n  ") for text in messages))

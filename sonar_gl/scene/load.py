@@ -31,6 +31,12 @@ def bundled_scenes() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_folder("scenes").glob("*.sdf"))}
 
 
+def is_sdf(what: str) -> bool:
+    """Return whether a name or path of a scene is one that `read_sdf` reads: SDF, URDF, or a model's folder."""
+    path = Path(split_arguments(what)[0])
+    return what in bundled_scenes() or path.is_dir() or path.suffix.lower() in SDF_SUFFIXES
+
+
 def scene_description(path) -> str:
     """Return the first comment of a scene file, else its first `<description>`, on one line; else ""."""
     text = Path(path).read_text(encoding="utf-8", errors="replace")

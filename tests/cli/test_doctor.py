@@ -9,6 +9,7 @@ from pathlib import Path
 
 import glcontext
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 import sonar_gl
@@ -384,6 +385,8 @@ wall              1 x 20 x 20 m    5.5 0 0         12             1
 box           0.2 x 0.2 x 0.2 m    3 0.5 0         12             1
 ground_plane           infinite     0 0 -4          2           0.5
 
+bodies are the collisions of links; visuals count where a link has no collision, or where they alone have <laser_retro>
+
 warnings
   {tmp_path}/reef.sdf: water and marks are no bodies, and are left out (sea_surface::l); the water's surface is taken \
 from its shape, z = 2 m
@@ -398,7 +401,7 @@ def test_scene_lists_the_largest_of_many_bodies_and_counts_the_others(tmp_path):
     assert "bodies    302, 3624 triangles\n" in out
     names = re.findall(r"^((?:rock|wall|box)\S*) ", out, re.MULTILINE)
     assert names == ["wall", *(f"rock_{k}" for k in range(299, 260, -1))]
-    assert out.endswith("and 262 more bodies, which are smaller (--only NAME shows those of a name)\n")
+    assert "\nand 262 more bodies, which are smaller (--only NAME shows those of a name)\n" in out
     _, out, _ = run("--scene", tmp_path / "field.sdf", "--only", "rock_7")
     assert re.findall(r"^rock\S* ", out, re.MULTILINE) == ["rock_7 "]
 
@@ -436,6 +439,17 @@ def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
     assert "plume     'diver::bubbles' at " in out and re.search(
         "^floor .* 0.235, smooth_concrete$", out, re.MULTILINE
     )
+
+
+def test_shapes_that_echo_are_told_of_files_that_have_two_kinds(tmp_path):
+    (tmp_path / "r.urdf").write_text(
+        "<robot name='r'><link name='l'><visual><geometry><sphere radius='1'/></geometry></visual></link></robot>"
+    )
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "m.stl")
+    told = "\nbodies are the collisions of links; "
+    for scene, is_told in (("pylon", True), (f"{tmp_path}/r.urdf", True), (tmp_path / "m.stl", False)):
+        status, out, _ = run("--scene", scene)
+        assert status == 0 and (told in out) == is_told, out
 
 
 def test_a_sonar_above_the_water_is_told(tmp_path):
