@@ -11,7 +11,7 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.poses import pose
 
-MAX_ANGLE_RAD = 2.5 * np.pi  # more is a mistake, nearly always degrees; a little over a turn occurs
+USUAL_ANGLE_RAD = 2.5 * np.pi  # more is nearly always degrees; a little over a turn occurs
 
 
 def read_numbers(element, location: str, count: int, positive: bool = False) -> np.ndarray:
@@ -35,8 +35,11 @@ def read_numbers(element, location: str, count: int, positive: bool = False) -> 
     return out
 
 
-def read_pose(element, location: str) -> np.ndarray:
-    """Return the (4, 4) matrix of a `<pose>` element; the identity if it is None or empty."""
+def read_pose(element, location: str, large_angles: dict | None = None) -> np.ndarray:
+    """Return the (4, 4) matrix of a `<pose>` element; the identity if it is None or empty.
+
+    The location is added to the keys of `large_angles` if its radians were probably meant as degrees.
+    """
     if element is None or not (element.text or "").strip():
         return np.eye(4)
     if element.get("rotation_format", "euler_rpy") == "quat_xyzw":
@@ -56,11 +59,8 @@ def read_pose(element, location: str) -> np.ndarray:
     values = read_numbers(element, location, 6)
     if element.get("degrees", "false").strip() in ("true", "1"):
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
-    if np.abs(values[3:]).max() > MAX_ANGLE_RAD:
-        raise Error(
-            f"{location}: angles must be radians, within ±2.5π (got {shown(element.text.strip())}; "
-            'if they are degrees, write <pose degrees="true">)'
-        )
+    if np.abs(values[3:]).max() > USUAL_ANGLE_RAD and large_angles is not None:
+        large_angles[location] = None
     return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))
 
 
@@ -97,6 +97,7 @@ class Scope:
     is_world : whether it is a world
     frames : name -> Frame
     links : name -> `<link>` element
+    large_angles : locations of poses whose radians were probably meant as degrees, of this and all inner scopes
     """
 
     location: str
@@ -104,6 +105,11 @@ class Scope:
     is_world: bool = False
     frames: dict = field(default_factory=dict)
     links: dict = field(default_factory=dict)
+    large_angles: dict = field(default_factory=dict)
+
+    def inner(self, location: str, folder: Path) -> Scope:
+        """Return an empty scope for a model in this one."""
+        return Scope(location, folder, large_angles=self.large_angles)
 
     def location_of(self, part: str) -> str:
         """Return file and path of an element in this scope, for messages."""
@@ -155,4 +161,4 @@ class Scope:
         """
         if pose_element is not None:
             base = pose_element.get("relative_to") or pose_element.get("frame") or base
-        return self.find(base, location, visited) @ read_pose(pose_element, location)
+        return self.find(base, location, visited) @ read_pose(pose_element, location, self.large_angles)

@@ -47,7 +47,7 @@ class Link:
         """Return (4, 4) link_from_element of a shape, sensor or plume in the link."""
         pose_element, location = element.find("pose"), f"{location}/pose"
         if pose_element is None or not (pose_element.get("relative_to") or pose_element.get("frame")):
-            return read_pose(pose_element, location)
+            return read_pose(pose_element, location, self.scope.large_angles)
         in_model = self.scope.resolve_pose(pose_element, location, self.name)
         return np.linalg.inv(self.scope.find(self.name, self.location)) @ in_model
 

@@ -130,6 +130,15 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if changed:
         warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)
+    if scope.large_angles:
+        places, count = (
+            [place.removeprefix(f"{path}: ") for place in scope.large_angles],
+            len(scope.large_angles),
+        )
+        warn_caller(
+            f"{path}: {count} pose{'s have' if count > 1 else ' has'} angles of more than 2.5π, read as radians, as by "
+            f'Gazebo; if they are degrees, write <pose degrees="true"> ({some_names(places)})'
+        )
     with errors_at(str(path)):
         return Scene(
             [*bodies, *plumes], sensors[0].pose if sensors else None, name, **surface, sensors=sensors
@@ -240,7 +249,9 @@ class TreeReader:
             location = scope.location_of(f"{child.tag}[{name}]")
             if child.tag == "model":
                 placement = child.get("placement_frame") or ""
-                frame = Frame(child.find("pose"), location, "", Scope(location, scope.folder), placement)
+                frame = Frame(
+                    child.find("pose"), location, "", scope.inner(location, scope.folder), placement
+                )
                 self._add_model(scope, name, frame, child, (*stack, None), location)
             elif child.tag == "include":
                 self._include(scope, child, stack)
@@ -294,6 +305,6 @@ class TreeReader:
         if pose_element is None:
             pose_element, pose_location = model.find("pose"), model_location
         placement = (element.findtext("placement_frame") or model.get("placement_frame") or "").strip()
-        inner = Scope(model_location, scope.folder if built_in else path.parent)
+        inner = scope.inner(model_location, scope.folder if built_in else path.parent)
         frame = Frame(pose_element, pose_location, "", inner, placement)
         self._add_model(scope, name, frame, model, (*stack, file), location)
