@@ -13,6 +13,7 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_is_file
+from sonar_gl.scene.gltf_accessors import check_accessors
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
@@ -88,6 +89,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     try:
         if path.suffix.lower() == ".dae":
             _refuse_dtd(path)
+        if has_buffers:
+            check_accessors(path)
         with _without_log():
             scene = trimesh.load(
                 path,

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import struct
 import threading
 
 import numpy as np
@@ -33,6 +34,20 @@ def write_gltf(path, uri, n_bytes=TRIANGLE.nbytes):
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content))
+    return path
+
+
+def with_accessors(path, *accessors, **view):
+    """Change the accessors of a glTF file, and its one view; write it as .glb if that is its name."""
+    content = json.loads(write_gltf(path.with_suffix(".gltf"), "a.bin").read_text())
+    path.with_name("a.bin").write_bytes(TRIANGLE.tobytes())
+    content["accessors"] = [{"componentType": 5126, "type": "VEC3", **one} for one in accessors]
+    content["bufferViews"][0].update(view)
+    text = json.dumps(content).encode()
+    if path.suffix == ".glb":
+        text += b" " * (-len(text) % 4)
+        text = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+    path.write_bytes(text)
     return path
 
 
@@ -142,3 +157,68 @@ def test_materials_are_not_opened(tmp_path):
     text = "mtllib pipe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     (tmp_path / "a.obj").write_text(text)
     assert len(sg.load_scene(tmp_path / "a.obj").bodies[0].surface.faces) == 1
+
+
+# ---- sizes
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+def test_accessors_that_state_more_than_there_is_are_refused_at_once(tmp_path, suffix):
+    """A few bytes could state any number, which trimesh would make arrays of."""
+    path = tmp_path / f"a{suffix}"
+    for accessors, view, words in (
+        (
+            [{"bufferView": 0, "count": 10**9}],
+            {},
+            "(accessor 0 needs 12000000000 bytes for its count of 1000000000, ",
+        ),
+        (
+            [{"bufferView": 0, "count": 4}],
+            {},
+            "(accessor 0 needs 48 bytes for its count of 4, and the view has 36)",
+        ),
+        ([{"bufferView": 0, "count": 3, "byteOffset": 4}], {}, "needs 40 bytes for its count of 3, "),
+        ([{"bufferView": 0, "count": 3}], {"byteStride": 16}, "needs 44 bytes for its count of 3, "),
+        (
+            [{"bufferView": 0, "count": 10**400}],
+            {},
+            "for its count of a whole number of more than 300 digits, ",
+        ),
+    ):
+        with pytest.raises(Error) as caught:
+            sg.load_scene(with_accessors(path, *accessors, **view))
+        assert str(caught.value).startswith(f"{path}: an accessor must lie in its bufferView (")
+        assert words in str(caught.value)
+    zeros = {"count": 3_000_000}
+    with pytest.raises(Error) as caught:
+        sg.load_scene(with_accessors(path, zeros, zeros))
+    assert str(caught.value) == (
+        f"{path}: accessors without a bufferView must have at most 5000000 elements together (got accessor 1 with "
+        "3000000; they are zeros)"
+    )
+
+
+def test_accessors_that_fit_are_read(tmp_path):
+    fits = {"bufferView": 0, "count": 3}
+    for accessors, view in (([fits], {}), ([fits, {"count": 3}], {}), ([fits], {"byteStride": 12})):
+        (body,) = sg.load_scene(with_accessors(tmp_path / "a.gltf", *accessors, **view)).bodies
+        assert body.mesh.area == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "accessor",
+    [
+        {"bufferView": 0, "count": 1e9},
+        {"bufferView": 0, "count": "3"},
+        {"bufferView": 7, "count": 3},
+        {"bufferView": "0", "count": 3},
+        {"bufferView": 0, "count": 3, "type": ["VEC3"]},
+        {"bufferView": 0, "count": 3, "componentType": [5126]},
+        {"bufferView": 0, "count": 3, "byteOffset": "4"},
+        {},
+    ],
+)
+def test_other_mistakes_of_accessors_are_told_as_well(tmp_path, accessor):
+    path = with_accessors(tmp_path / "a.gltf", accessor)
+    with pytest.raises(Error, match=re.escape(f"{path}: trimesh cannot read this mesh (")):
+        sg.load_scene(path)

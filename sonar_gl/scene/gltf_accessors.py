@@ -1,0 +1,90 @@
+"""Sizes that a glTF file states, checked before trimesh makes arrays of them."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+from sonar_gl.core.checks import is_whole_number, shown
+from sonar_gl.core.errors import Error
+
+MAX_ZEROS = 5_000_000  # elements that no buffer holds: trimesh takes a second for a million
+BYTES_OF_COMPONENT = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+
+def check_accessors(path: Path) -> None:
+    """Refuse a glTF file whose accessors are larger than the parts of buffers that they name.
+
+    A file whose header is broken in another way passes: trimesh says what is wrong with it.
+
+    Raises
+    ------
+    Error
+        with the number of the accessor, also if accessors that name no buffer have more than MAX_ZEROS elements
+        together: they are zeros, of which a few bytes could state any number.
+    """
+    header = _read_header(path)
+    n_zeros = 0
+    for number, accessor in enumerate(_dicts(header, "accessors")):
+        count = accessor.get("count")
+        if not is_whole_number(count) or count < 0:
+            continue
+        if "bufferView" not in accessor:
+            n_zeros += count
+            if n_zeros > MAX_ZEROS:
+                raise Error(
+                    f"{path}: accessors without a bufferView must have at most {MAX_ZEROS} elements together (got "
+                    f"accessor {number} with {shown(count)}; they are zeros)"
+                )
+            continue
+        needed, available = _bytes_needed(accessor, count, header), _bytes_of_view(accessor, header)
+        if None not in (needed, available) and needed > available:
+            raise Error(
+                f"{path}: an accessor must lie in its bufferView (accessor {number} needs {shown(needed)} bytes for "
+                f"its count of {shown(count)}, and the view has {shown(available)})"
+            )
+
+
+def _read_header(path: Path) -> dict:
+    """Return the JSON of a .gltf or .glb file; {} if there is none."""
+    with open(path, "rb") as file:
+        start = file.read(20)
+        if start[:4] == b"glTF":
+            n_bytes = struct.unpack("<I", start[12:16])[0] if len(start) == 20 else 0
+            text = file.read(n_bytes)
+        else:
+            text = start + file.read()
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return header if isinstance(header, dict) else {}
+
+
+def _dicts(header: dict, key: str) -> list[dict]:
+    """Return the objects in a list of the header; {} stands for what is none."""
+    found = header.get(key)
+    return [one if isinstance(one, dict) else {} for one in found] if isinstance(found, list) else []
+
+
+def _view(accessor: dict, header: dict) -> dict:
+    number, views = accessor["bufferView"], _dicts(header, "bufferViews")
+    return views[number] if is_whole_number(number) and 0 <= number < len(views) else {}
+
+
+def _bytes_of_view(accessor: dict, header: dict) -> int | None:
+    n_bytes = _view(accessor, header).get("byteLength")
+    return n_bytes if is_whole_number(n_bytes) else None
+
+
+def _bytes_needed(accessor: dict, count: int, header: dict) -> int | None:
+    """Return the bytes of a view from its start to the accessor's end; None if the header does not state them."""
+    component, kind = accessor.get("componentType"), accessor.get("type")
+    first, stride = accessor.get("byteOffset", 0), _view(accessor, header).get("byteStride")
+    known = is_whole_number(component) and component in BYTES_OF_COMPONENT and isinstance(kind, str)
+    if not known or kind not in COMPONENTS or not is_whole_number(first) or count == 0:
+        return None
+    one = BYTES_OF_COMPONENT[component] * COMPONENTS[kind]
+    return first + (count - 1) * (stride if is_whole_number(stride) and stride > 0 else one) + one
