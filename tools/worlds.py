@@ -28,7 +28,6 @@ PATTERNS = ("*.world", "*.sdf")
 REASONS = (  # what a message says, and the reason in the table; the first that matches
     ("models or files are missing", "models or files are missing"),
     ("broken XML", "broken XML, which Gazebo refuses, too"),
-    ("degrees", "an angle that is no angle"),
     ("has no bodies|holds no", "nothing that echoes"),
 )
 TOLERANCE = 0.1  # of the pings: they only have to come back
