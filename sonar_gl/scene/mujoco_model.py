@@ -13,11 +13,11 @@ from sonar_gl.core.errors import Error, errors_at, some_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
+from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
 from sonar_gl.scene.sdf.resources import Resources
-from sonar_gl.scene.sdf.shapes import ShapeOfLink, join_shapes
 from sonar_gl.scene.sonar_sensor import SONAR_WORDS
 
 SUFFIXES = (".xml", ".mjcf")
@@ -80,11 +80,11 @@ def convert_mujoco_model(what, name: str = "scene") -> Scene:
     mujoco.mj_camlight(model, data)
     bodies, unspecified = [], []
     for part in _parts(model):
-        group = [ShapeOfLink(_shape_in_body(model, g), *_reflectivity(model, g)) for g in part.geoms]
+        group = [EchoingShape(_shape_in_body(model, g), *_reflectivity(model, g)) for g in part.geoms]
         found = _material(model, part.geoms[0])
         with errors_at(f"body {part.name!r} of the MuJoCo model"):
             pose = _pose(data.xpos[part.body], data.xmat[part.body])
-            bodies.append(join_shapes(part.name, group, pose, _lobe(found)))
+            bodies.append(body_of_shapes(part.name, group, pose, _lobe(found)))
         if any(_material(model, g) is None for g in part.geoms):
             unspecified.append(part.name)
     if unspecified:

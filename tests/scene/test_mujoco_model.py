@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import warnings
 
 import mujoco
 import numpy as np
@@ -13,6 +12,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.materials import material
+from tests.support.loaded_scenes import boxes_of, error_message, load
 
 ROUNDING = 1e-12  # of a few products of float64 matrices
 FLOAT32 = 1e-6  # MuJoCo keeps vertices, colours and heights as float32
@@ -25,23 +25,6 @@ ARM = """<geom name="floor" type="plane" size="4 3 1"/>
 
 def model_of(bodies, before=""):
     return mujoco.MjModel.from_xml_string(MODEL.format(before, bodies))
-
-
-def load(what, *arguments, **settings):
-    """The scene, and the texts of warnings but that of missing materials."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = load_scene(what, *arguments, **settings)
-    return scene, [str(w.message) for w in caught if "no material of a known name" not in str(w.message)]
-
-
-def boxes_of(scene):
-    """Name -> (2, 3) bounds in the world."""
-    out = {}
-    for body in scene.bodies:
-        points = body.mesh.vertices @ body.pose[:3, :3].T + body.pose[:3, 3]
-        out[body.name] = np.array([points.min(axis=0), points.max(axis=0)])
-    return out
 
 
 # ---- bodies and geoms --------------------------------------------------------------------------------
@@ -219,12 +202,6 @@ def test_what_deforms_is_left_out():
 
 
 # ---- files -------------------------------------------------------------------------------------------
-
-
-def error_message(*arguments, **settings):
-    with pytest.raises(Error) as caught:
-        load(*arguments, **settings)
-    return str(caught.value)
 
 
 def test_a_file_with_includes_and_meshes(tmp_path):

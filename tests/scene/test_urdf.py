@@ -9,12 +9,12 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.sdf.xacro import split_arguments
 from tests.support.command_line import run
+from tests.support.loaded_scenes import boxes_of, error_message, load
 
 ROUNDING = 1e-12  # of a few products of float64 matrices
 BOX = "<geometry><box size='2 4 6'/></geometry>"
@@ -40,29 +40,6 @@ def write(path, text):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return path
-
-
-def load(path, *arguments, **settings):
-    """The scene, and the texts of warnings but that of missing reflectivities."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = load_scene(path, *arguments, **settings)
-    return scene, [str(w.message) for w in caught if "no <laser_retro>" not in str(w.message)]
-
-
-def error_message(path, *arguments, **settings):
-    with pytest.raises(Error) as caught:
-        load(path, *arguments, **settings)
-    return str(caught.value)
-
-
-def boxes_of(scene):
-    """Name -> (2, 3) bounds in the world."""
-    out = {}
-    for body in scene.bodies:
-        points = body.mesh.vertices @ body.pose[:3, :3].T + body.pose[:3, 3]
-        out[body.name] = np.array([points.min(axis=0), points.max(axis=0)])
-    return out
 
 
 # ---- URDF --------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.scene import mesh_files, primitives
+from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.primitives import Shape
 from sonar_gl.scene.reflectivity_map import textured_from_above
@@ -31,14 +32,6 @@ class SurfaceProperties(NamedTuple):
     reflectivity: float
     specular: float
     roughness_rad: float | None
-    material: str | None
-
-
-class ShapeOfLink(NamedTuple):
-    """A shape in the frame of its link, with its reflectivity (one value, or (F,)) and material."""
-
-    shape: Shape
-    reflectivity: float | np.ndarray
     material: str | None
 
 
@@ -157,10 +150,12 @@ class BodyReader:
             lobe = surface.specular, surface.roughness_rad
             names.setdefault(lobe, f"{name}::{element.get('name')}" if groups else name)
             shape = primitives.transform(shape, matrix)
-            groups.setdefault(lobe, []).append(ShapeOfLink(shape, reflectivity, surface.material))
+            groups.setdefault(lobe, []).append(EchoingShape(shape, reflectivity, surface.material))
         pose = link.world_pose()
         with errors_at(link.location):
-            return [join_shapes(names[lobe], group, pose, lobe) for lobe, group in groups.items()], complete
+            return [
+                body_of_shapes(names[lobe], group, pose, lobe) for lobe, group in groups.items()
+            ], complete
 
     def height_of_water(self, link: Link, element) -> float | None:
         """Return the height of the surface that a shape of water has, metres; None of a wall.
@@ -267,15 +262,3 @@ def _read_polylines(elements, location: str, height_m: float) -> Shape:
             raise Error(f"{location}: must have three different points or more (got {len(ring)})")
         rings.append(np.array(ring))
     return primitives.extrude(rings, height_m)
-
-
-def join_shapes(name: str, group: list[ShapeOfLink], pose, lobe: tuple) -> Body:
-    """Return one body from shapes in the frame of their link that have the same specular lobe."""
-    shapes, reflectivities, materials = zip(*group, strict=True)
-    mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)
-    reflectivity = reflectivities[0]
-    if any(map(np.ndim, reflectivities)) or len(set(reflectivities)) > 1:
-        per_face = [np.broadcast_to(one.reflectivity, len(one.shape.mesh.faces)) for one in group]
-        reflectivity = np.concatenate(per_face)
-    common_material = materials[0] if len(set(materials)) == 1 else None
-    return Body(name, mesh, pose, reflectivity, normals, *lobe, common_material)
