@@ -484,12 +484,14 @@ MUTATIONS = (
     # records of a batch
     Mutation("records/checksum", "if record_bytes(values) == data:", "if values is not None:", RECORDS),
     Mutation(
-        "records/plan of a part",
-        "if record.plan != manifest.plan_digest:",
-        "if record.plan is None:",
+        "records/batch of a part",
+        "if record.batch != manifest.identity:",
+        "if record.batch is None:",
         RECORDS,
     ),
-    Mutation("records/plan made again", "if plans != {manifest.plan_digest}:", "if not plans:", RECORDS),
+    Mutation(
+        "records/manifest made again", "if finished != {manifest.identity}:", "if not finished:", RECORDS
+    ),
     Mutation(
         "records/system of a worker",
         "self._system.check(self._batch.manifest.system, self.folder.url)",
