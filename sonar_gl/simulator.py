@@ -8,7 +8,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
-from sonar_gl.engine.adaptive import Plan
+from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run

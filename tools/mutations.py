@@ -376,7 +376,12 @@ MUTATIONS = (
     ),
     Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", PROMISE),
     Mutation("planner/bodies in two lattices", "DIFFERENCE_FACTOR = 0.7", "DIFFERENCE_FACTOR = 0.0", PROMISE),
-    Mutation("planner/mirrored lattice", "half_of(sampling), -SHEAR)", "half_of(sampling), SHEAR)", PROMISE),
+    Mutation(
+        "planner/mirrored lattice",
+        "half_of(tried.stage.sampling), -SHEAR)",
+        "half_of(tried.stage.sampling), SHEAR)",
+        PROMISE,
+    ),
     Mutation("planner/difference of two pings", "ERROR_FACTOR = 1.0", "ERROR_FACTOR = 0.5", PROMISE),
     Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
     Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
@@ -479,12 +484,14 @@ MUTATIONS = (
     # records of a batch
     Mutation("records/checksum", "if record_bytes(values) == data:", "if values is not None:", RECORDS),
     Mutation(
-        "records/plan of a part",
-        "if record.plan != manifest.plan_digest:",
-        "if record.plan is None:",
+        "records/batch of a part",
+        "if record.batch != manifest.identity:",
+        "if record.batch is None:",
         RECORDS,
     ),
-    Mutation("records/plan made again", "if plans != {manifest.plan_digest}:", "if not plans:", RECORDS),
+    Mutation(
+        "records/manifest made again", "if finished != {manifest.identity}:", "if not finished:", RECORDS
+    ),
     Mutation(
         "records/system of a worker",
         "self._system.check(self._batch.manifest.system, self.folder.url)",

@@ -24,8 +24,6 @@ from sonar_gl.sonar.sampling import ToleranceWarning, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_POSES = 5  # of a sequence, at which terms are judged
-# Changes are judged with coarser samples than the tolerance needs: times the tolerance, and these bounds of it.
-COARSER, MIN_COARSE, MAX_COARSE = 5.0, 0.05, 0.5
 TURNS = 7  # pings of which a time is the median
 SEED = 0  # of the noise: the same with and without a term
 
@@ -156,7 +154,7 @@ class Price:
     name : of the term
     changes : Σ|with − without| / Σ with, over beams and bins; the largest over the poses
     worst_bin : the largest |with − without| of a bin over the strongest bin of the image; likewise
-    time_ms : what it adds to the time of a ping, milliseconds; 0 if it changes nothing
+    time_ms : what it adds to the time of a ping, milliseconds; 0 if it changes nothing, or adds less than times vary
     on : whether it is needed to keep the tolerance
     """
 
@@ -227,17 +225,19 @@ def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _C
 class _Comparison:
     """Pings of a case with every term on and without some of them, all with the same samples.
 
+    They are those that the tolerance takes with every term on: coarser ones would leave out planar reflectors that few
+    of them meet, and find multipath weaker than it is.
+
     Parameters
     ----------
     stack : closes the simulators
     case : _Case
-    planned_tolerance : tolerance for which the samples are chosen, with every term on
     """
 
-    def __init__(self, stack: ExitStack, case: _Case, planned_tolerance: float):
+    def __init__(self, stack: ExitStack, case: _Case):
         self._stack, self._case, self._simulators, self._pings = stack, case, {}, {}
         self.planner = stack.enter_context(
-            Simulator(case.scene, case.sonar, case.acoustics, tolerance=planned_tolerance)
+            Simulator(case.scene, case.sonar, case.acoustics, tolerance=case.tolerance)
         )
         self.planner.plan(case.poses)
 
@@ -281,7 +281,8 @@ class _Comparison:
         for term in terms:
             added_ms = 1e3 * np.subtract(times_s[None], times_s[term])
             # noise costs less than the time of a ping varies, and does not change that time
-            out[term.name] = float(np.median(added_ms[:, 1] if term.of_noise else added_ms.sum(1)))
+            added = float(np.median(added_ms[:, 1] if term.of_noise else added_ms.sum(1)))
+            out[term.name] = max(added, 0.0)  # a cost below 0 is the variation of the times
         return out
 
     def _simulator(self, acoustics: Acoustics) -> Simulator:
@@ -338,7 +339,7 @@ def price(
     ----------
     scene : Scene, or a Simulator whose world is shared
     sonar : Sonar
-    tolerance : 0.001..0.5, how much the image may change; changes are measured with samples for five times as much
+    tolerance : 0.001..0.5, how much the image may change; changes are measured with the samples that it takes
     poses : several (4, 4) world_from_sonar, of which five at most are used; None = the scene's own
     acoustics, noise : settings of the terms that are on; None is `Acoustics.physical()` and `Noise.physical()`.
         Terms that are off in them are measured as a line array in elevation, a pulse as short as the bins,
@@ -357,11 +358,10 @@ def price(
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
-        coarse = _Comparison(stack, case, _coarser(tolerance))
-        prices = coarse.judge()
-        fine = _Comparison(stack, replace(case, scene=coarse.planner), tolerance)
+        comparison = _Comparison(stack, case)
+        prices = comparison.judge()
         acting = [term for term, found in zip(TERMS, prices, strict=True) if found.changes > 0]
-        times_ms = fine.added_times_ms(acting)
+        times_ms = comparison.added_times_ms(acting)
     return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices]
 
 
@@ -386,11 +386,6 @@ def needed_acoustics(scene, sonar, tolerance: float = 0.01, pose=None) -> Acoust
     case = _make_case(scene, sonar, tolerance, poses)
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
-        prices = _Comparison(stack, case, _coarser(tolerance)).judge()
+        prices = _Comparison(stack, case).judge()
     off = [term for term, found in zip(TERMS, prices, strict=True) if not found.on and not term.of_noise]
     return without(case.acoustics, case.noise, off)[0]
-
-
-def _coarser(tolerance: float) -> float:
-    """Return the tolerance for the samples with which changes are judged."""
-    return min(max(COARSER * tolerance, MIN_COARSE), MAX_COARSE)

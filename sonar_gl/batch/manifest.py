@@ -15,13 +15,16 @@ from sonar_gl.batch.folder import DamagedRecordError, Folder
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error
 
-MANIFEST_NAME = "planned.json"
+MANIFEST_NAME = "batch.json"
+OLD_MANIFEST_NAME = "planned.json"  # of versions that chose the samples of a batch before its first ping
 DONE_NAME = "done.json"  # written last: the batch is complete
 PART_BYTES = 128e6  # of a part's arrays before compression
 CHUNK_PINGS = 8  # packed together in the store; a part holds a whole number of chunks
 MAX_PART_PINGS = 128  # limits what is lost, or made again, with a part
 RECORD_CURE = "delete it, or mend the batch by --resume --mend"
-MANIFEST_CURE = "restore a copy, or have --resume --mend plan again; if no part is done, delete the folder"
+MANIFEST_CURE = (
+    "restore a copy, or have --resume --mend write it again; if no part is done, delete the folder"
+)
 
 
 def record_name(part: int) -> str:
@@ -36,25 +39,21 @@ def table_name(part: int) -> str:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The sampling of each scene and sonar, and the division of pings into parts. It follows from the job.
+    """The division of a job's pings into parts, and what makes them. It follows from the job and the system.
 
     Attributes
     ----------
     job : the job as plain values
     digest : that of `Schema`
     n_pings, pings_per_part : number of pings in all and of each part but the last
-    samplings : for each scene, sonar -> fields of `Sampling`
-    estimates : for each scene, sonar -> estimated error of its pings
-    system : OpenGL and libraries that planned the batch
-    version : version of sonar_gl that planned it
+    system : OpenGL and libraries that began the batch
+    version : version of sonar_gl that began it
     """
 
     job: dict
     digest: str
     n_pings: int
     pings_per_part: int
-    samplings: list
-    estimates: list
     system: System
     version: str = __version__
 
@@ -63,8 +62,8 @@ class Manifest:
         return -(-self.n_pings // self.pings_per_part)
 
     @cached_property
-    def plan_digest(self) -> str:
-        """SHA-256 of all that decides the parts, by which records say of which plan they are.
+    def identity(self) -> str:
+        """SHA-256 of all that decides the parts, by which records say of which batch they are.
 
         The job is in it by its own digest, which does not depend on where the file of the job is.
         """
@@ -89,9 +88,15 @@ class Manifest:
         DamagedRecordError
             if it is not as it was written.
         Error
-            if it was written by another version, whose pings may differ.
+            if it, or the folder, was written by another version, whose pings may differ.
         """
         found = folder.get_record(MANIFEST_NAME, MANIFEST_CURE)
+        if found is None and folder.get(OLD_MANIFEST_NAME) is not None:
+            raise Error(
+                f"{folder.path(OLD_MANIFEST_NAME)}: a batch must be finished by the version that began it (got one "
+                "whose samples were chosen before its first ping, as this version no longer does; use that version, "
+                "or another folder)"
+            )
         if found is None:
             return None
         if found.get("version") != __version__:
@@ -114,16 +119,16 @@ class PartRecord:
 
     Attributes
     ----------
-    plan : `Manifest.plan_digest` of its batch
+    batch : `Manifest.identity` of its batch
     part : number of the part
     first, pings : number of its first ping, and of its pings
     set_aside : number of each ping that could not be made (as text, for JSON) -> why
     without_echo : number of pings without an echo
     files : name of each file of the part -> SHA-256
-    system : None, or what made it, if that is not the system that planned the batch
+    system : None, or what made it, if that is not the system that began the batch
     """
 
-    plan: str
+    batch: str
     part: int
     first: int
     pings: int
@@ -175,12 +180,12 @@ def recorded_parts(folder: Folder) -> list[int]:
 
 
 def part_records(folder: Folder, manifest: Manifest) -> Iterator[PartRecord]:
-    """Yield the records of the parts that are done; an Error if one is damaged or of another plan."""
+    """Yield the records of the parts that are done; an Error if one is damaged or of another batch."""
     for part in recorded_parts(folder):
         record = PartRecord.load(folder, part)
-        if record.plan != manifest.plan_digest:
+        if record.batch != manifest.identity:
             raise Error(
-                f"{folder.path(record_name(part))}: must be of the plan in {MANIFEST_NAME} (got one of another; "
+                f"{folder.path(record_name(part))}: must be of the batch in {MANIFEST_NAME} (got one of another; "
                 f"restore {MANIFEST_NAME}, or make the part again by --resume --mend)"
             )
         yield record
@@ -259,8 +264,8 @@ def _faults_of_part(folder: Folder, part: int, manifest: Manifest | None) -> Ite
     if record is None:
         yield _missing(folder, name)
         return
-    if manifest is not None and record.plan != manifest.plan_digest:
-        yield f"{folder.path(name)}: is of another plan than that of {MANIFEST_NAME}"
+    if manifest is not None and record.batch != manifest.identity:
+        yield f"{folder.path(name)}: is of another batch than that of {MANIFEST_NAME}"
     yield from _faults(folder, record.files)
 
 

@@ -1,4 +1,4 @@
-"""The steps of a batch in one process: plan it, create its store, make a part, finalize it."""
+"""The steps of a batch in one process: begin it, create its store, make a part, finalize it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,16 +40,15 @@ from sonar_gl.batch.store import (
 )
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error, is_out_of_memory
-from sonar_gl.engine.adaptive import MAX_POSES
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
-from sonar_gl.engine.sequence import plan as plan_sampling
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import Ping
 from sonar_gl.simulator import Simulator
-from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
 
+SURVEYED = 24  # pings of a scene, by a dry run
 TRIES = 2  # of a ping that fails, before it is set aside
 
 # A step reports its progress by calls of report(kind, value):
@@ -71,7 +71,7 @@ class Batch:
     job : Job
     folder : folder of the batch
     device : index of an EGL device, or None for the default
-    any_system : make parts also with other OpenGL or libraries than those that planned the batch
+    any_system : make parts also with other OpenGL or libraries than those that began the batch
 
     Attributes
     ----------
@@ -110,40 +110,20 @@ class Batch:
 # ---- steps ------------------------------------------------------------------------------------------
 
 
-def plan_manifest(batch: Batch, report: Report = no_report) -> Manifest:
-    """Choose the sampling of each scene and sonar, by a few pings spread over the job."""
-    requests, schema, samplings, estimates, system = batch.requests, batch.schema, [], [], None
-    for scene, name in enumerate(requests.job.scenes):
-        samplings.append({})
-        estimates.append({})
-        spread = [requests[number] for number in _spread_numbers(requests, scene)]
-        with ExitStack() as stack, warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", UserWarning)
-            for sonar, simulator in _open_simulators(batch, scene, stack).items():
-                mount = requests.mounts[sonar]
-                plan = plan_sampling(simulator.run, [request.for_sonar(mount) for request in spread])
-                samplings[-1][sonar] = asdict(plan.sampling)
-                estimates[-1][sonar] = plan.error_estimate
-                system = System.of(simulator.gl_info)
-        for warning in caught:
-            report("warning", f"scene {name!r}: {warning.message}")
-    job = requests.job
-    return Manifest(
-        job.plain,
-        schema.digest,
-        len(requests),
-        job.pings_per_part or default_pings_per_part(schema.bytes_per_ping),
-        samplings,
-        estimates,
-        system,
-    )
+def begin(batch: Batch, report: Report = no_report) -> Manifest:
+    """Return the manifest of a new batch, with the OpenGL and libraries of this process."""
+    job, schema = batch.requests.job, batch.schema
+    with ExitStack() as stack:
+        system = System.of(next(iter(_open_simulators(batch, 0, stack).values())).gl_info)
+    per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping)
+    return Manifest(job.plain, schema.digest, len(batch.requests), per_part, system)
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:
     """Create the store, empty, as far as it does not exist; what is there of it is repaired."""
     schema, manifest, groups = batch.schema, batch.manifest, {}
     for name, sonar in batch.requests.sonars.items():
-        groups[name] = SonarGroup(sonar, schema.arrays(name), schema.sonar_attributes(manifest, name))
+        groups[name] = SonarGroup(sonar, schema.arrays(name), schema.sonar_attributes(name))
     create_arrays(batch.folder, manifest, groups, schema.attributes(manifest))
 
 
@@ -176,6 +156,44 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
     return Cost(taken_s / record.pings, sum(sizes) / record.pings)
 
 
+class HardView(NamedTuple):
+    """What the view of a ping needs.
+
+    Attributes
+    ----------
+    number : of the ping
+    sonar : its name
+    n_samples : samples that the tolerance takes
+    error_estimate : estimated error with them
+    body : name of the body that is nearest to its bound; empty if the whole ping is
+    """
+
+    number: int
+    sonar: str
+    n_samples: int
+    error_estimate: float
+    body: str
+
+
+def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardView]:
+    """Choose the samples of SURVEYED pings spread over those of a scene, and return what they need."""
+    requests, found = batch.requests, []
+    spread = [requests[number] for number in _spread_numbers(requests, scene)]
+    bodies = ["", *(body.name for body in requests.scene(scene).bodies)]
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.simplefilter("ignore", ToleranceWarning)  # the estimates say so
+        for name, simulator in _open_simulators(batch, scene, stack).items():
+            run, mount = simulator.run, requests.mounts[name]
+            for request in spread:
+                setup = run.set_up(request.for_sonar(mount))
+                with run.drawing():
+                    plan = run.sampler.choose(setup).plan
+                decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
+                body, n_samples = bodies[plan.worst_body * decides], plan.sampling.count(simulator.sonar)
+                found.append(HardView(request.number, name, n_samples, plan.bound, body))
+    return found
+
+
 def finalize(batch: Batch, report: Report = no_report) -> None:
     """Join the files of all parts, and write the file that says that the batch is complete."""
     requests, schema, manifest, folder = batch.requests, batch.schema, batch.manifest, batch.folder
@@ -190,10 +208,11 @@ def finalize(batch: Batch, report: Report = no_report) -> None:
 
 # The steps by name, as pools and clusters run them: function (batch, *arguments, report).
 STEPS = {
-    "plan": plan_manifest,
+    "begin": begin,
     "create": create_store,
     "make": make_part,
     "measure": measure_cost,
+    "survey": survey,
     "finalize": finalize,
 }
 
@@ -202,23 +221,19 @@ def _spread_numbers(requests: BatchRequests, scene: int) -> list[int]:
     """Return numbers of pings spread evenly over those of a scene."""
     ranges = [run.numbers for run in requests.runs if run.scene == scene]
     starts = np.cumsum([0, *map(len, ranges)]).tolist()
-    picked = np.unique(np.linspace(0, starts[-1] - 1, MAX_POSES).round().astype(int)).tolist()
+    picked = np.unique(np.linspace(0, starts[-1] - 1, SURVEYED).round().astype(int)).tolist()
     runs = [bisect_right(starts, index) - 1 for index in picked]
     return [ranges[run][index - starts[run]] for run, index in zip(runs, picked, strict=True)]
 
 
-def _open_simulators(
-    batch: Batch, scene: int, stack: ExitStack, samplings: dict[str, dict] | None = None
-) -> dict[str, Simulator]:
-    """Open a simulator for each sonar, all with one OpenGL context. Without samplings the tolerance holds."""
+def _open_simulators(batch: Batch, scene: int, stack: ExitStack) -> dict[str, Simulator]:
+    """Open a simulator for each sonar, all with one OpenGL context."""
     requests, shared, simulators = batch.requests, batch.requests.scene(scene), {}
+    settings = {"tolerance": requests.job.tolerance, "device": batch.device}
     for name, sonar in requests.sonars.items():
-        if samplings is None:
-            accuracy = {"tolerance": requests.job.tolerance}
-        else:
-            accuracy = {"sampling": Sampling(**samplings[name])}
-        shared = Simulator(shared, sonar, requests.acoustics, device=batch.device, **accuracy)
-        simulators[name] = stack.enter_context(shared)
+        shared = simulators[name] = stack.enter_context(
+            Simulator(shared, sonar, requests.acoustics, **settings)
+        )
     return simulators
 
 
@@ -252,20 +267,22 @@ class PartMaker:
     Raises
     ------
     Error
-        from `make`, if OpenGL or a library is not that which planned the batch, unless the batch allows it.
+        from `make`, if OpenGL or a library is not that which began the batch, unless the batch allows it.
     """
 
     def __init__(self, batch: Batch):
         self._batch, self.folder, self._system = batch, batch.folder, None
         self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
         self._stack, self._scene, self._simulators = ExitStack(), None, {}
+        self._unmet: set[tuple[int, str]] = (
+            set()
+        )  # scene and sonar of which it was said that a tolerance is not met
 
     def _simulators_of(self, scene: int) -> dict[str, Simulator]:
         """Return the simulators of a scene, one for each sonar."""
         if scene != self._scene:
             self.close()
-            samplings = self._batch.manifest.samplings[scene]
-            self._simulators = _open_simulators(self._batch, scene, self._stack, samplings)
+            self._simulators = _open_simulators(self._batch, scene, self._stack)
             self._system = System.of(next(iter(self._simulators.values())).gl_info)
             if not self._batch.any_system:
                 self._system.check(self._batch.manifest.system, self.folder.url)
@@ -321,6 +338,9 @@ class PartMaker:
         table.column(row, "status")[:] = MADE
         table.column(row, ("has_echo", sonar))[:] = ping.meta["has_echo"]
         table.column(row, ("echo", sonar))[:] = ping.intensity.sum(dtype=np.float64)
+        table.column(row, ("error_estimate", sonar))[:] = ping.error_estimate
+        samples = ping.meta["sampling"]
+        table.column(row, ("sampling", sonar))[:] = samples["columns_per_beam"], samples["rows"]
         noise_seed = self._batch.requests.noise_seed(sonar)
         noisy = add_noise(ping, request.noise, noise_seed, request.number)
         for output in self.outputs:
@@ -338,7 +358,7 @@ class PartMaker:
         is_silent = (table.column(rows, "status") == MADE) & ~np.any(has_echo, axis=0)
         manifest = self._batch.manifest
         record = PartRecord(
-            manifest.plan_digest,
+            manifest.identity,
             part,
             first,
             len(task.numbers),
@@ -367,27 +387,27 @@ class PartMaker:
             pings = make_pings(run, map(for_sonar, list(remaining)))
             try:
                 while remaining:
-                    yield remaining[0], _report_warnings(lambda: next(pings), task.report)
+                    yield remaining[0], self._report_warnings(lambda: next(pings), task, scene, sonar)
                     task.report("finished", remaining.popleft().number)
             except Exception as why:  # of one of several pings; made alone, the one shows
                 if isinstance(why, OSError) or is_out_of_memory(why):
                     raise
                 pings.close()
         for request in remaining:
-            ping = self._make_alone(task, request, lambda r: make_ping(run, for_sonar(r)))
+            ping = self._make_alone(task, request, sonar, lambda r: make_ping(run, for_sonar(r)))
             if ping is not None:
                 yield request, ping
                 task.report("finished", request.number)
 
     def _make_alone(
-        self, task: _Part, request: BatchRequest, make: Callable[[BatchRequest], Ping]
+        self, task: _Part, request: BatchRequest, sonar: str, make: Callable[[BatchRequest], Ping]
     ) -> Ping | None:
         """Make a ping, in several tries. Return None after the last, with the reason in task.failed."""
         reason = ""
         for _ in range(TRIES):
             task.report("started", request.number)
             try:
-                return _report_warnings(lambda: make(request), task.report)
+                return self._report_warnings(lambda: make(request), task, request.scene, sonar)
             except Exception as why:
                 if isinstance(why, OSError) or is_out_of_memory(why):
                     raise
@@ -396,12 +416,18 @@ class PartMaker:
         task.failed[request.number] = reason
         return None
 
+    def _report_warnings(self, make: Callable[[], Ping], task: _Part, scene: int, sonar: str) -> Ping:
+        """Make a ping and report its warnings, but not that it has no echo, which the table says.
 
-def _report_warnings(make: Callable[[], Ping], report: Report) -> Ping:
-    """Make a ping and report its warnings, but not that it has no echo, which the table says."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        ping = make()
-    for warning in caught if ping.meta["has_echo"] else ():
-        report("warning", str(warning.message))
-    return ping
+        That a tolerance is not met is said once for each scene and sonar: the estimates tell of which pings.
+        """
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            ping = make()
+        for warning in caught if ping.meta["has_echo"] else ():
+            if issubclass(warning.category, ToleranceWarning):
+                if (scene, sonar) in self._unmet:
+                    continue
+                self._unmet.add((scene, sonar))
+            task.report("warning", str(warning.message))
+        return ping

@@ -25,7 +25,7 @@ IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: 
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
 MAX_DEATHS = 2  # at a ping, after which it is set aside
 MAX_UNEXPLAINED_DEATHS = 5  # at one part while no ping was being made
-MAX_DEATHS_IN_STEP = 3  # of processes that plan, create or finalize
+MAX_DEATHS_IN_STEP = 3  # of processes that begin, create or finalize
 # The software driver, like other libraries, would otherwise use all cores in every process.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A killed process leaks resources, which the tracker frees; its warning would only confuse.

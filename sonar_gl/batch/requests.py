@@ -69,6 +69,7 @@ class BatchRequest:
             time_s=self.time_s,
             reflectivity=self.reflectivity,
             water=self.water or None,
+            alone=True,  # whatever other pings its process makes
         )
 
 

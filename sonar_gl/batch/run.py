@@ -22,12 +22,14 @@ from sonar_gl.batch.manifest import (
     part_records,
     recorded_parts,
 )
-from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.parts import Batch, HardView
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.scene import Scene
+
+HARDEST = 3  # views of each scene and sonar that a dry run names
 
 
 @dataclass
@@ -88,8 +90,8 @@ class RunSettings:
     Attributes
     ----------
     resume : continue a batch that is in the folder
-    mend : compare checksums, make parts with damaged files again, and plan again if the plan is damaged
-    any_system : make parts also with other OpenGL or libraries than those that planned the batch
+    mend : compare checksums, make parts with damaged files again, and write the manifest again if it is damaged
+    any_system : make parts also with other OpenGL or libraries than those that began the batch
     cluster : address of a Dask scheduler whose workers make the parts; None uses processes of this machine
     """
 
@@ -172,11 +174,11 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
         if there is a batch that shall not be resumed, or one of another job, or other files.
     """
     folder, job = batch.folder, batch.requests.job
-    plans = _finished_plans(folder) if settings.mend else set()
+    finished = _finished_batches(folder) if settings.mend else set()
     try:
         manifest = Manifest.load(folder)
     except DamagedRecordError:
-        if not plans:
+        if not finished:
             raise
         manifest = None
     if manifest is not None and not settings.resume:
@@ -190,33 +192,34 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
             f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
             "that, or give another folder)"
         )
-    if manifest is None and plans:
-        report(f"{folder.path(MANIFEST_NAME)}: is missing or damaged: choosing the samples again")
-        manifest = call("plan")
-        if plans != {manifest.plan_digest}:
+    if manifest is None and finished:
+        report(f"{folder.path(MANIFEST_NAME)}: is missing or damaged: writing it again")
+        manifest = call("begin")
+        if finished != {manifest.identity}:
             raise Error(
-                f"{folder.url}: a batch must be planned again by the job, OpenGL and libraries that planned it "
-                "(got another plan than that of the finished parts; restore these, or give another folder)"
+                f"{folder.url}: {MANIFEST_NAME} must be written again by the job, OpenGL and libraries that began the "
+                "batch (got others than those of the finished parts; restore these, or give another folder)"
             )
         manifest.save(folder)
     if manifest is None:
         if any(not name.startswith(".") for name in folder.names("")):  # unfinished files begin with a dot
-            is_cut = settings.resume and _finished_plans(folder)
+            is_cut = settings.resume and _finished_batches(folder)
             known = f"there is no {MANIFEST_NAME}; --resume --mend makes it again" if is_cut else "got files"
             raise Error(f"{folder.url}: must be an empty folder, or one with a batch to --resume ({known})")
-        report("there is no batch yet: choosing the samples" if settings.resume else "choosing the samples")
-        manifest = call("plan")
+        if settings.resume:
+            report("there is no batch yet: beginning one")
+        manifest = call("begin")
         manifest.save(folder)  # from now on the batch can be resumed
     return manifest
 
 
-def _finished_plans(folder: Folder) -> set[str]:
-    """Return the plans of the finished parts whose records can be read; of an undamaged batch it is one."""
-    plans = set()
+def _finished_batches(folder: Folder) -> set[str]:
+    """Return the batches of the finished parts whose records can be read; of an undamaged batch it is one."""
+    found = set()
     for part in recorded_parts(folder):
         with suppress(DamagedRecordError):
-            plans.add(PartRecord.load(folder, part).plan)
-    return plans
+            found.add(PartRecord.load(folder, part).batch)
+    return found
 
 
 @contextmanager
@@ -247,10 +250,11 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make the first part of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
     with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, report) as pool:
-        manifest = pool.call("plan")
+        manifest = pool.call("begin")
         manifest.save(Folder(url))
         pool.call("create")
         cost = pool.call("measure")
+        surveys = [pool.call("survey", scene) for scene in range(len(job.scenes))]
     n, lines = manifest.n_pings, []
     for run in requests.runs:
         first, last = run.numbers[0], run.numbers[-1]
@@ -258,13 +262,10 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
     for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
         lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
-    for scene, by_sonar in enumerate(manifest.samplings):
-        for name, sampling in by_sonar.items():
-            sonar = requests.sonars[name]
-            size = f"{sonar.n_beams} beams x {sonar.n_bins} bins"
-            samples = f"{sampling['columns_per_beam'] * sonar.n_beams:.0f} x {sampling['rows']} samples"
-            error = f"estimated error below {manifest.estimates[scene][name]:.2g}"
-            lines.append(f"{name} in {job.scenes[scene]}: {size}, {samples}, {error}")
+    for scene, views in enumerate(surveys):
+        for name, sonar in requests.sonars.items():
+            size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
+            lines += _views_text(size, [view for view in views if view.sonar == name], requests)
     lines.append(f"{n} pings in {manifest.n_parts} parts of {manifest.pings_per_part}")
     size = _amount(n * cost.bytes_per_ping)
     lines.append(f"size: {size} ({cost.bytes_per_ping / 1e3:.0f} kB a ping)")
@@ -274,6 +275,22 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         f"{manifest.system.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
     )
     return "\n".join(lines)
+
+
+def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> list[str]:
+    """Return lines on the samples that the views of a sonar need, and on those that need most."""
+    counts = sorted(view.n_samples for view in views)
+    middle = counts[len(counts) // 2]
+    lines = [f"{size}, {counts[0]} to {counts[-1]} samples a ping, median {middle}, of {len(views)} pings"]
+    hardest = sorted(views, key=lambda view: -view.n_samples)[:HARDEST]
+    for view in hardest if counts[-1] > counts[0] else ():
+        pose = " ".join(f"{x:.4g}" for x in pose_numbers(requests[view.number].vehicle_pose))
+        why = f"body {view.body!r}" if view.body else "the whole ping"
+        lines.append(
+            f"  ping {view.number}, vehicle at {pose!r}: {view.n_samples} samples for {why}, estimated error "
+            f"{view.error_estimate:.2g}"
+        )
+    return lines
 
 
 def _contents_text(scene: Scene) -> str:

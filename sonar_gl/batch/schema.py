@@ -335,7 +335,7 @@ class Schema:
         """Size of all sonars' arrays before compression."""
         return sum(array.bytes_per_ping for sonar in self._requests.sonars for array in self.arrays(sonar))
 
-    def sonar_attributes(self, manifest: Manifest, sonar: str) -> dict:
+    def sonar_attributes(self, sonar: str) -> dict:
         """Return the attributes of a sonar's group; tables are JSON text, since netCDF has no nested ones."""
         requests = self._requests
         tables = {
@@ -343,7 +343,6 @@ class Schema:
             "mount": requests.mounts[sonar].tolist(),
             "acoustics": requests.acoustics.meta(),
             "noise": asdict(requests.noise),
-            "samplings": [by_sonar[sonar] for by_sonar in manifest.samplings],
         }
         attributes = {"sonar": sonar, "noise_seed": requests.noise_seed(sonar)}
         return attributes | {name: json.dumps(table) for name, table in tables.items()}

@@ -238,6 +238,8 @@ class PingTable:
         widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
         widths |= {("has_echo", sonar): 1 for sonar in requests.sonars}
         widths |= {("echo", sonar): 1 for sonar in requests.sonars}
+        widths |= {("error_estimate", sonar): 1 for sonar in requests.sonars}
+        widths |= {("sampling", sonar): 2 for sonar in requests.sonars}  # columns per beam, rows
         widths |= {"water": len(self.water), "noise": len(self.noise)}
         widths |= {"moved": len(self.moved) * AFFINE, "reflectivity": len(self.with_reflectivity)}
         self._columns, self.width = {}, 0
@@ -276,8 +278,8 @@ class PingTable:
     def column(self, rows: np.ndarray, name) -> np.ndarray:
         """Return the view (..., width of the column) of some rows.
 
-        name : status, scene, time_s, pose, ("has_echo", sonar), ("echo", sonar), water, noise, moved or
-            reflectivity
+        name : status, scene, time_s, pose, water, noise, moved or reflectivity; or a tuple of has_echo, echo,
+            error_estimate or sampling, and the sonar
         """
         return rows[..., self._columns[name]]
 
@@ -321,12 +323,9 @@ class PingVariable(ArraySpec):
     values: Callable[[np.ndarray], np.ndarray]
 
 
-def ping_variables(
-    requests: BatchRequests, table: PingTable, manifest: Manifest, sonar: str
-) -> Iterable[PingVariable]:
+def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Iterable[PingVariable]:
     """Yield the variables of one sonar's pings."""
     mount, n_moved = requests.mounts[sonar], len(table.moved)
-    estimates = np.array([by_sonar[sonar] for by_sonar in manifest.estimates])
 
     def variable(name, dtype, values, shape=(), dims=(), **attributes):
         return PingVariable(name, dtype, shape, dims, np.nan if dtype == "float64" else 0, attributes, values)
@@ -364,8 +363,22 @@ def ping_variables(
     yield variable(
         "error_estimate",
         "float64",
-        lambda rows: estimates[table.column(rows, "scene")[:, 0].astype(int)],
+        first_of(("error_estimate", sonar)),
         long_name="share of the echo in wrong bins, in 95 of 100 pings less",
+        units="1",
+    )
+    yield variable(
+        "columns_per_beam",
+        "float64",
+        first_of(("sampling", sonar)),
+        long_name="samples across one beam spacing, in azimuth",
+        units="1",
+    )
+    yield variable(
+        "rows",
+        "uint16",
+        lambda rows: np.nan_to_num(table.column(rows, ("sampling", sonar))[:, 1]),
+        long_name="samples up the elevation aperture, 0 where no ping was made",
         units="1",
     )
     for group, keys in (("water", table.water), ("noise", table.noise)):
@@ -405,7 +418,7 @@ def gather_ping_variables(
 ) -> None:
     """Write the tables of all parts into the store as arrays."""
     store = PingStore(folder, len(requests.sonars))
-    variables = {sonar: list(ping_variables(requests, table, manifest, sonar)) for sonar in requests.sonars}
+    variables = {sonar: list(ping_variables(requests, table, sonar)) for sonar in requests.sonars}
     for sonar, entries in variables.items():
         for variable in entries:
             store.create_variable(sonar, variable, manifest.n_pings)

@@ -35,13 +35,13 @@ class System:
         """Return that of this process; gl_info : as of a Simulator."""
         return cls(gl_info["renderer"], gl_info["version"], np.__version__, numba.__version__)
 
-    def check(self, planned: System, url: str) -> None:
-        """Raise an Error if this is not the system that planned the batch at a URL."""
-        now, then = asdict(self), asdict(planned)
+    def check(self, first: System, url: str) -> None:
+        """Raise an Error if this is not the system that began the batch at a URL."""
+        now, then = asdict(self), asdict(first)
         changed = [f"{key} {now[key]!r} instead of {then[key]!r}" for key in now if now[key] != then[key]]
         if changed:
             raise Error(
-                f"{url}: pings must be made by the OpenGL and the libraries that planned them, as others round "
+                f"{url}: pings must be made by the OpenGL and the libraries that began the batch, as others round "
                 f"otherwise (got {', '.join(changed)} on {platform.node()}; restore these, give another folder, "
                 "or accept other last bits by --any-system)"
             )

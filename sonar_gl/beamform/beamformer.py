@@ -142,6 +142,7 @@ def make_beamformer(
     shear: float = SHEAR,
     max_column_width: float = 0.5,
     pools: ArrayPools | None = None,
+    known_weights: dict[bytes, BeamWeights] | None = None,
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
@@ -149,6 +150,8 @@ def make_beamformer(
     ----------
     thread, pools : of `Beamformer`
     shear, max_column_width : of `make_fan`
+    known_weights : of the same sonar and acoustics by the columns, to which those of the last call are added: coarse
+        samplings have the same columns, and their weights take most of the time
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
@@ -156,7 +159,13 @@ def make_beamformer(
     fan = make_fan(
         true_range, extend_rows(sampling, sonar, true_range), reach, is_box, shear, max_column_width
     )
-    weights = beam_weights(fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation)
+    columns = fan.column_edges_rad.tobytes()
+    weights = None if known_weights is None else known_weights.get(columns)
+    if weights is None:
+        weights = beam_weights(fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation)
+    if known_weights is not None:
+        known_weights.clear()  # only the last: those of fine samplings are large
+        known_weights[columns] = weights
     return Beamformer(fan, weights, elevation, thread, is_box, pools)
 
 

@@ -210,7 +210,7 @@ Ctrl-C.
 @click.option(
     "--any-system",
     is_flag=True,
-    help="Make pings also with other OpenGL or libraries than those that planned the batch.",
+    help="Make pings also with other OpenGL or libraries than those that began the batch.",
 )
 @click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")

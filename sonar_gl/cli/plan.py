@@ -15,7 +15,7 @@ from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_fr
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.engine.adaptive import Plan
+from sonar_gl.engine.error_model import Plan
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, check_tolerance
@@ -90,7 +90,7 @@ def plan_facts(plan: Plan, tolerance: float, scene: Scene, sonar: Sonar) -> dict
         "tolerance": tolerance,
         **asdict(plan),
         "worst_body": scene.bodies[plan.worst_body - 1].name if plan.worst_body else "",
-        "samples": round(plan.sampling.columns_per_beam * sonar.n_beams) * plan.sampling.rows,
+        "samples": plan.sampling.count(sonar),
         "bound_by": bound_by,
     }
 

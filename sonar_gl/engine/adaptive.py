@@ -1,11 +1,4 @@
-"""The sampling error model, and the choice of the cheapest samples that keep a tolerance as the sonar moves.
-
-A ping is compared with one of half the samples. The difference of the two decreases as the error does, and
-ERROR_FACTOR times the difference nearly always exceeds the error. The relative error of a small body's echo is
-modelled as BODY_ERROR_FACTOR / n^0.75 for n samples, the law of stratified sampling in two dimensions. It is larger
-where samples are few, and at least the difference of that body's echo between the two pings.
-These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
-"""
+"""The choice of the cheapest samples that keep a tolerance: for one ping, for planned poses, or as the sonar moves."""
 
 from __future__ import annotations
 
@@ -18,60 +11,27 @@ import numpy as np
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.engine.error_model import ErrorModel, Plan, TriedView
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.engine.visibility import BodyExtents, count_bodies, is_unobstructed
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import (
-    ERROR_RATE,
-    FINEST_LEVEL,
     LEVELS_PER_HALF,
-    WORST_BODY,
     Sampling,
     ToleranceWarning,
-    check_tolerance,
-    half_of,
-    sampling_at,
+    level_of,
     typical_level,
 )
-from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
-ERROR_FACTOR = 1.0  # of the difference between a ping and one of half the samples
-BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
-MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
-MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
-DIFFERENCE_FACTOR = 0.7  # of the difference between two lattices in a body's own echo
-# With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
-MAX_COMPARED_SAMPLES = 300
-MAX_STEPS = 8  # at a time: estimates from very few samples are rough
 MAX_POSES = 24  # of a sequence are tried
+# A ping alone is first tried with as many samples, or what most pings need for the tolerance if that is more: so many
+# take less time than the rest of a ping, which another try would repeat.
+FIRST_SAMPLES = 1 << 14
 
 CHECK_EVERY = 24  # pings: a check costs about one and a half
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The samples that were chosen for a tolerance.
-
-    Attributes
-    ----------
-    sampling : Sampling
-    level : sampling level
-    error_estimate : the error stays below, in 95 of 100 cases
-    worst_body_estimate : the relative error of any body's own echo likewise
-    worst_body : number of that body, 0 for none
-    met : whether the tolerance is met
-    """
-
-    sampling: Sampling
-    level: int
-    error_estimate: float
-    worst_body_estimate: float
-    worst_body: int
-    met: bool
 
 
 class LastCheck(NamedTuple):
@@ -88,21 +48,6 @@ class LastCheck(NamedTuple):
     state: SceneState
     total: float
     number: int
-
-
-class Judgement(NamedTuple):
-    """A sampling level in a ping.
-
-    Attributes
-    ----------
-    plan : Plan of this level
-    steps : by how many levels finer (or coarser, if negative) would do
-    check : LastCheck, if the plan is followed
-    """
-
-    plan: Plan
-    steps: int
-    check: LastCheck
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +68,19 @@ class Choice:
     plan: Plan | None = None
     check: LastCheck | None = None
     planned_poses: frozenset[bytes] | None = None
+
+
+class ChosenView(NamedTuple):
+    """A view whose samples were chosen from it alone.
+
+    Attributes
+    ----------
+    tried : TriedView, the last one that was tried
+    plan : Plan
+    """
+
+    tried: TriedView
+    plan: Plan
 
 
 class Sampler(Protocol):
@@ -154,6 +112,9 @@ class Sampler(Protocol):
     def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
         """Choose samples for all of some pings, and stay with them."""
 
+    def choose(self, setup: PingSetup) -> ChosenView | None:
+        """Return a view of a ping with samples chosen from it alone, or None if all pings have the same samples."""
+
     def error_estimate(self, pose) -> float | None:
         """Return the estimated error of a ping from `pose`."""
 
@@ -184,6 +145,9 @@ class FixedSampling:
     def fix(self, setups: Sequence[PingSetup]) -> None:
         """Return None: the samples are fixed."""
 
+    def choose(self, setup: PingSetup) -> None:
+        """Return None: the samples are fixed."""
+
     def error_estimate(self, pose) -> None:
         """Return None: there is no estimate."""
 
@@ -203,14 +167,10 @@ class AdaptiveSampling:
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
-        self.tolerance = check_tolerance(tolerance)
-        self._stages, self._sonar = stages, stages.sonar
-        self._gain, self._specular = gain, stages.acoustics.specular
-        self._true_range_sonar = stages.acoustics.true_range_sonar(self._sonar)
-        self._extents = BodyExtents(self._bodies, self._specular)
-        self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
-        self._finest = FINEST_LEVEL
-        self._guess = min(typical_level(self.tolerance), self._finest)
+        self._model, self._stages, self._sonar = ErrorModel(stages, tolerance, gain), stages, stages.sonar
+        self.tolerance = self._model.tolerance
+        self._guess = min(typical_level(self.tolerance), self._model.finest)
+        self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
         self._trigger, self._n_noticed, self._has_warned = ReplanTrigger(self._sonar), 0, False
         self.choice = Choice(self._resolution_at(self._guess), self._guess)
 
@@ -224,19 +184,15 @@ class AdaptiveSampling:
         """The Plan that it follows, None before the first ping."""
         return self.choice.plan
 
-    @property
-    def _bodies(self) -> list:
-        return self._stages.buffers.meshes.bodies
-
     def _resolution_at(self, level: int) -> Resolution:
-        return Resolution(self._stages.stage(sampling_at(self._sonar, level)))
+        return Resolution(self._model.stage_at(level))
 
     def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
         """Return samples that keep the tolerance."""
         check = self.notice(setup) or check
         if check and self.plan is None:
             self.choice = self._search(setup, self.choice.level)
-            self._warn_if_unmet()
+            self._warn_if_unmet(self.plan)
             return self.resolution
         return replace(self.resolution, check=check)
 
@@ -248,13 +204,15 @@ class AdaptiveSampling:
             return None
         if not resolution.check:  # a check needs samples that know their bodies
             return replace(resolution, check=True) if self.has_changed(received.direct.total) else None
-        judged = self._judge(drawn.setup, level, received)
-        choice, again = replace(self.choice, plan=judged.plan, check=judged.check), None
-        if (judged.steps > 0 and level < self._finest) or judged.steps <= -LEVELS_PER_HALF:
+        tried = TriedView(resolution.stage, drawn.view, received.direct)
+        judged = self._model.judge(drawn.setup, level, tried)
+        check = self._check_of(drawn.setup, received.direct.total)
+        choice, again = replace(self.choice, plan=judged.plan, check=check), None
+        if (judged.steps > 0 and level < self._model.finest) or judged.steps <= -LEVELS_PER_HALF:
             choice = self._search(drawn.setup, level)
             again = replace(choice.resolution, is_final=True)
         self.choice = choice
-        self._warn_if_unmet()
+        self._warn_if_unmet(choice.plan)
         return again
 
     def has_changed(self, total: float) -> bool:
@@ -278,7 +236,7 @@ class AdaptiveSampling:
         )
         poses = frozenset(setup.request.pose.tobytes() for setup in setups)
         self.choice = Choice(self._resolution_at(level), level, plan, planned_poses=poses)
-        self._warn_if_unmet()
+        self._warn_if_unmet(plan)
         return plan
 
     def error_estimate(self, pose) -> float | None:
@@ -288,6 +246,8 @@ class AdaptiveSampling:
 
     def notice(self, setup: PingSetup) -> bool:
         """Take note of a ping to come; return whether its error is to be estimated."""
+        if setup.request.alone:
+            return True
         if self.choice.planned_poses is not None:
             return False
         self._n_noticed += 1
@@ -296,20 +256,49 @@ class AdaptiveSampling:
             check, setup.request.pose, setup.state, self._n_noticed - check.number
         )
 
-    def _search(self, setup: PingSetup, level: int) -> Choice:
-        """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
-        failed, kept, found = -1, self._finest + 1, {}
-        while level not in found:
+    def choose(self, setup: PingSetup) -> ChosenView:
+        """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
+
+        The choice depends on this ping alone, and is not followed by others.
+        """
+        level, model = self._first, self._model
+        while True:
+            level = min(level, model.finest)
             try:
-                found[level] = judged = self._judge(setup, level)
+                tried = model.draw(setup, level)
+                judged = model.judge(setup, level, tried)
             except SampleLimitError:
                 if level == 0:
                     raise
-                self._finest = level - 1
+                model.finest = level - 1
+                continue
+            if judged.steps <= 0 or level == model.finest:
+                break
+            level += judged.steps
+        self._stages.drop_large()
+        self._warn_if_unmet(judged.plan)
+        return ChosenView(tried, judged.plan)
+
+    def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
+        return LastCheck(setup.request.pose, setup.state, total, self._n_noticed)
+
+    def _search(self, setup: PingSetup, level: int) -> Choice:
+        """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
+        model = self._model
+        failed, kept, found, total = -1, model.finest + 1, {}, 0.0
+        level = min(level, model.finest)
+        while level not in found:
+            try:
+                tried = model.draw(setup, level)
+                found[level] = judged = model.judge(setup, level, tried)
+            except SampleLimitError:
+                if level == 0:
+                    raise
+                model.finest = level - 1
                 kept = min(kept, level)
                 level = max(level - 1, failed)
                 continue
-            steps = judged.steps
+            total, steps = tried.echo.total, judged.steps
             if steps > 0:
                 failed = max(failed, level)
             else:
@@ -318,71 +307,18 @@ class AdaptiveSampling:
                 break
             level = min(max(level + steps, failed + 1), kept - 1)
             if level <= failed:
-                level = min(kept, self._finest)
-        chosen = Choice(self._resolution_at(level), level, found[level].plan, judged.check)
+                level = min(kept, model.finest)
+        chosen = Choice(self._resolution_at(level), level, found[level].plan, self._check_of(setup, total))
         self._stages.drop_large()
         return chosen
 
-    def _judge(self, setup: PingSetup, level: int, received: ReceivedPing | None = None) -> Judgement:
-        """Estimate the error of a level in a ping.
-
-        received : the ping with samples of that level and the numbers of bodies, if it is there already
-        """
-        sampling, state, pose = sampling_at(self._sonar, level), setup.state, setup.request.pose
-        # in the mirror image of the lattice a rod that runs along its rows does not
-        fine, coarse = self._stages.stage(sampling), self._stages.stage(half_of(sampling), -SHEAR)
-        bodies = self._bodies
-        if self._extents.n_bodies < len(bodies):  # some were added
-            self._extents = BodyExtents(bodies, self._specular)
-        if received is None:
-            (view,) = fine.draw([pose], [state], with_bodies=True)
-            intensity = fine.beamformer.sum_view(view, setup.gain).intensity
-        else:
-            view, intensity = received.drawn.view, received.direct.intensity
-        counted = len(bodies), self._true_range_sonar, self._gain, fine.beamformer.elevation_table
-        hits, echo = count_bodies(view.sectors, *counted)
-        (other_view,) = coarse.draw([pose], [state], with_bodies=True)
-        other_intensity = coarse.beamformer.sum_view(other_view, setup.gain).intensity
-        difference = np.abs(intensity - other_intensity).sum(dtype=np.float64)
-        _, other_echo = count_bodies(other_view.sectors, *counted)
-        whole, total = float(intensity.sum(dtype=np.float64)), echo.sum()
-        error = ERROR_FACTOR * float(difference / whole) if whole > 0 else 0.0
-        steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
-        if whole <= 0:
-            steps = 0.0  # nothing to judge by, and coarser samples would tell no more
-        # A body's own echo: by the samples that met it, and by how the two lattices differ. The echo of a body that
-        # few met is not known: it counts if it could be strong, unless it is hidden.
-        angle = self._extents.solid_angle(state, pose, self._true_range_sonar, self._reach_rad)
-        strength = angle * self._extents.reflectivity
-        counts = echo > MIN_ECHO_SHARE * total
-        for body in np.flatnonzero(
-            ~counts & (hits < MIN_BODY_SAMPLES) & (strength * self._gain.max() > MIN_ECHO_SHARE * total)
-        ):
-            one = bodies[body - 1], state.poses[body - 1]
-            counts[body] = is_unobstructed(view.sectors, *one, pose, self._true_range_sonar)
-        apart = np.where(
-            hits < MAX_COMPARED_SAMPLES,
-            DIFFERENCE_FACTOR * np.abs(echo - other_echo) / np.maximum(echo, 1e-30),
-            0.0,
-        )
-        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
-        worst = int(errors.argmax())
-        if counts.any():
-            finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
-            steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
-        steps = min(math.ceil(steps), MAX_STEPS)
-        worst_error = float(errors[worst])
-        plan = Plan(sampling, level, error, worst_error, worst if counts.any() else 0, steps <= 0)
-        return Judgement(plan, steps, LastCheck(pose, state, whole, self._n_noticed))
-
-    def _warn_if_unmet(self) -> None:
+    def _warn_if_unmet(self, plan: Plan) -> None:
         """Warn of a tolerance that cannot be kept, once until it can."""
-        plan, has_warned = self.plan, self._has_warned
-        self._has_warned = not plan.met
+        has_warned, self._has_warned = self._has_warned, not plan.met
         if plan.met or has_warned:
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
-        name = f" ({self._bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
+        name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
         warn_caller(
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
             f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
@@ -390,11 +326,6 @@ class AdaptiveSampling:
             "for a larger tolerance",
             ToleranceWarning,
         )
-
-
-def _body_error(hits):
-    """Return the relative error of a body's echo by its samples: few may all lie along a thin body, or beside it."""
-    return BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / hits) / hits**BODY_ERROR_RATE
 
 
 class ReplanTrigger:

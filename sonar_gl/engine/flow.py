@@ -52,12 +52,14 @@ class Resolution:
     check : the error of this ping is to be estimated
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
     finer_images : image sources were found to be sampled too coarsely before
+    error_estimate : that of this ping, whose samples were chosen from it alone; or None
     """
 
     stage: Stage
     check: bool = False
     is_final: bool = False
     finer_images: bool = False
+    error_estimate: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,11 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Needs the OpenGL context."""
     setup = run.with_later_bodies(setup)
-    resolution, received = run.sampler.resolution_for(setup, check), None
+    resolution, received = None, sample_alone(run, setup) if setup.request.alone else None
+    if received is None:
+        resolution = run.sampler.resolution_for(setup, check)
+    else:
+        resolution = run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
             (images,) = run.draw_images(resolution, [received.drawn.view], [setup])
@@ -43,6 +47,23 @@ def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
             received = receive(drawn)
         resolution = run.review(received)  # a body came into view, or multipath is too coarse
     return received
+
+
+def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
+    """Draw and receive a ping with samples chosen from it alone; None if all pings have the same samples."""
+    chosen = run.sampler.choose(setup)
+    if chosen is None:
+        return None
+    (stage, view, direct), plan = chosen
+    resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
+    background = None
+    if setup.background is not None:
+        state = setup.state.only(setup.background[1:])
+        (background,) = stage.draw([setup.request.pose], [state], keep_last=True)
+    (images,) = run.draw_images(resolution, [view], [setup])
+    drawn = DrawnPing(setup, resolution, view, images, background)
+    labels = label(drawn) if setup.request.labels else None
+    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
 
 
 def draw(

@@ -31,6 +31,7 @@ class PingRequest:
     velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame; or None
     reflectivity : names of bodies to μ, 0..1; or None
     water : fields of `Acoustics` to values; or None
+    alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
 
     Raises
     ------
@@ -49,6 +50,7 @@ class PingRequest:
     velocity: np.ndarray | None = None
     reflectivity: dict | None = None
     water: dict | None = None
+    alone: bool = False
 
     def __post_init__(self):
         check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")

@@ -144,8 +144,9 @@ class Run:
         if images is None:
             return [None] * len(setups)
         images.use_scene(self.world.scene)
-        if self.sampler.tolerance is None and not resolution.finer_images:
-            images.reset()  # samples were given: no ping depends on those before
+        is_alone = self.sampler.tolerance is None or any(setup.request.alone for setup in setups)
+        if is_alone and not resolution.finer_images:
+            images.reset()  # no ping depends on those before
         poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
         return images.draw(resolution.stage, views, poses, states)
 
@@ -194,7 +195,10 @@ class Run:
             sonars = self.instrument.sonar, self.instrument.acoustics.true_range_sonar(self.instrument.sonar)
             view = received.drawn.view.sectors
             no_echo = why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view)
-        return PingReport(self.sample_origin(), self.sampler.error_estimate(setup.request.pose), no_echo)
+        estimate = received.drawn.resolution.error_estimate
+        if estimate is None:
+            estimate = self.sampler.error_estimate(setup.request.pose)
+        return PingReport(self.sample_origin(), estimate, no_echo)
 
     def close(self) -> None:
         """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing.

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.worker import Job, JobThread
-from sonar_gl.engine.adaptive import Plan
+from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import draw, finish, receive, sample

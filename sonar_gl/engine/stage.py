@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
+from sonar_gl.beamform.beamformer import Beamformer, BeamWeights, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels import view_index
 from sonar_gl.core.array_pool import ArrayPools
@@ -20,8 +20,8 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
-MAX_STAGES = 6  # what is in use, the half of it, and what a search for others tries
-MAX_BYTES = 20e6  # of tables in all stages but the last two
+MAX_STAGES = 12  # a few samplings that pings need in turn, and the half of each
+MAX_BYTES = 40e6  # of tables in all stages but the last two
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +95,7 @@ class StageCache:
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
         self._rooms: dict[float, DrawingRoom] = {}
         self._stages: dict[tuple, Stage] = {}
+        self._weights: dict[bytes, BeamWeights] = {}
 
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return the stage of a sampling and a shear of the lattice; the OpenGL context must be current.
@@ -122,7 +123,14 @@ class StageCache:
     def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return a new stage, which is not kept."""
         beamformer = make_beamformer(
-            self.sonar, self.acoustics, sampling, self._thread, shear, self._max_column_width, self.pools
+            self.sonar,
+            self.acoustics,
+            sampling,
+            self._thread,
+            shear,
+            self._max_column_width,
+            self.pools,
+            self._weights,
         )
         room = self._rooms.setdefault(shear, DrawingRoom(self.buffers))
         renderer = Renderer(self.buffers, beamformer.fan, self.acoustics.specular, room)

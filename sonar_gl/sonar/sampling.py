@@ -40,6 +40,10 @@ class Sampling:
         if not isinstance(self.reducer, str) or self.reducer not in REDUCERS:
             raise Error(f"reducer must be one of {', '.join(REDUCERS)} (got {shown(self.reducer)})")
 
+    def count(self, sonar: Sonar) -> int:
+        """Return the number of samples over field of view and aperture."""
+        return round(self.columns_per_beam * sonar.n_beams) * self.rows
+
 
 COARSEST_DEG, LEVELS_PER_HALF = 1.0, 4  # width of samples at level 0; levels that halve it
 FINEST_LEVEL = 40  # unless the driver allows fewer samples
@@ -78,6 +82,14 @@ def sampling_of_width(sonar: Sonar, sample_deg: float) -> Sampling:
 def sampling_at(sonar: Sonar, level: int) -> Sampling:
     """Return the samples of a sampling level, 0 the coarsest."""
     return sampling_of_width(sonar, COARSEST_DEG * 2 ** (-level / LEVELS_PER_HALF))
+
+
+def level_of(sonar: Sonar, n_samples: int) -> int:
+    """Return the finest sampling level that has at most so many samples, or 0."""
+    level = 0
+    while level < FINEST_LEVEL and sampling_at(sonar, level + 1).count(sonar) <= n_samples:
+        level += 1
+    return level
 
 
 def typical_level(tolerance: float) -> int:

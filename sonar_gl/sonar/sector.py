@@ -154,9 +154,10 @@ def make_strips(sector: Sector, column_edges_rad) -> Strips:
     edges = -np.tan(azimuths - sector.azimuth_rad)
     # hardly wider than a sample: a sample that is nearest to the middle of no strip would be lost
     pieces = np.maximum(np.ceil((edges[:-1] - edges[1:]) / sector.u[1] - 0.1), 1).astype(int)
-    edges = np.concatenate(
-        [np.linspace(edges[k], edges[k + 1], n, endpoint=False) for k, n in enumerate(pieces)] + [edges[-1:]]
-    )
+    first = np.repeat(np.cumsum(pieces) - pieces, pieces)
+    steps = np.repeat((edges[1:] - edges[:-1]) / pieces, pieces)
+    within = (np.arange(len(steps)) - first) * steps
+    edges = np.append(np.repeat(edges[:-1], pieces) + within, edges[-1])
     u = (edges[1:] + edges[:-1]) / 2
     columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
     return Strips(np.clip(columns, 0, len(column_edges_rad) - 2), u, edges[:-1] - edges[1:])

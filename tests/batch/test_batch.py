@@ -20,7 +20,7 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import create_store, finalize, make_part, plan_manifest
+from sonar_gl.batch.parts import begin, create_store, finalize, make_part
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
@@ -50,25 +50,28 @@ def requests(small):
 @pytest.fixture(scope="module")
 def pings(small, requests):
     """The pings that a simulator makes of the same requests, by sonar."""
-    manifest, out = Manifest.load(Folder(small / "out")), {}
+    out = {}
     for name, sonar in requests.sonars.items():
-        sampling = sg.Sampling(**manifest.samplings[0][name])
-        with sg.Simulator(requests.scene(0), sonar, requests.acoustics, sampling) as simulator:
-            out[name] = [
-                simulator.ping(
-                    request.vehicle_pose @ requests.mounts[name],
-                    request.noise,
-                    requests.noise_seed(name),
-                    labels=True,
-                    ping_number=request.number,
-                    bodies=request.bodies,
-                    time_s=request.time_s,
-                    reflectivity=request.reflectivity,
-                    water=request.water,
-                    background=["floor", "wall"],
-                )
-                for request in requests
-            ]
+        group = xr.open_dataset(small / "out" / "pings.zarr", group=name)
+        samplings = zip(group.columns_per_beam.values.tolist(), group.rows.values.tolist(), strict=True)
+        samplings, pings = [sg.Sampling(*one) for one in samplings], {}
+        for sampling in set(samplings):
+            with sg.Simulator(requests.scene(0), sonar, requests.acoustics, sampling) as simulator:
+                for request in requests:
+                    if samplings[request.number] == sampling:
+                        pings[request.number] = simulator.ping(
+                            request.vehicle_pose @ requests.mounts[name],
+                            request.noise,
+                            requests.noise_seed(name),
+                            labels=True,
+                            ping_number=request.number,
+                            bodies=request.bodies,
+                            time_s=request.time_s,
+                            reflectivity=request.reflectivity,
+                            water=request.water,
+                            background=["floor", "wall"],
+                        )
+        out[name] = [pings[number] for number in range(len(requests))]
     return out
 
 
@@ -177,7 +180,7 @@ def test_varied_looks_are_whole_numbers_within_their_bounds(small):
 
 def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
     batch, reports = open_batch(small / "job.toml", tmp_path / "out"), []
-    plan_manifest(batch).save(batch.folder)
+    begin(batch).save(batch.folder)
     create_store(batch)
     make_part(batch, 1, one_by_one=True, report=lambda *report: reports.append(report))
     batch.close()
@@ -188,8 +191,53 @@ def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
     record = json.loads(made["parts/0000001.json"])
     assert len(record["files"]) > 20
     names = [name for name, found in record["files"].items() if found]
-    for name in [*names, "parts/0000001.json", "planned.json"]:
+    for name in [*names, "parts/0000001.json", "batch.json"]:
         assert made[name] == before[name]
+
+
+HARD = """<model name="rod"><static>true</static><pose>3.2 1.0 0.2 0.6 0 0</pose><link name="l"><collision name="c">
+<geometry><cylinder><radius>0.004</radius><length>0.5</length></cylinder></geometry></collision></link></model>"""
+
+
+@pytest.fixture(scope="module")
+def hard(tmp_path_factory):
+    """The job file of a batch with a thin rod that some of its pings see."""
+    folder = tmp_path_factory.mktemp("hard")
+    path = write_plain_job(folder, 8, 2)
+    scene = folder / "tank.sdf"
+    scene.write_text(scene.read_text().replace("</world>", f"{HARD}</world>"))
+    path.write_text(path.read_text().replace("pan_rad = [-0.2, 0.2]", "pan_rad = [-1.5, 0.6]"))
+    return path
+
+
+def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
+    """No ping takes its samples from those before it, though they need different ones."""
+    make_all(hard, tmp_path / "one")
+    batch = open_batch(hard, tmp_path / "other")
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    for part in (3, 0):
+        make_part(batch, part)
+    batch.close()
+    other = open_batch(hard, tmp_path / "other")  # as another process, or after a stop
+    for part in (2, 1):
+        make_part(other, part, one_by_one=True)
+    finalize(other)
+    other.close()
+    assert files_of(tmp_path / "one") == files_of(tmp_path / "other")
+    found = xr.open_dataset(tmp_path / "one" / "pings.zarr")
+    assert len(set(found.rows.values.tolist())) > 1
+    assert (found.error_estimate <= 0.05).all() and len(set(found.error_estimate.values.tolist())) > 2
+
+
+def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
+    status, shown, _ = run("batch", hard, "--dry-run", "--workers", "1")
+    lines = shown.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("level in tank.sdf: "))
+    assert status == 0 and lines[at].endswith(" of 8 pings")
+    assert lines[at + 1].startswith("  ping ") and "vehicle at '0 0 0 " in lines[at + 1]
+    assert " samples for body 'rod', estimated error 0.0" in lines[at + 1]
+    assert lines[at + 4].startswith("8 pings in 4 parts")
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
@@ -242,7 +290,7 @@ def test_a_part_replaces_its_damaged_files(small, tmp_path):
 
 def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
     batch = open_batch(write_job(tmp_path, 2, LABELS + MORE), tmp_path / "out")
-    plan_manifest(batch).save(batch.folder)
+    begin(batch).save(batch.folder)
     create_store(batch)
     make_part(batch, 0, {0: "it kills", 1: "it kills"}, one_by_one=True)
     finalize(batch)
@@ -335,7 +383,7 @@ def test_the_size_of_parts_follows_from_that_of_pings():
     assert default_pings_per_part(1.0) == 128
     assert default_pings_per_part(1e6) == 128
     assert default_pings_per_part(4e6) == 32
-    manifest = Manifest({}, "", 10, 4, [], [], None)
+    manifest = Manifest({}, "", 10, 4, None)
     assert manifest.n_parts == 3 and list(manifest.numbers(2)) == [8, 9]
 
 
@@ -410,16 +458,16 @@ def test_a_job_leaves_bodies_out_and_sets_the_surface(tmp_path):
     path = write_plain_job(tmp_path, 2, 2, "[arrays]\nmantissa_bits = 23\n")
     text = path.read_text().replace('[noise]\npreset = "physical"', 'multipath = "incoherent"')
     path.write_text(SELECTION + text)
-    manifest = make_all(path, tmp_path / "out")
+    make_all(path, tmp_path / "out")
     found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    (sampling,) = {*zip(found.columns_per_beam.values.tolist(), found.rows.values.tolist(), strict=True)}
     requests = BatchRequests(read_job(path))
     (sonar,) = requests.sonars.values()
     whole = sg.load_scene(tmp_path / "tank.sdf")
     scenes = whole, whole.only("box_1", "wall").without("box_*").with_surface(0.2), whole.only("wall")
     pings = []
     for scene in scenes:
-        sampling = sg.Sampling(**manifest.samplings[0]["level"])
-        with sg.Simulator(scene, sonar, requests.acoustics, sampling) as simulator:
+        with sg.Simulator(scene, sonar, requests.acoustics, sg.Sampling(*sampling)) as simulator:
             pings.append([simulator.ping(request.vehicle_pose).intensity for request in requests])
     whole_pings, expected, without_surface = np.array(pings)
     assert np.array_equal(found.intensity, expected)

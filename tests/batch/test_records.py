@@ -20,7 +20,7 @@ from tests.support.command_line import run
 from tests.support.inline_pool import use_inline_pool
 
 N = 4
-PLANNED, DONE, RECORD = "planned.json", "done.json", "parts/0000001.json"
+BEGUN, DONE, RECORD = "batch.json", "done.json", "parts/0000001.json"
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +54,7 @@ def assert_mended(made, out):
 
 
 CURES = {
-    PLANNED: "restore a copy, or have --resume --mend plan again; if no part is done, delete the folder",
+    BEGUN: "restore a copy, or have --resume --mend write it again; if no part is done, delete the folder",
     DONE: "delete it, or mend the batch by --resume --mend",
     RECORD: "delete it, or mend the batch by --resume --mend",
 }
@@ -94,11 +94,11 @@ def test_damage_of_a_record_is_found_refused_and_mended(made, out, name, damage)
     assert_mended(made, out)
 
 
-def test_each_changed_digit_of_a_plan_is_found(made, out):
-    """A digit that is changed would choose other samples for what is made from then on."""
-    text = (out / PLANNED).read_text()
+def test_each_changed_digit_of_the_manifest_is_found(made, out):
+    """A digit that is changed would divide what is made from then on otherwise."""
+    text = (out / BEGUN).read_text()
     for place in (m.start() for m in re.finditer(r"\d", text)):
-        (out / PLANNED).write_text(text[:place] + str((int(text[place]) + 1) % 10) + text[place + 1 :])
+        (out / BEGUN).write_text(text[:place] + str((int(text[place]) + 1) % 10) + text[place + 1 :])
         with pytest.raises(sg.Error, match="must be as it was written"):
             Manifest.load(Folder(out))
 
@@ -111,39 +111,51 @@ def test_a_record_that_is_missing_is_found_and_made_again(made, out, name):
     assert_mended(made, out)
 
 
-def test_a_damaged_plan_without_finished_parts_is_not_mended(made, out):
+def test_a_damaged_manifest_without_finished_parts_is_not_mended(made, out):
     shutil.rmtree(out / "parts")
-    (out / PLANNED).write_text("{}")
+    (out / BEGUN).write_text("{}")
     for more in ((), ("--mend",)):
         status, _, err = resume(made, out, *more)
         assert status == 2 and err.endswith("if no part is done, delete the folder)\n")
 
 
-def test_a_damaged_plan_is_not_replaced_by_that_of_another_job(made, out, tmp_path):
-    (out / PLANNED).write_text("{}")
+def test_a_damaged_manifest_is_not_replaced_by_that_of_another_job(made, out, tmp_path):
+    (out / BEGUN).write_text("{}")
     before = files_of(out)
     (tmp_path / "other").mkdir()
     other = write_plain_job(tmp_path / "other", N, 2)
     other.write_text(other.read_text().replace("seed = 5", "seed = 6"))
     status, _, err = run("batch", other, "--out", out, "--resume", "--mend", "--workers", "1")
     assert status == 2 and "error: " in err
-    assert f"{out}: a batch must be planned again by the job, OpenGL and libraries that planned it" in err
+    assert (
+        f"{out}: batch.json must be written again by the job, OpenGL and libraries that began the batch"
+        in err
+    )
     assert files_of(out) == before
 
 
-def test_a_valid_plan_in_place_of_another_is_refused(made, out):
-    """Its parts would be mixed with those of the former plan."""
-    plan = json.loads((out / PLANNED).read_text())
+def test_a_valid_manifest_in_place_of_another_is_refused(made, out):
+    """Its parts would be mixed with those of the former one."""
+    plan = json.loads((out / BEGUN).read_text())
     del plan["sha256"]
-    plan["samplings"][0]["level"]["rows"] += 1
-    (out / PLANNED).write_bytes(record_bytes(plan))
+    plan["system"]["numpy"] += "1"
+    (out / BEGUN).write_bytes(record_bytes(plan))
     status, shown, _ = run("batch", "--check", out)
     assert status == 1
-    assert f"{out / RECORD}: is of another plan than that of planned.json\n" in shown
+    assert f"{out / RECORD}: is of another batch than that of batch.json\n" in shown
     status, _, err = resume(made, out)
-    assert (
-        status == 2 and "parts/0000000.json: must be of the plan in planned.json (got one of another" in err
-    )
+    assert status == 2 and "parts/0000000.json: must be of the batch in batch.json (got one of another" in err
+
+
+def test_a_folder_of_a_version_that_planned_batches_is_refused(made, out):
+    (out / BEGUN).rename(out / "planned.json")
+    for command in (("--check", out), (made / "job.toml", "--out", out, "--resume", "--workers", "1")):
+        status, _, err = run("batch", *command)
+        assert status == 2
+        assert err == (
+            f"error: {out}/planned.json: a batch must be finished by the version that began it (got one whose samples "
+            "were chosen before its first ping, as this version no longer does; use that version, or another folder)\n"
+        )
 
 
 def test_a_batch_that_is_whole_is_not_touched(made, out):
@@ -211,12 +223,14 @@ def on_another_system(monkeypatch, **changes):
 @pytest.mark.parametrize("field", OTHERS)
 def test_a_batch_is_not_resumed_on_another_system_unless_that_is_wanted(made, half, field, monkeypatch):
     before = files_of(half)
-    planned = json.loads(before[PLANNED])["system"][field]
+    planned = json.loads(before[BEGUN])["system"][field]
     on_another_system(monkeypatch, **{field: OTHERS[field]})
     status, _, err = resume(made, half)
     *_, line = err.splitlines()
     assert status == 2 and "Traceback" not in err
-    said = "pings must be made by the OpenGL and the libraries that planned them, as others round otherwise"
+    said = (
+        "pings must be made by the OpenGL and the libraries that began the batch, as others round otherwise"
+    )
     assert line.startswith(f"error: {half}: {said} (got ")
     assert f"(got {field} {OTHERS[field]!r} instead of {planned!r} on " in line
     assert line.endswith("restore these, give another folder, or accept other last bits by --any-system)")
@@ -256,13 +270,13 @@ def test_a_plan_says_what_made_it(made):
 
 
 def test_a_plan_that_is_missing_is_mended_or_the_message_says_how(made, half):
-    (half / PLANNED).unlink()
+    (half / BEGUN).unlink()
     status, _, err = resume(made, half)
     assert status == 2
-    assert err.endswith(f"--resume (there is no {PLANNED}; --resume --mend makes it again)\n")
+    assert err.endswith(f"--resume (there is no {BEGUN}; --resume --mend makes it again)\n")
     assert resume(made, half, "--mend")[0] == 0 and run("batch", "--check", half)[0] == 0
 
 
 def test_a_folder_without_a_batch_is_called_so(tmp_path):
     status, _, err = run("batch", "--check", tmp_path)
-    assert status == 2 and err.endswith(f"must be the folder of a batch (there is no {PLANNED} in it)\n")
+    assert status == 2 and err.endswith(f"must be the folder of a batch (there is no {BEGUN} in it)\n")

@@ -10,7 +10,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
-from sonar_gl.engine import adaptive
+from sonar_gl.engine import error_model
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.visibility import BodyExtents, count_bodies
 from sonar_gl.scene.state import SceneState
@@ -115,8 +115,8 @@ class TestMoving:
         """Return, for each pose, whether the error was estimated, and the number of rows."""
         out = []
         with sg.Simulator(self.scene(), SONAR, IDEAL, **settings) as simulator:
-            calls, count = [], adaptive.count_bodies
-            monkeypatch.setattr(adaptive, "count_bodies", lambda *a: calls.append(1) or count(*a))
+            calls, count = [], error_model.count_bodies
+            monkeypatch.setattr(error_model, "count_bodies", lambda *a: calls.append(1) or count(*a))
             for pose in poses:
                 before = len(calls)
                 ping = simulator.ping(pose)
@@ -137,7 +137,7 @@ class TestMoving:
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
             expected = simulator.ping(np.eye(4)).intensity
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
-            count, calls = adaptive.count_bodies, []
+            count, calls = error_model.count_bodies, []
 
             def broken_off(*arguments):
                 calls.append(1)
@@ -145,10 +145,10 @@ class TestMoving:
                     raise KeyboardInterrupt
                 return count(*arguments)
 
-            monkeypatch.setattr(adaptive, "count_bodies", broken_off)
+            monkeypatch.setattr(error_model, "count_bodies", broken_off)
             with pytest.raises(KeyboardInterrupt):
                 simulator.ping(np.eye(4))
-            monkeypatch.setattr(adaptive, "count_bodies", count)
+            monkeypatch.setattr(error_model, "count_bodies", count)
             ping = simulator.ping(np.eye(4))
         assert ping.error_estimate <= 0.01
         np.testing.assert_array_equal(ping.intensity, expected)
@@ -303,7 +303,7 @@ class TestPlan:
         assert ping.error_estimate is None and ping.meta["tolerance"] is None
 
     def test_an_unreachable_tolerance_warns_and_uses_the_finest_level(self, monkeypatch):
-        monkeypatch.setattr("sonar_gl.engine.adaptive.FINEST_LEVEL", 6)
+        monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 6)
         scene = sg.Scene([ball(x=10, radius=0.5)])
         with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.001) as simulator:
             with pytest.warns(ToleranceWarning, match="^tolerance 0.001 cannot be met here: ") as caught:

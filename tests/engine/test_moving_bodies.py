@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.engine import adaptive
+from sonar_gl.engine import error_model
 from sonar_gl.raster.buffers import GrowingBuffer
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
@@ -263,8 +263,8 @@ def test_meshes_are_uploaded_once(monkeypatch):
 
 def record_estimates(monkeypatch):
     """Return a list that grows with each estimate of the error."""
-    estimates, count = [], adaptive.count_bodies
-    monkeypatch.setattr(adaptive, "count_bodies", lambda *args: estimates.append(1) or count(*args))
+    estimates, count = [], error_model.count_bodies
+    monkeypatch.setattr(error_model, "count_bodies", lambda *args: estimates.append(1) or count(*args))
     return estimates
 
 

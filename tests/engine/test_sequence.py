@@ -12,7 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
-from sonar_gl.engine import adaptive, pipeline, sequence
+from sonar_gl.engine import error_model, pipeline, sequence
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -191,8 +191,8 @@ def test_invalid_poses_raise_errors():
 
 def record_estimates(monkeypatch):
     """Return a list that grows by two with each estimate of the error."""
-    estimates, count = [], adaptive.count_bodies
-    monkeypatch.setattr(adaptive, "count_bodies", lambda *args: estimates.append(1) or count(*args))
+    estimates, count = [], error_model.count_bodies
+    monkeypatch.setattr(error_model, "count_bodies", lambda *args: estimates.append(1) or count(*args))
     return estimates
 
 

@@ -1,7 +1,7 @@
 """The command line, for tests of batches in which something goes wrong: pings are slow, and some kill.
 
-SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them; DEADLY_PLANS :
-file with the number of processes that shall die as they plan; SIGNAL : by which they die, SIGKILL by default;
+SLOW_S : seconds that each ping takes longer; DEADLY : times of pings whose process dies of them; DEADLY_BEGINS :
+file with the number of processes that shall die as they begin a batch; SIGNAL : by which they die, SIGKILL by default;
 MEMORY_MB : memory that processes may take beyond what they have, from their first ping on; STALL_S : of `pool`.
 Processes that make parts load this file as they start, as they do with any program that begins a batch.
 """
@@ -12,13 +12,13 @@ import signal
 import time
 from pathlib import Path
 
-from sonar_gl.batch import pool
+from sonar_gl.batch import parts, pool
 from sonar_gl.cli import main as cli
 from sonar_gl.engine.run import Run
 
 real = Run.set_up
 end_signal = getattr(signal, os.environ.get("SIGNAL", "SIGKILL"))
-deadly_plans = os.environ.get("DEADLY_PLANS")
+deadly_begins = os.environ.get("DEADLY_BEGINS")
 memory_mb = os.environ.get("MEMORY_MB")
 slow_s = float(os.environ.get("SLOW_S", "0"))
 deadly = [float(word) for word in os.environ.get("DEADLY", "").split()]
@@ -37,21 +37,25 @@ def limit_memory():
 
 
 def set_up(run, request):
-    if deadly_plans and run.sampler.tolerance is not None:
-        left = int(Path(deadly_plans).read_text())
-        Path(deadly_plans).write_text(str(left - 1))
-        if left > 0:
-            die()
     if memory_mb:
         limit_memory()
-    if run.sampler.tolerance is None:  # the samples are planned
-        if any(abs(request.time_s - at) < 1e-6 for at in deadly):
-            die()
-        time.sleep(slow_s)
+    if any(abs(request.time_s - at) < 1e-6 for at in deadly):
+        die()
+    time.sleep(slow_s)
     return real(run, request)
 
 
+def begin(batch, report=parts.no_report):
+    if deadly_begins:
+        left = int(Path(deadly_begins).read_text())
+        Path(deadly_begins).write_text(str(left - 1))
+        if left > 0:
+            die()
+    return parts.begin(batch, report)
+
+
 Run.set_up = set_up
+parts.STEPS["begin"] = begin
 
 pool.STALL_S = float(os.environ.get("STALL_S", pool.STALL_S))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from sonar_gl.batch.folder import LOCK, Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
-from sonar_gl.batch.parts import Batch, create_store, finalize, make_part, plan_manifest
+from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part
 from tests.support.command_line import BODY, SONAR, WALL
 
 BOX = BODY.format("box_1", "3 0.3 -0.3", "0.2 0.2 0.2")
@@ -116,7 +116,7 @@ def open_batch(job_file, url) -> Batch:
 def make_all(job_file, url) -> Manifest:
     """Make a complete batch in this process."""
     batch = open_batch(job_file, url)
-    plan_manifest(batch).save(batch.folder)
+    begin(batch).save(batch.folder)
     create_store(batch)
     for part in range(batch.manifest.n_parts):
         make_part(batch, part)

@@ -10,7 +10,7 @@ All pings are of the scene pylon, sonar p900-45, with labels and `Noise.physical
 
 rate : pings a second of (a) `Simulator.pings` and `add_noise` in one process, where the software driver may
     use all cores, (b) a batch with one worker, (c) with two. The rate of a batch is that of a round's parts,
-    by workers that have made some before. The start of a worker is measured apart, without planning
+    by workers that have made some before. The start of a worker is measured apart
 writing : where a worker's time goes, alone on one core, by the clock and by the time of its processors
 flushes : what it costs that each part is on the disk before its record, by a worker that does so and does not by
     turns
@@ -38,12 +38,13 @@ from sonar_gl.batch import folder as folder_module
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import Manifest, default_pings_per_part, record_name
-from sonar_gl.batch.parts import Batch, create_store, plan_manifest
+from sonar_gl.batch.parts import Batch, begin, create_store
 from sonar_gl.batch.pool import ONE_THREAD, Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.run import run as run_batch
 from sonar_gl.batch.schema import Schema
 from sonar_gl.core.poses import pose_numbers
+from sonar_gl.engine.sequence import make_pings
 from sonar_gl.noise.noise import add_noise
 from tools.bench import harness
 from tools.bench.harness import Aim
@@ -104,7 +105,7 @@ def make_job(pings: int, quick: bool) -> Job:
 
 
 def begin_batch(job: Job, manifest: Manifest, url: str) -> str:
-    """Make a folder with a batch that is planned, and has none of its pings; return its URL."""
+    """Make a folder with a batch that has none of its pings; return its URL."""
     folder = Folder(url)
     manifest.save(folder)
     create_store(Batch(job, folder))
@@ -120,14 +121,17 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict
     """Return pings a second of a, b and c, their ratios, start of workers, sizes, the parent's work."""
     requests, found, pools = BatchRequests(job), defaultdict(list), {}
     ((name, sonar),) = requests.sonars.items()
-    sampling = sg.Sampling(**manifest.samplings[0][name])
     parts_a_round = (manifest.n_parts - 2) // rounds
     with ExitStack() as stack:
-        simulator = stack.enter_context(sg.Simulator(requests.scene(0), sonar, requests.acoustics, sampling))
+        settings = {"tolerance": job.tolerance}
+        simulator = stack.enter_context(
+            sg.Simulator(requests.scene(0), sonar, requests.acoustics, **settings)
+        )
+        mount = requests.mounts[name]
 
         def ping_without_batch(numbers):
             in_part = [requests[n] for n in numbers]
-            pings = simulator.pings([request.vehicle_pose for request in in_part], labels=True)
+            pings = make_pings(simulator.run, (one.for_sonar(mount, labels=True) for one in in_part))
             for request, ping in zip(in_part, pings, strict=True):
                 add_noise(ping, request.noise, 0, request.number)
 
@@ -267,8 +271,8 @@ def measure_long(job: Job, pings: int, folder: str) -> dict:
         k for k in reversed(range(len(progress_made))) if progress_made[-1][1] - progress_made[k][1] >= few
     )
     rates = {}
-    for name, begin, end in (("first", 0, first), ("last", last, -1)):
-        (begin_s, done_before), (end_s, done) = progress_made[begin], progress_made[end]
+    for name, from_, to in (("first", 0, first), ("last", last, -1)):
+        (begin_s, done_before), (end_s, done) = progress_made[from_], progress_made[to]
         rates[name] = {"pings": done - done_before, "pings_s": (done - done_before) / (end_s - begin_s)}
     size, files = size_of(f"{folder}/long")
     return {"pings": pings, "rates": rates, "memory": memory, "s": took_s, "mb": size / 1e6, "files": files}
@@ -316,8 +320,7 @@ def run(options) -> dict:
     n_parts = 2 + rounds * (options.parts_a_round or (2 if quick else 8))
     job, found = make_job(n_parts * part, quick), {}
     with tempfile.TemporaryDirectory() as folder:
-        plan_ms, manifest = harness.timed(plan_manifest, Batch(job, Folder(folder)))
-        found["planning_s"] = plan_ms / 1e3
+        manifest = begin(Batch(job, Folder(folder)))
         if {"rate", "plan"} & parts:
             found["rate"] = measure_rate(job, manifest, rounds, folder)
         if "writing" in parts:
@@ -349,7 +352,6 @@ def aims_of(found: dict) -> list[Aim]:
 
 def report(found: dict):
     """Print the figures."""
-    print(f"planning took {found['planning_s']:.1f} s")
     if rate := found.get("rate"):
         print("\nrate, pings a second")
         for way, name in (("a", "one process"), ("b", "batch, 1 worker"), ("c", "batch, 2 workers")):
@@ -393,6 +395,6 @@ def report(found: dict):
         for row in long["memory"]:
             workers = ", ".join(f"{mb:.0f}" for mb in row["workers_mb"])
             print(f"  {row['at']:4.0%} resident, MB: parent {row['parent_mb']:.0f}, workers {workers}")
-        print(f"  {long['s']:.0f} s with planning, {long['mb']:.0f} MB in {long['files']} files")
+        print(f"  {long['s']:.0f} s, {long['mb']:.0f} MB in {long['files']} files")
     if found["aims"]:
         harness.print_aims(found["aims"])

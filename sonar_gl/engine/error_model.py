@@ -1,0 +1,202 @@
+"""The sampling error model: what error the samples of a ping leave, and how many more or fewer would do.
+
+A ping is compared with one of half the samples. The difference of the two decreases as the error does, and
+ERROR_FACTOR times the difference nearly always exceeds the error. The relative error of a small body's echo is
+modelled as BODY_ERROR_FACTOR / n^0.75 for n samples, the law of stratified sampling in two dimensions. It is larger
+where samples are few, and at least the difference of that body's echo between the two pings.
+These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.core.compiled import compiled
+from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.engine.visibility import BodyExtents, count_bodies, is_unobstructed
+from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.sampling import (
+    ERROR_RATE,
+    FINEST_LEVEL,
+    LEVELS_PER_HALF,
+    WORST_BODY,
+    Sampling,
+    check_tolerance,
+    half_of,
+    sampling_at,
+)
+from sonar_gl.sonar.sector import SHEAR
+
+ERROR_FACTOR = 1.0  # of the difference between a ping and one of half the samples
+BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
+MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
+MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
+DIFFERENCE_FACTOR = 0.7  # of the difference between two lattices in a body's own echo
+# With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
+MAX_COMPARED_SAMPLES = 300
+MAX_STEPS = 4  # at a time: estimates from very few samples are rough, and four times the samples cost enough
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The samples that were chosen for a tolerance.
+
+    Attributes
+    ----------
+    sampling : Sampling
+    level : sampling level
+    error_estimate : the error stays below, in 95 of 100 cases
+    worst_body_estimate : the relative error of any body's own echo likewise
+    worst_body : number of that body, 0 for none
+    met : whether the tolerance is met
+    """
+
+    sampling: Sampling
+    level: int
+    error_estimate: float
+    worst_body_estimate: float
+    worst_body: int
+    met: bool
+
+    @property
+    def bound(self) -> float:
+        """The estimated error; if the tolerance is not met, the larger of it and what breaks the promise of a body.
+
+        It is above the tolerance if and only if the plan is not met.
+        """
+        bodies = 0.0 if self.met else self.worst_body_estimate / WORST_BODY
+        return max(self.error_estimate, bodies)
+
+
+class Judgement(NamedTuple):
+    """A sampling level in a ping.
+
+    Attributes
+    ----------
+    plan : Plan of this level
+    steps : by how many levels finer (or coarser, if negative) would do
+    """
+
+    plan: Plan
+    steps: int
+
+
+class TriedView(NamedTuple):
+    """A view that was drawn and summed with some sampling level, with the numbers of bodies.
+
+    Attributes
+    ----------
+    stage : Stage of that level
+    view : ViewSamples, valid until something else is drawn
+    echo : BeamEcho
+    """
+
+    stage: Stage
+    view: ViewSamples
+    echo: BeamEcho
+
+
+class ErrorModel:
+    """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.
+
+    Parameters
+    ----------
+    stages : StageCache
+    tolerance : as for `Simulator`
+    gain : (K,) of the sonar's bins
+
+    Attributes
+    ----------
+    tolerance
+    finest : the finest sampling level that the driver's limits are known to allow
+    """
+
+    def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
+        self.tolerance, self.finest = check_tolerance(tolerance), FINEST_LEVEL
+        self._stages, self._sonar = stages, stages.sonar
+        self._gain, self._specular = gain, stages.acoustics.specular
+        self._true_range_sonar = stages.acoustics.true_range_sonar(self._sonar)
+        self._extents = BodyExtents(self.bodies, self._specular)
+        self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
+
+    @property
+    def bodies(self) -> list:
+        """The bodies of the scene."""
+        return self._stages.buffers.meshes.bodies
+
+    def stage_at(self, level: int) -> Stage:
+        """Return the stage of a sampling level."""
+        return self._stages.stage(sampling_at(self._sonar, level))
+
+    def draw(self, setup: PingSetup, level: int) -> TriedView:
+        """Draw and sum the view of a ping with a sampling level."""
+        return _drawn(self.stage_at(level), setup)
+
+    def judge(self, setup: PingSetup, level: int, tried: TriedView) -> Judgement:
+        """Estimate the error of a level in a ping; `tried` has samples of that level."""
+        # in the mirror image of the lattice a rod that runs along its rows does not
+        coarse = self._stages.stage(half_of(tried.stage.sampling), -SHEAR)
+        bodies, state, pose = self.bodies, setup.state, setup.request.pose
+        if self._extents.n_bodies < len(bodies):  # some were added
+            self._extents = BodyExtents(bodies, self._specular)
+        sectors = tried.view.sectors
+        counted = len(bodies), self._true_range_sonar, self._gain, tried.stage.beamformer.elevation_table
+        hits, echo = count_bodies(sectors, *counted)
+        other = _drawn(coarse, setup)
+        _, other_echo = count_bodies(other.view.sectors, *counted)
+        whole, total = tried.echo.total, echo.sum()
+        difference = _sum_of_differences(tried.echo.intensity, other.echo.intensity)
+        error = ERROR_FACTOR * float(difference / whole) if whole > 0 else 0.0
+        steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
+        if whole <= 0:
+            steps = 0.0  # nothing to judge by, and coarser samples would tell no more
+        # A body's own echo: by the samples that met it, and by how the two lattices differ. The echo of a body that
+        # few met is not known: it counts if it could be strong, unless it is hidden.
+        angle = self._extents.solid_angle(state, pose, self._true_range_sonar, self._reach_rad)
+        strength = angle * self._extents.reflectivity
+        counts = echo > MIN_ECHO_SHARE * total
+        for body in np.flatnonzero(
+            ~counts & (hits < MIN_BODY_SAMPLES) & (strength * self._gain.max() > MIN_ECHO_SHARE * total)
+        ):
+            one = bodies[body - 1], state.poses[body - 1]
+            counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar)
+        apart = np.where(
+            hits < MAX_COMPARED_SAMPLES,
+            DIFFERENCE_FACTOR * np.abs(echo - other_echo) / np.maximum(echo, 1e-30),
+            0.0,
+        )
+        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
+        worst = int(errors.argmax())
+        if counts.any():
+            finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
+            steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
+        steps = min(math.ceil(steps), MAX_STEPS)
+        worst_error = float(errors[worst])
+        plan = Plan(tried.stage.sampling, level, error, worst_error, worst if counts.any() else 0, steps <= 0)
+        return Judgement(plan, steps)
+
+
+def _drawn(stage: Stage, setup: PingSetup) -> TriedView:
+    (view,) = stage.draw([setup.request.pose], [setup.state], with_bodies=True)
+    return TriedView(stage, view, stage.beamformer.sum_view(view, setup.gain))
+
+
+@compiled
+def _sum_of_differences(a, b):
+    """Return Σ|a − b| of two float32 arrays of one shape, (B, K); NumPy would fill two more of them."""
+    total = 0.0
+    for j in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            total += abs(a[j, i] - b[j, i])
+    return total
+
+
+def _body_error(hits):
+    """Return the relative error of a body's echo by its samples: few may all lie along a thin body, or beside it."""
+    return BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / hits) / hits**BODY_ERROR_RATE

@@ -1,0 +1,114 @@
+"""Pings whose samples are chosen from each ping alone: any order gives the same bytes."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.engine.error_model import ErrorModel
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.sequence import make_pings
+from sonar_gl.sonar.sampling import ToleranceWarning
+
+SONAR = sg.Sonar("alone", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
+RODS = [
+    sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+    for y in range(-9, 10)
+]
+WALL = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8))
+BALL = sg.Body("ball", trimesh.creation.icosphere(3, 0.5), sg.pose(5, 0.5))
+SCENE = sg.Scene([WALL, BALL, *RODS], surface_z_m=3.0)
+# of the wall, along it, of the rods, and from aside
+POSES = [sg.pose(yaw=yaw) for yaw in (0.0, 1.57, np.pi, 0.4, 2.9)]
+MORE = {
+    "plain": ({}, {}),
+    "labels": ({}, {"labels": True}),
+    "shadows": ({}, {"labels": True, "background": ["wall"]}),
+    "multipath": ({"acoustics": sg.Acoustics.physical(multipath="incoherent")}, {"labels": True}),
+}
+
+ARRAYS = (
+    "intensity",
+    "body_id",
+    "elevation_rad",
+    "incidence_rad",
+    "true_range_m",
+    "share",
+    "body_echo",
+    "shadow",
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore:no echo came back")
+
+
+def assert_same(one, other):
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def requests(**more):
+    return [PingRequest(pose, alone=True, **more) for pose in POSES]
+
+
+@pytest.mark.parametrize("kind", MORE)
+def test_any_order_and_company_gives_the_same_bytes(kind):
+    settings, more = MORE[kind]
+    wanted = requests(**more)
+    with sg.Simulator(SCENE, SONAR, tolerance=0.05, **settings) as simulator:
+        first = [make_ping(simulator.run, request) for request in wanted]
+    with sg.Simulator(SCENE, SONAR, tolerance=0.05, **settings) as simulator:
+        simulator.ping(sg.pose(-4, 1))  # another ping, and then a plan
+        backward = list(make_pings(simulator.run, iter(wanted[::-1])))[::-1]
+        simulator.plan(POSES[:1])
+        planned = [make_ping(simulator.run, wanted[2])]
+    for one, other in zip([*first, first[2]], [*backward, *planned], strict=True):
+        assert_same(one, other)
+        assert one.error_estimate == other.error_estimate and one.meta["sampling"] == other.meta["sampling"]
+
+
+@pytest.mark.parametrize("kind", ["plain", "labels", "shadows"])
+def test_the_ping_is_that_of_the_samples_it_states(kind):
+    """So a ping of a data set can be made again by its samples."""
+    settings, more = MORE[kind]
+    with sg.Simulator(SCENE, SONAR, tolerance=0.05, **settings) as simulator:
+        pings = [make_ping(simulator.run, request) for request in requests(**more)]
+    for ping in pings:
+        with sg.Simulator(SCENE, SONAR, sampling=sg.Sampling(**ping.meta["sampling"]), **settings) as fixed:
+            assert_same(fixed.ping(ping.pose, **more), ping)
+
+
+def test_a_hard_view_makes_no_other_ping_finer():
+    """A wall with a ball takes the first samples that are tried, before and after the rods, which take more."""
+    with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator:
+        wall, _, rods, *_ = requests()
+        rows = [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in (wall, rods, wall)]
+    assert rows[0] == rows[2] < rows[1]
+
+
+def test_the_samples_of_a_ping_keep_the_tolerance_or_its_estimate_says_so(monkeypatch):
+    with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator:
+        assert all(make_ping(simulator.run, one).error_estimate <= 0.02 for one in requests())
+    monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 2)
+    warns = pytest.warns(ToleranceWarning, match="cannot be met here")
+    with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator, warns:
+        assert make_ping(simulator.run, requests()[2]).error_estimate > 0.02
+
+
+def test_a_level_that_does_not_fit_takes_the_finest_that_does(monkeypatch):
+    real = ErrorModel.draw
+
+    def draw(model, setup, level):
+        if level > 9:
+            raise SampleLimitError("too many")
+        return real(model, setup, level)
+
+    def level_of(order):
+        with sg.Simulator(SCENE, SONAR, tolerance=0.005) as simulator:
+            return [make_ping(simulator.run, requests()[k]).meta["sampling"]["rows"] for k in order]
+
+    monkeypatch.setattr(ErrorModel, "draw", draw)
+    with pytest.warns(ToleranceWarning):
+        forward, backward = level_of((0, 2)), level_of((2, 0))
+    assert forward == backward[::-1]

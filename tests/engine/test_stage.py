@@ -1,0 +1,23 @@
+"""Stages: what they share, so that another sampling costs little."""
+
+import numpy as np
+
+import sonar_gl as sg
+from sonar_gl.beamform import beamformer
+from sonar_gl.sonar.sampling import sampling_at
+
+SONAR = sg.Sonar("stage", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
+
+
+def test_samplings_of_the_same_columns_share_the_weights_of_their_beams(monkeypatch):
+    """Columns are at most half a beam spacing wide: all coarse samplings have the same ones."""
+    calls, weigh = [], beamformer.beam_weights
+    monkeypatch.setattr(beamformer, "beam_weights", lambda *a: calls.append(1) or weigh(*a))
+    with sg.Simulator(sg.Scene([]), SONAR, sampling=sampling_at(SONAR, 0)) as simulator:
+        stages = simulator.run.stages
+        calls.clear()
+        with simulator.run.drawing():
+            fans = [stages.stage(sampling_at(SONAR, level)).fan for level in (0, 2, 4, 20, 4)]
+    edges = [fan.column_edges_rad for fan in fans]
+    assert np.array_equal(edges[0], edges[2]) and len(edges[3]) > len(edges[0])
+    assert len(calls) == 1  # of level 20, whose columns are narrower; the last is kept as a whole
