@@ -206,14 +206,13 @@ class Beamformer:
         sines = np.linspace(-self._top, self._top, ELEVATIONS)
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._first = weights.first
-        self._weights = np.pad(weights.weights, ((0, 0), (0, -weights.weights.shape[1] % 4)))
+        self._tiles = tuple(kernels.beam_tiles(weights.first, weights.weights))
+        n_tiles = len(self._tiles[0])
+        self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
         self._sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
         self._spans = np.tile([0, fan.sonar.n_bins], (fan.n_columns, 1))  # bins where a row may differ from 0
         self._spread = fan.sampling.reducer == "footprint"
-        middle = (len(weights.first) + 1) // 2
-        self._beams = slice(0, middle), slice(middle, None)
         received = np.zeros(fan.n_columns, bool)
         for w in range(weights.weights.shape[1]):
             received[(weights.first[weights.weights[:, w] > 0] + w) % fan.n_columns] = True
@@ -226,8 +225,9 @@ class Beamformer:
         self._make_labeller = partial(
             Labeller,
             fan,
-            weights.first,
-            self._weights,
+            shape,
+            self._tiles,
+            self._parts,
             self._bins,
             (self.elevation_table, weighted_elevation),
             pools,
@@ -237,7 +237,7 @@ class Beamformer:
     def n_bytes(self) -> int:
         """Bytes of its tables and sums, about."""
         labeller = 0 if self._labeller is None else self._labeller.n_bytes
-        return self._sums.nbytes + self._weights.nbytes + labeller
+        return self._sums.nbytes + self._tiles[1].nbytes + labeller
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
@@ -247,11 +247,12 @@ class Beamformer:
     def sum_footprints(self, samples: Sequence[SectorSamples], gain=NO_GAIN) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain."""
 
+        of_sectors = [(whole_rows(one.plane_echo), one.lattice) for one in samples]
+
         def work(half):
-            for one, strips in zip(samples, self._strips[half], strict=True):
+            for one, strips in zip(of_sectors, self._strips[half], strict=True):
                 kernels.sum_footprints(
-                    whole_rows(one.plane_echo),
-                    one.lattice,
+                    *one,
                     strips,
                     self._bins,
                     self._spread,
@@ -326,17 +327,16 @@ class Beamformer:
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
-        out = self._pool.zeros()
+        out, totals = self._pool.empty(), [0.0, 0.0]
 
         def work(half):
-            part = self._beams[half]
-            kernels.weigh_columns(
-                self._sums, self._spans, self._first[part], self._weights[part], gain, out[part]
+            totals[half] = kernels.weigh_columns(
+                self._sums, self._spans, self._tiles, self._parts[half], gain, out
             )
 
         bins = np.maximum(self._spans[:, 1] - self._spans[:, 0], 0).mean()
-        self._run(work, self._weights.size * bins < FEW_PRODUCTS)
-        return BeamEcho(out, float(out.sum(dtype=np.float64)))
+        self._run(work, self._tiles[1].size * bins < FEW_PRODUCTS)
+        return BeamEcho(out, sum(totals))
 
 
 def _strips_within(strips, columns, received) -> tuple:

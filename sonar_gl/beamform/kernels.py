@@ -440,29 +440,95 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
-@compiled
-def weigh_columns(column_sums, spans, first, weights, gain, out):
-    """Add beams as weighted sums of columns, times a gain, to `out`.
+TILE_BEAMS = 4  # beams at a time, so that what is read of columns serves several
 
-    column_sums : (columns, K), zero outside of spans, (columns, 2); first : (B,); weights : (B, W), of
-    `beam_weights`, W a multiple of 4; gain : (K,) or of no length; out : (B, K), zeros
+
+class BeamTiles(NamedTuple):
+    """Weights of TILE_BEAMS beams at a time: see `beam_tiles`.
+
+    first : (T,) int64, column where each tile begins, may be negative; weights : (T, W', TILE_BEAMS) float32,
+        W' a multiple of 4
     """
-    n_columns = column_sums.shape[0]
-    for b in range(out.shape[0]):
-        row, begin, end = uint64(b), column_sums.shape[1], 0
-        for w in range(0, weights.shape[1], 4):  # four at a time: a beam is read and written less often
-            w0, w1, w2, w3 = weights[b, w], weights[b, w + 1], weights[b, w + 2], weights[b, w + 3]
-            c0, c1 = uint64((first[b] + w) % n_columns), uint64((first[b] + w + 1) % n_columns)
-            c2, c3 = uint64((first[b] + w + 2) % n_columns), uint64((first[b] + w + 3) % n_columns)
+
+    first: np.ndarray
+    weights: np.ndarray
+
+
+def beam_tiles(first, weights) -> BeamTiles:
+    """Lay the weights of beams side by side, TILE_BEAMS at a time; arguments as `beam_weights` returns them."""
+    (B, W), corners = weights.shape, range(0, len(first), TILE_BEAMS)
+    starts = np.array([first[b : b + TILE_BEAMS].min() for b in corners])
+    stops = np.array([first[b : b + TILE_BEAMS].max() for b in corners])
+    n_columns = W + TILE_BEAMS + (stops - starts).max()
+    out = np.zeros((len(starts), n_columns + -n_columns % 4, TILE_BEAMS), np.float32)
+    for b in range(B):
+        at = first[b] - starts[b // TILE_BEAMS]
+        out[b // TILE_BEAMS, at : at + W, b % TILE_BEAMS] = weights[b]
+    return BeamTiles(starts, out)
+
+
+@inlined
+def _write_beam(rows, r, begin, end, gain, out, b):
+    """Write a row of sums as a beam, times the gain, and return its sum; four sums, since each waits for its last."""
+    for k in range(uint64(0), uint64(begin)):
+        out[b, k] = 0.0
+    for k in range(uint64(end), uint64(out.shape[1])):
+        out[b, k] = 0.0
+    for k in range(uint64(begin), uint64(end)):
+        out[b, k] = rows[r, k] * gain[k] if gain.shape[0] else rows[r, k]
+    first = second = third = fourth = 0.0
+    last = begin + (end - begin) // 4 * 4
+    for k in range(uint64(begin), uint64(last), uint64(4)):
+        first, second = first + out[b, k], second + out[b, k + uint64(1)]
+        third, fourth = third + out[b, k + uint64(2)], fourth + out[b, k + uint64(3)]
+    for k in range(uint64(last), uint64(end)):
+        first += out[b, k]
+    return (first + second) + (third + fourth)
+
+
+@compiled
+def weigh_columns(column_sums, spans, tiles, part, gain, out):
+    """Write some beams as weighted sums of columns, times a gain; return their sum.
+
+    Parameters
+    ----------
+    column_sums, spans : (columns, K), zero outside of spans, (columns, 2)
+    tiles : tuple of BeamTiles
+    part : (2,) first and past the last of the tiles that are done
+    gain : (K,) or of no length
+    out : (B, K) of all beams
+    """
+    tiles = BeamTiles(*tiles)
+    n_columns, K, total = column_sums.shape[0], out.shape[1], 0.0
+    rows = np.zeros((TILE_BEAMS, K), np.float32)
+    for t in range(part[0], part[1]):
+        begin, end = K, 0
+        for x in range(0, tiles.weights.shape[1], 4):  # four at a time: beams are read and written less often
+            at, w = tiles.first[t] + x, tiles.weights[t, x : x + 4]
+            c0, c1 = uint64(at % n_columns), uint64((at + 1) % n_columns)
+            c2, c3 = uint64((at + 2) % n_columns), uint64((at + 3) % n_columns)
             low = min(spans[c0, 0], spans[c1, 0], spans[c2, 0], spans[c3, 0])
             high = max(spans[c0, 1], spans[c1, 1], spans[c2, 1], spans[c3, 1])
+            if low >= high:
+                continue
             begin, end = min(begin, low), max(end, high)
-            for k in range(uint64(low), uint64(max(low, high))):
-                near = w0 * column_sums[c0, k] + w1 * column_sums[c1, k]
-                out[row, k] += near + (w2 * column_sums[c2, k] + w3 * column_sums[c3, k])
-        if gain.shape[0]:
-            for k in range(uint64(begin), uint64(max(begin, end))):
-                out[row, k] *= gain[k]
+            a0, a1, a2, a3 = w[0, 0], w[0, 1], w[0, 2], w[0, 3]
+            b0, b1, b2, b3 = w[1, 0], w[1, 1], w[1, 2], w[1, 3]
+            w0, w1, w2, w3 = w[2, 0], w[2, 1], w[2, 2], w[2, 3]
+            d0, d1, d2, d3 = w[3, 0], w[3, 1], w[3, 2], w[3, 3]
+            for k in range(uint64(low), uint64(high)):
+                a, b, c, d = column_sums[c0, k], column_sums[c1, k], column_sums[c2, k], column_sums[c3, k]
+                rows[0, k] += (a0 * a + b0 * b) + (w0 * c + d0 * d)
+                rows[1, k] += (a1 * a + b1 * b) + (w1 * c + d1 * d)
+                rows[2, k] += (a2 * a + b2 * b) + (w2 * c + d2 * d)
+                rows[3, k] += (a3 * a + b3 * b) + (w3 * c + d3 * d)
+        end = max(begin, end)
+        for r in range(min(TILE_BEAMS, out.shape[0] - TILE_BEAMS * t)):
+            total += _write_beam(rows, uint64(r), begin, end, gain, out, uint64(TILE_BEAMS * t + r))
+        for r in range(uint64(TILE_BEAMS)):
+            for k in range(uint64(begin), uint64(end)):
+                rows[r, k] = 0.0
+    return total
 
 
 # ---- labels: the echo of each body, and its moments ---------------------------------------------------
@@ -783,9 +849,9 @@ def sum_bodies(plane_echo, body_id, lattice, strips, bins, spread, tables, cells
 
 # ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
 
-# Beams at a time, so that what is read of columns serves several; bins at a time, so that the sums of several
-# beams stay in fast memory; and the moments of these bins, one row after the other.
-TILE_BEAMS, TILE_BINS = 4, 64
+# Bins at a time, so that the sums of several beams stay in fast memory; and the moments of these bins, one row after
+# the other.
+TILE_BINS = 64
 TILE_ROW = MOMENTS * TILE_BINS
 
 
@@ -804,16 +870,6 @@ class Runs(NamedTuple):
     pools: tuple
 
 
-class BeamTiles(NamedTuple):
-    """Weights of TILE_BEAMS beams at a time: see `beam_tiles`.
-
-    first : (T,) int64, column where each tile begins, may be negative; weights : (T, W', TILE_BEAMS) float32
-    """
-
-    first: np.ndarray
-    weights: np.ndarray
-
-
 class StrongestEcho(NamedTuple):
     """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
 
@@ -827,18 +883,6 @@ class StrongestEcho(NamedTuple):
     body_id: np.ndarray
     background: np.ndarray
     means: np.ndarray
-
-
-def beam_tiles(first, weights) -> BeamTiles:
-    """Lay the weights of beams side by side, TILE_BEAMS at a time; arguments as `beam_weights` returns them."""
-    (B, W), corners = weights.shape, range(0, len(first), TILE_BEAMS)
-    starts = np.array([first[b : b + TILE_BEAMS].min() for b in corners])
-    stops = np.array([first[b : b + TILE_BEAMS].max() for b in corners])
-    out = np.zeros((len(starts), W + TILE_BEAMS + (stops - starts).max(), TILE_BEAMS), np.float32)
-    for b in range(B):
-        at = first[b] - starts[b // TILE_BEAMS]
-        out[b // TILE_BEAMS, at : at + W, b % TILE_BEAMS] = weights[b]
-    return BeamTiles(starts, out)
 
 
 @inlined

@@ -38,20 +38,18 @@ class Labeller:
     Parameters
     ----------
     fan : Fan
-    first, weights : of BeamWeights
+    shape : (B, K)
+    tiles, parts : tuple of kernels.BeamTiles, and which of them each half does
     bins : tuple of kernels.BinTable
     tables : tuple of kernels.ElevationTables
     pools : of the arrays that are returned
     """
 
-    def __init__(self, fan: Fan, first, weights, bins, tables, pools: ArrayPools):
-        shape = len(first), fan.sonar.n_bins
+    def __init__(self, fan: Fan, shape, tiles, parts, bins, tables, pools: ArrayPools):
         self._fan, self._bins = fan, bins
         self._tables = tables
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
-        self._tiles = tuple(kernels.beam_tiles(first, weights))
-        n_tiles = len(self._tiles[0])
-        self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
+        self._tiles, self._parts = tiles, parts
         self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
         self._means = pools.pool((3, *shape))
         self._cells = [np.zeros((SLOTS, shape[1], kernels.CELL)) for _ in range(2)]

@@ -37,7 +37,9 @@ class Rival:
             fan = replace(fan, sectors=sectors, column_edges_rad=edges)
         self.sonar, self.fan, self.thread = sonar, fan, SecondThread()
         self.weights, self.is_box = beam_weights(fan, pattern, reach), pattern is None
-        self.four_weights = np.pad(self.weights.weights, ((0, 0), (0, -self.weights.weights.shape[1] % 4)))
+        self.tiles = tuple(kernels.beam_tiles(self.weights.first, self.weights.weights))
+        n_tiles = len(self.tiles[0])
+        self.parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self.sums = np.zeros((fan.n_columns, sonar.n_bins), np.float32)
         self.spans = np.tile([0, sonar.n_bins], (fan.n_columns, 1))
         middle = (fan.n_columns + 1) // 2
@@ -65,13 +67,9 @@ class Rival:
     def beams(self) -> np.ndarray:
         """Return (B, K) intensity from the columns' sums."""
         out = np.zeros((self.sonar.n_beams, self.sonar.n_bins), np.float32)
-        middle = (len(out) + 1) // 2
-        beams = slice(0, middle), slice(middle, None)
 
         def work(half):
-            part = beams[half]
-            first, weights = self.weights.first[part], self.four_weights[part]
-            kernels.weigh_columns(self.sums, self.spans, first, weights, self.gain, out[part])
+            kernels.weigh_columns(self.sums, self.spans, self.tiles, self.parts[half], self.gain, out)
 
         self.both(work)
         return out
