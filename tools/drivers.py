@@ -5,8 +5,8 @@
     python -m tools.drivers --no-tests                   # pictures only
     python -m tools.drivers --debian debian13   # keeps the Debian 13 of `zink` there for the next time
 
-`softpipe` is another rasteriser; `OpenGL 3.3` draws bodies one by one; `as on a card` leaves all triangles to the
-driver and reads by pixel-pack buffers, as graphics cards do; `zink` translates to SPIR-V for Mesa's Vulkan driver. Mesa
+`softpipe` is another rasteriser; `OpenGL 3.3` draws bodies one by one; `as on a card` reads by pixel-pack buffers, as
+graphics cards do; `none` is the engine without OpenGL; `zink` translates to SPIR-V for Mesa's Vulkan driver. Mesa
 25 is needed for `zink`, and comes from Debian 13: debootstrap installs its libraries in a folder, and the processes of
 that driver see them in place of the system's, in a mount namespace of their own. That takes root, and a minute.
 """
@@ -75,6 +75,7 @@ DRIVERS = (
     Driver("softpipe", {"LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "softpipe"}),
     Driver("OpenGL 3.3", {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}),
     Driver("as on a card", {"SONAR_GL_SOFTWARE": "0"}),
+    Driver("none", {"SONAR_GL_ENGINE": "cpu"}),
     Driver("llvmpipe 25", {"LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe"}, is_debian=True),
     Driver("zink", ZINK, is_debian=True),
 )
@@ -120,9 +121,8 @@ def run_on(driver: Driver, debian: Path | None, *arguments: str) -> subprocess.C
     """Run Python with arguments on a driver."""
     command = [sys.executable, *arguments]
     chosen = {variable for other in DRIVERS for variable in other.environment}
-    environment = {
-        name: value for name, value in os.environ.items() if name not in chosen
-    } | driver.environment
+    environment = {name: value for name, value in os.environ.items() if name not in chosen}
+    environment |= {"SONAR_GL_ENGINE": "opengl"} | driver.environment
     environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), environment.get("PYTHONPATH", "")]).rstrip(
         os.pathsep
     )
