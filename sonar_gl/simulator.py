@@ -16,8 +16,8 @@ from sonar_gl.engine.sequence import make_pings, plan, requests_of
 from sonar_gl.engine.warm_up import warm_up
 from sonar_gl.engine.world import World
 from sonar_gl.ping import GBuffer, Ping
+from sonar_gl.raster.gbuffers import gbuffers_of
 from sonar_gl.raster.point_cloud import point_cloud
-from sonar_gl.raster.renderer import gbuffers_of
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sampling import Sampling
@@ -29,12 +29,14 @@ class Simulator:
 
     Parameters
     ----------
-    scene : Scene; or another Simulator, to put a second sonar into its scene: both share the OpenGL context,
+    scene : Scene; or another Simulator, to put a second sonar into its scene: both share the engine,
         the meshes and what is done to the bodies
     sonar : Sonar
     acoustics : Acoustics; None is `Acoustics.physical()`
     sampling : Sampling, overrides what `tolerance` would choose
     tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
+    engine : "opengl" draws on a graphics card, "cpu" by compiled code without OpenGL; "auto" takes OpenGL where
+        there is a graphics card; None is the environment variable SONAR_GL_ENGINE, or "auto"
     device : index of an EGL device, as `sonar-gl doctor` lists them; None is that of the environment variable
         SONAR_GL_DEVICE, or else the first
     context : "current" joins the OpenGL context that is current, a host's; None creates one
@@ -54,6 +56,7 @@ class Simulator:
         tolerance: float = 0.01,
         device: int | None = None,
         context: str | None = None,
+        engine: str | None = None,
     ):
         self._run = None
         check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")
@@ -62,7 +65,7 @@ class Simulator:
         check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
         self.sonar = sonar
         self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        world = scene.world if isinstance(scene, Simulator) else World(scene, device, context)
+        world = scene.world if isinstance(scene, Simulator) else World(scene, engine, device, context)
         self._run = Run(world, sonar, self.acoustics, sampling, tolerance)
         self.gl_info = world.gl_info
         warm_up(self._run)
@@ -75,7 +78,7 @@ class Simulator:
 
     @property
     def world(self) -> World:
-        """The scene in its OpenGL context, which simulators may share; an Error once this one is closed."""
+        """The scene in its raster engine, which simulators may share; an Error once this one is closed."""
         return self._run.world
 
     @property
@@ -208,10 +211,10 @@ class Simulator:
         echo : (rows', columns') float32, μ cos θ
         """
         with self._run.drawing():
-            return point_cloud(self.world.buffers, self.sonar, check_pose(pose), columns, rows)
+            return point_cloud(self.world.engine, self.sonar, check_pose(pose), columns, rows)
 
     def close(self) -> None:
-        """Give back all that it holds, and the OpenGL context if no other uses it; a second call does nothing."""
+        """Give back all that it holds, and the engine if no other uses it; a second call does nothing."""
         if self._run is not None:
             self._run.close()
 

@@ -53,6 +53,12 @@ def run_beside(request):
 
 
 @pytest.fixture
+def opengl_engine(monkeypatch):
+    """Has simulators draw by OpenGL, also on a software driver."""
+    monkeypatch.setenv("SONAR_GL_ENGINE", "opengl")
+
+
+@pytest.fixture
 def opengl_for_pyrender():
     """Skips where the driver lacks the OpenGL 4.1 that pyrender asks for; sonar_gl itself needs 3.3."""
     context = gl.create_context()

@@ -57,7 +57,7 @@ BUBBLES = ("test_bubbles", "test_footprint")
 PROMISE = ("test_promise",)
 LABELS = ("test_labels",)
 MULTIPATH = ("test_multipath",)
-TRIANGLES = ("test_small_triangles|test_sift", "test_specular")
+TRIANGLES = ("test_engines", "test_specular")
 CULLING = ("test_cull|test_culling", "test_level_of_detail|test_detail", "test_window")
 ADAPTIVE = ("test_adaptive|test_plan", "test_moving_bodies|test_moving", "test_sequence")
 NOISE = (
@@ -253,42 +253,57 @@ MUTATIONS = (
     ),
     # small triangles, filled in on the CPU
     Mutation(
-        "triangles/grid of the driver", "math.floor(at * GRID + 0.5)", "math.floor(at * GRID)", TRIANGLES
+        "triangles/grid of the driver",
+        "math.floor(column * GRID + 0.5)",
+        "math.floor(column * GRID)",
+        TRIANGLES,
     ),
     Mutation(
-        "triangles/shared edges",
-        "min(first, second, third) >= 0.0",
-        "min(first, second, third) > 0.0",
+        "triangles/inside",
+        "min(ey + e1 * x, fy + f1 * x, gy + g1 * x) >= 0.0",
+        "min(ey + e1 * x, fy + f1 * x) >= 0.0",
         TRIANGLES,
     ),
     Mutation(
         "triangles/depth by column",
-        "((qb - qa) * (cj - aj) - (qc - qa) * (bj - aj)) / area",
-        "((qb - qa) * (cj - aj) + (qc - qa) * (bj - aj)) / area",
+        "((qb - qa) * cj - (qc - qa) * bj) / determinant",
+        "((qb - qa) * cj + (qc - qa) * bj) / determinant",
         TRIANGLES,
     ),
     Mutation(
         "triangles/perspective of normals",
-        "((bi - i) * (cj - j) - (bj - j) * (ci - i)) / depths[a]",
-        "((bi - i) * (cj - j) - (bj - j) * (ci - i)) / depths[b]",
+        "(na * c0z + nb * c1z + nc * c2z) * over",
+        "(na * c0z + nb * c0z + nc * c2z) * over",
         TRIANGLES,
     ),
     Mutation(
-        "triangles/candidates",
-        "(column ^ cell_column[b]) | (column ^ cell_column[c])",
-        "(column ^ cell_column[b]) & (column ^ cell_column[c])",
+        "triangles/selection",
+        "(left <= end) & (low <= high)",
+        "(left < end) & (low <= high)",
         TRIANGLES,
     ),
     Mutation(
         "triangles/back faces",
-        "(bi - ai) * (cj - aj) - (bj - aj) * (ci - ai) < -margin * margin",
-        "(bi - ai) * (cj - aj) - (bj - aj) * (ci - ai) > margin * margin",
+        "turned and area < 0.0",
+        "turned and area > 0.0",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/near plane",
+        "1.0 / near_m - q0, -q_column, -q_row",
+        "q0 - 1.0 / near_m, q_column, q_row",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/water's surface",
+        "above[2] * v0 + plane[3] * q0",
+        "above[2] * v0 - plane[3] * q0",
         TRIANGLES,
     ),
     Mutation(
         "triangles/specular lobe",
-        "math.exp(-0.5 * (1.0 - square) / (square * s2))",
-        "math.exp(-0.4 * (1.0 - square) / (square * s2))",
+        "exponent = -0.5 * (1.0 - square) / (square * s2)",
+        "exponent = -0.4 * (1.0 - square) / (square * s2)",
         TRIANGLES,
     ),
     # culling and levels of detail

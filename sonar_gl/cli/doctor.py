@@ -69,8 +69,9 @@ def examine() -> list[Finding]:
         ("embreex", check_embreex, install_command("reference")),
         ("shaders", check_shaders, INSTALL_AGAIN),
         ("scenes", _later("check_scenes"), INSTALL_AGAIN),
-        ("EGL", _later("check_egl"), "on Debian or Ubuntu: apt-get install libegl1 libgl1"),
+        ("EGL", _later("check_egl"), ""),
         ("OpenGL", _later("check_opengl"), ""),  # the message holds the cure
+        ("engine", _later("check_raster_engine"), ""),
         ("compiled functions", _later("check_compiled_functions"), ""),
         (
             "known scene",
@@ -78,9 +79,6 @@ def examine() -> list[Finding]:
             "correct the failures above; if there are none, report this",
         ),
     ):
-        if any(finding[:2] == ("OpenGL", False) for finding in found):
-            found.append(Finding(what, False, "not tried without OpenGL"))
-            continue
         try:
             found.append(Finding(what, *check()))
         except ImportError as why:

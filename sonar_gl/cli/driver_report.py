@@ -80,7 +80,7 @@ def sample_noise() -> SampleNoise:
 
 
 def driver_facts() -> dict:
-    """Return the driver's names, limits, extensions that matter, and free memory."""
+    """Return the OpenGL driver's names, limits, extensions that matter, and free memory."""
     context = gl.create_context()
     try:
         return {
@@ -93,6 +93,12 @@ def driver_facts() -> dict:
         }
     finally:
         context.release()
+
+
+def engine_facts() -> dict:
+    """Return the names and limits of the engine that draws pings."""
+    with Simulator(Scene([]), load_sonar(SONAR), sampling=Sampling(1, 8)) as simulator:
+        return dict(simulator.gl_info)
 
 
 def scene_times() -> dict:
@@ -122,6 +128,7 @@ def measure() -> dict:
         "driver": driver_facts,
         "noise_2_to_the_-24": lambda: sample_noise()._asdict(),
         "scenes": scene_times,
+        "engine": engine_facts,
     }
     out = {"settings": {"sonar": SONAR, "tolerance": TOLERANCE, "pings": N_PINGS}}
     for name, part in parts.items():

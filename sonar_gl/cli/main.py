@@ -16,7 +16,7 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
@@ -107,6 +107,7 @@ Examples:
 @option("join", "circles", "polygons", default="circles")
 @option("height", type=int, default=800)
 @option("tolerance", type=float, default=0.01)
+@option("engine", **ENGINE)
 @option("device", **DEVICE)
 @option("seed", type=int, default=0)
 @option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
@@ -214,6 +215,7 @@ Ctrl-C.
 )
 @click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
+@option("engine", **ENGINE)
 @click.option(
     "--device",
     type=click.IntRange(min=0),

@@ -27,6 +27,7 @@ HELP = {
     "join": "Style demarco2015: how points are drawn.",
     "height": "Height of the picture without axes, pixels.",
     "tolerance": "Largest share of the echo that may lie in wrong bins.",
+    "engine": "What draws: opengl, cpu, or auto, which takes OpenGL where there is a graphics card.",
     "device": "Index of the OpenGL device; `sonar-gl doctor` lists the devices.",
     "seed": "Seed of the noise.",
     "formats": "File format; may be repeated. gif and mp4 need --poses.",
@@ -52,28 +53,34 @@ def option(name: str, *choices: str, **settings):
 
 
 @contextmanager
-def _device_variable(index: int):
-    """Set SONAR_GL_DEVICE inside the block."""
-    before = os.environ.get("SONAR_GL_DEVICE")
-    os.environ["SONAR_GL_DEVICE"] = str(index)
+def _variable(name: str, value: str):
+    """Set an environment variable inside the block."""
+    before = os.environ.get(name)
+    os.environ[name] = value
     try:
         yield
     finally:
-        os.environ.pop("SONAR_GL_DEVICE")
+        os.environ.pop(name)
         if before is not None:
-            os.environ["SONAR_GL_DEVICE"] = before
+            os.environ[name] = before
 
 
-def _use_device(ctx, _parameter, index):
-    """Have the command create all its OpenGL contexts on this device."""
-    if index is not None:
-        ctx.with_resource(_device_variable(index))
+def _set_variable(ctx, parameter, value):
+    """Set the variable SONAR_GL_<NAME> of this option for the whole command, which its processes inherit."""
+    if value is not None:
+        ctx.with_resource(_variable(f"SONAR_GL_{parameter.name.upper()}", str(value)))
 
 
 DEVICE = {
     "type": click.IntRange(min=0),
     "show_default": "the variable SONAR_GL_DEVICE, or 0",
-    "callback": _use_device,
+    "callback": _set_variable,
+    "expose_value": False,
+}
+ENGINE = {
+    "type": click.Choice(("auto", "opengl", "cpu")),
+    "show_default": "the variable SONAR_GL_ENGINE, or auto",
+    "callback": _set_variable,
     "expose_value": False,
 }
 PING_OPTIONS = {
@@ -84,6 +91,7 @@ PING_OPTIONS = {
     "profile": {"type": click.Choice(("ideal", "demarco2015", "physical")), "default": "physical"},
     "acoustics": {"show_default": "the profile's"},
     "tolerance": {"type": float, "default": 0.01},
+    "engine": ENGINE,
     "device": DEVICE,
     "resource_path": {"multiple": True},
     "skip_missing": {"is_flag": True},

@@ -20,12 +20,15 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
 from sonar_gl.core.poses import pose
 from sonar_gl.gl import context as gl
+from sonar_gl.raster.engine import check_engine
 from sonar_gl.scene.load import bundled_scenes
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
+WITHOUT_OPENGL = "pings are drawn by the CPU; graphics cards and sonars inside other programs need OpenGL"
 TOLERANCE = 0.01  # of the wall's total echo: the default tolerance of a ping
 
 
@@ -45,7 +48,15 @@ def check_scenes():
 
 def check_egl():
     """List the devices that EGL offers, with the one in use and those that do not work."""
-    if gl.egl_devices() is None:
+    try:
+        names = gl.egl_devices()
+    except OSError as why:
+        return (
+            None,
+            " ".join(str(why).split()),
+            f"{WITHOUT_OPENGL}; on Debian or Ubuntu: apt-get install libegl1 libgl1",
+        )
+    if names is None:
         return None, "cannot list its devices", "nothing to do if OpenGL works"
     found = gl.devices()
     try:
@@ -55,12 +66,17 @@ def check_egl():
     devices = [f"{one}{', used' if one.index == used else ''}" for one in found]
     cure = "install a driver; on Debian or Ubuntu Mesa's: apt-get install libegl-mesa0 libgl1-mesa-dri"
     count = f"{len(found)} device{'s' * (len(found) != 1)}"
-    return bool(found), ": ".join([count, "; ".join(devices)] if devices else [count]), cure
+    return bool(found) or None, ": ".join([count, "; ".join(devices)] if devices else [count]), cure
 
 
 def check_opengl():
     """Check that an OpenGL context can be created, and describe it."""
-    context = gl.create_context()  # or an Error with its cure
+    try:
+        context = gl.create_context()
+    except Error as why:
+        if check_engine(None) == "opengl" or gl.chosen_device()[0] is not None:  # it was asked for
+            raise
+        return None, str(why), WITHOUT_OPENGL
     try:
         facts = gl.describe(context)
     finally:
@@ -73,6 +89,17 @@ def check_opengl():
         f"textures to {facts['max_texture_size']}, views to {width} x {height} pixels",
         "",
     )
+
+
+def check_raster_engine():
+    """Name the engine that draws pings."""
+    sonar = Sonar("doctor", 900e3, 16, 100, 10.0, 4.0, 0.625, 0.55, 10.55)
+    with Simulator(Scene([]), sonar, Acoustics.ideal(), Sampling(1, 8)) as simulator:
+        info = simulator.gl_info
+    why = (
+        "" if check_engine(None) != "auto" or info["engine"] == "opengl" else ", as there is no graphics card"
+    )
+    return True, f"{info['engine']}: {info['renderer']}, {info['version']}{why}", ""
 
 
 def check_compiled_functions():
@@ -98,6 +125,7 @@ def check_known_scene():
     wall = Body("wall", trimesh.creation.box((1.0, 20.0, 20.0)), pose(5.5), 1.0)
     box = Body("box", trimesh.creation.box((0.2, 0.2, 0.2)), pose(-8.0, -0.4), 1.0)
     with Simulator(Scene([wall, box]), sonar, Acoustics.ideal()) as simulator:
+        by_opengl = simulator.gl_info["engine"] == "opengl"
         ahead = simulator.ping(pose()).intensity
         behind = simulator.ping(pose(yaw=math.pi)).intensity
     # cos θ = cos φ cos ψ over dΩ = cos φ dφ dψ, divided by a beam's solid angle
@@ -112,4 +140,9 @@ def check_known_scene():
     detail += f"; samples of a plane within {noise:.1f} x 2^-24"
     right = noise < MAX_NOISE and abs(total / expected - 1) < TOLERANCE and at_wall / total > 1 - TOLERANCE
     right &= abs(sonar.range_m[bin_] - 7.9) < sonar.bin_size_m and sonar.azimuth_rad[beam] > math.radians(1.5)
-    return bool(right), detail, "the OpenGL driver draws wrongly: update it, or try LIBGL_ALWAYS_SOFTWARE=1"
+    cure = (
+        "the OpenGL driver draws wrongly: update it, or set SONAR_GL_ENGINE=cpu"
+        if by_opengl
+        else "install sonar_gl again"
+    )
+    return bool(right), detail, cure

@@ -33,7 +33,7 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
             f"{what} must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
             "scale the mesh instead)"
         )
-    if not np.array_equal(out[3], [0, 0, 0, 1]):
+    if out[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise Error(f"{what} must have the last row 0 0 0 1 (got {out[3].tolist()})")
     return out
 

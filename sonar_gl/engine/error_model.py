@@ -40,7 +40,7 @@ MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
 DIFFERENCE_FACTOR = 0.7  # of the difference between two lattices in a body's own echo
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 300
-MAX_STEPS = 4  # at a time: estimates from very few samples are rough, and four times the samples cost enough
+MAX_STEPS = 8  # at a time: estimates from very few samples are rough
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class ErrorModel:
     @property
     def bodies(self) -> list:
         """The bodies of the scene."""
-        return self._stages.buffers.meshes.bodies
+        return self._stages.engine.meshes.bodies
 
     def stage_at(self, level: int) -> Stage:
         """Return the stage of a sampling level."""

@@ -114,17 +114,17 @@ class ImageSources:
     COARSEST = len(SHARES)  # halvings
 
     def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
-        sonar, buffers = stages.sonar, stages.buffers
+        sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
-        self._tolerance, self._buffers = tolerance, buffers
+        self._tolerance = tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         shared = thread, WIDEST_COLUMN, stages.pools
-        self._own_stages = StageCache(buffers, sonar, acoustics, *shared)
+        self._own_stages = StageCache(engine, sonar, acoustics, *shared)
         if sonar.beam_azimuths_deg is not None:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
-        self._image_stages = StageCache(buffers, sonar, acoustics, *shared)
+        self._image_stages = StageCache(engine, sonar, acoustics, *shared)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
         self._scene, self._reflectors = None, []
         self.choice = HalvingChoice(self.COARSEST)

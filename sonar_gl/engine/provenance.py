@@ -20,6 +20,7 @@ class SampleOrigin:
     bodies, plumes : their names
     tolerance : that the samples keep, or None
     gl_renderer : what draws
+    engine : "opengl" or "cpu"; "host" where a host program draws
     """
 
     scene: str
@@ -27,6 +28,7 @@ class SampleOrigin:
     plumes: tuple[str, ...]
     tolerance: float | None
     gl_renderer: str
+    engine: str = "host"
 
 
 class Provenance:
@@ -59,6 +61,7 @@ class Provenance:
             **({"plumes": list(origin.plumes)} if origin.plumes else {}),
             "version": __version__,
             "gl_renderer": origin.gl_renderer,
+            "engine": origin.engine,
         }
         # each ping gets its own copy, ten times faster than by deepcopy
         self._meta = pickle.dumps(meta)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import Lock
@@ -16,7 +16,7 @@ from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.engine.multipath import ImageSources
+from sonar_gl.engine.multipath import HalvingChoice, ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
@@ -40,6 +40,7 @@ class Run:
     instrument : Instrument
     sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
+    tolerance : as given, whether or not the sampler keeps it
     """
 
     def __init__(
@@ -48,8 +49,7 @@ class Run:
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
         self._in_flight, self._summing, self._is_closed = [], Lock(), False
-        self._has_warned_of_air = False
-        self.image_sources = None
+        self.image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
         try:
             self.instrument = Instrument(sonar, acoustics)
             self._make_stages(sampling, tolerance)
@@ -60,7 +60,7 @@ class Run:
     def _make_stages(self, sampling: Sampling | None, tolerance: float) -> None:
         world, sonar, acoustics = self.world, self.instrument.sonar, self.instrument.acoustics
         with self.drawing():
-            self.stages = StageCache(world.buffers, sonar, acoustics, world.thread)
+            self.stages = StageCache(world.engine, sonar, acoustics, world.thread)
             if acoustics.multipath != "none":
                 self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
             if sampling:
@@ -80,14 +80,14 @@ class Run:
         return self._world
 
     @contextmanager
-    def drawing(self, beside: Job | None = None):
-        """Make the OpenGL context current inside a `with` block, in one thread at a time.
+    def drawing(self, beside: Collection[Job] = ()):
+        """Have the engine ready to draw inside a `with` block, in one thread at a time.
 
-        The block waits for the pings that another thread still sums, except for those of `beside`.
+        The block waits for the pings that other threads still make, except for those of `beside`.
         """
         with self.world.drawing() as context:
             for job in self._in_flight:
-                if job is not beside:
+                if job not in beside:
                     job.settle()
             self._in_flight = [job for job in self._in_flight if not job.is_over]  # they hold arrays
             self.check_open()  # it may have been closed while this one waited
@@ -96,15 +96,20 @@ class Run:
     def receive_later(self, work: Callable[[], list]) -> Job:
         """Return a job for another thread that sums pings into arrays of this run; `drawing` waits for it.
 
-        An interrupt before a thread has got it leaves it to `drawing`. Of several jobs one runs at a time, since
-        they share these arrays.
+        Of several jobs one runs at a time, since they share these arrays.
         """
 
         def alone():
             with held(self._summing):
                 return work()
 
-        job = Job(alone)
+        return self.await_job(Job(alone))
+
+    def await_job(self, job: Job) -> Job:
+        """Have `drawing` wait for a job, and return it.
+
+        An interrupt before a thread has got it leaves it to `drawing`.
+        """
         self._in_flight = [*(one for one in self._in_flight if not one.is_over), job]
         return job
 
@@ -144,11 +149,19 @@ class Run:
         if images is None:
             return [None] * len(setups)
         images.use_scene(self.world.scene)
-        is_alone = self.sampler.tolerance is None or any(setup.request.alone for setup in setups)
-        if is_alone and not resolution.finer_images:
-            images.reset()  # no ping depends on those before
+        if not resolution.finer_images:
+            self._reset_images(any(setup.request.alone for setup in setups))
         poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
         return images.draw(resolution.stage, views, poses, states)
+
+    def image_choice(self) -> HalvingChoice | None:
+        """Return how often samples are halved for the image sources of the next ping; None without multipath."""
+        self._reset_images()
+        return None if self.image_sources is None else self.image_sources.choice
+
+    def _reset_images(self, is_alone: bool = False) -> None:
+        if self.image_sources is not None and (is_alone or self.sampler.tolerance is None):
+            self.image_sources.reset()  # no ping depends on those before
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
@@ -183,6 +196,7 @@ class Run:
                 tuple(plume.name for plume in scene.plumes),
                 self.sampler.tolerance,
                 self.world.gl_info["renderer"],
+                self.world.gl_info["engine"],
             )
             self._described = scene
         return self._origin

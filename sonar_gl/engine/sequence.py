@@ -1,4 +1,4 @@
-"""Many pings: some are drawn while those before are received."""
+"""Many pings: some are made while those before are awaited."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.multipath import ImageSources
+from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
@@ -113,9 +114,9 @@ class _Upcoming:
         self._setups: deque[PingSetup] = deque()
         self._is_over, self.failure = False, None
 
-    def fill(self) -> bool:
-        """Set up pings until one batch is there; return whether any is. Not inside `drawing`."""
-        while len(self._setups) < BATCH and not self._is_over:
+    def fill(self, count: int) -> bool:
+        """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
+        while len(self._setups) < count and not self._is_over:
             try:
                 self._setups.append(self._run.set_up(next(self._requests)))
             except StopIteration:
@@ -128,10 +129,10 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
-    def next_batch(self) -> tuple[list[PingSetup], PingSetup | None]:
+    def next_batch(self, most: int) -> tuple[list[PingSetup], PingSetup | None]:
         """Return pings that can be drawn at once, and the one after them if its error is to be estimated."""
         batch, sectors = [], self._run.sampler.resolution.stage.fan.sectors
-        most = BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors)
+        most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
             setup = self._run.with_later_bodies(self._setups.popleft())
             if self._run.sampler.notice(setup):
@@ -140,38 +141,85 @@ class _Upcoming:
         return batch, None
 
 
+class _Overlap:
+    """OpenGL draws some pings at once, in the caller's thread, while another thread receives those before.
+
+    Attributes
+    ----------
+    most : pings that are started at once
+    ahead : how many such groups are in flight while the caller waits for one
+    """
+
+    most, ahead = BATCH, 1
+
+    def __init__(self, run: Run):
+        self._run, self._thread = run, JobThread("sonar_gl receiver")
+
+    def start(self, setups: list[PingSetup]) -> Job:
+        """Draw some pings, and begin to receive them; inside `drawing`."""
+        drawn = draw(self._run, setups, self._run.sampler.resolution, keep_last=True)
+        job = self._run.receive_later(lambda: [receive(one) for one in drawn])
+        self._thread.submit(job)
+        return job
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.close()
+
+
+class _Workers:
+    """Threads each make their own pings, without a context; attributes as of `_Overlap`."""
+
+    most = 1
+
+    def __init__(self, run: Run):
+        self._run, self._number = run, 0
+        sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
+        made_of = run.world.engine, sonar, acoustics, run.world.scene, run.tolerance
+        self._workers = [PingWorker(*made_of) for _ in range(n_threads())]
+        self.ahead = 2 * len(self._workers) - 1
+
+    def start(self, setups: list[PingSetup]) -> Job:
+        """Begin to make a ping."""
+        run, worker = self._run, self._workers[self._number % len(self._workers)]
+        (setup,), self._number = setups, self._number + 1
+        job = run.await_job(worker.job(setup, run.sampler.resolution, run.image_choice(), run.world.scene))
+        worker.submit(job)
+        return job
+
+    def close(self) -> None:
+        """End the threads."""
+        for worker in self._workers:
+            worker.close()
+
+
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
-    """Yield pings: while one batch is drawn, the one before is received in another thread."""
-    in_flight: Job | None = None
-    upcoming, thread = _Upcoming(run, requests), JobThread("sonar_gl receiver")
+    """Yield pings, in order: some are made by other threads while the caller has those before."""
+    in_flight: deque[Job] = deque()
+    upcoming = _Upcoming(run, requests)
+    with run.drawing():
+        threads = _Overlap(run) if run.world.engine.name == "opengl" else _Workers(run)
     try:
-        while upcoming.fill():
+        while upcoming.fill(threads.most):
             with run.drawing(beside=in_flight):
-                batch, to_check = upcoming.next_batch()
-                drawn_now = None
+                batch, to_check = upcoming.next_batch(threads.most)
                 if batch:
-                    drawn = draw(run, batch, run.sampler.resolution, keep_last=True)
-                    drawn_now = run.receive_later(lambda drawn=drawn: [receive(one) for one in drawn])
-                    thread.submit(drawn_now)
-            if in_flight is not None:
+                    in_flight.append(threads.start(batch))
+            while in_flight and (len(in_flight) > threads.ahead or to_check is not None):
                 yield from _finished(run, in_flight)
-            in_flight = drawn_now
             if to_check is not None:
-                if in_flight is not None:
-                    yield from _finished(run, in_flight)
-                    in_flight = None
                 yield _sampled(run, to_check)
-        if in_flight is not None:
+        while in_flight:
             yield from _finished(run, in_flight)
     finally:
-        thread.close()
+        threads.close()
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
-def _finished(run: Run, in_flight: Job) -> Iterator[Ping]:
-    """Yield the pings of a batch that was drawn before."""
-    for received in in_flight.result():
+def _finished(run: Run, in_flight: deque[Job]) -> Iterator[Ping]:
+    """Yield the pings of the job that was started first."""
+    for received in in_flight.popleft().result():
         with run.world.unchanged():
             report = None if run.is_outdated(received) else run.report(received)
         if report is None:

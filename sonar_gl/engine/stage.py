@@ -12,8 +12,7 @@ from sonar_gl.beamform.kernels import view_index
 from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.raster.buffers import SceneBuffers
-from sonar_gl.raster.renderer import DrawingRoom, Renderer
+from sonar_gl.raster.engine import RasterEngine, Renderer, Room
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling
@@ -71,7 +70,8 @@ class StageCache:
 
     Parameters
     ----------
-    buffers, sonar, acoustics, thread : of the run
+    engine : RasterEngine that draws
+    sonar, acoustics, thread : of the run
     max_column_width : of `make_fan`
     pools : of the arrays of pings, to share with other caches
 
@@ -82,28 +82,28 @@ class StageCache:
 
     def __init__(
         self,
-        buffers: SceneBuffers,
+        engine: RasterEngine,
         sonar: Sonar,
         acoustics: Acoustics,
         thread: SecondThread | None = None,
         max_column_width: float = 0.5,
         pools: ArrayPools | None = None,
     ):
-        self.buffers, self.sonar, self.acoustics = buffers, sonar, acoustics
+        self.engine, self.sonar, self.acoustics = engine, sonar, acoustics
         self._thread, self._max_column_width = thread, max_column_width
         self.pools = ArrayPools() if pools is None else pools
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
-        self._rooms: dict[float, DrawingRoom] = {}
+        self._rooms: dict[float, Room] = {}
         self._stages: dict[tuple, Stage] = {}
         self._weights: dict[bytes, BeamWeights] = {}
 
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
-        """Return the stage of a sampling and a shear of the lattice; the OpenGL context must be current.
+        """Return the stage of a sampling and a shear of the lattice; inside `drawing`.
 
         Raises
         ------
         Error
-            if the samples do not fit the driver's limits.
+            if there are more samples than fit.
         """
         key = sampling, shear
         found = self._stages.pop(key, None) or self.make(sampling, shear)
@@ -117,7 +117,7 @@ class StageCache:
         """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""
         for room in self._rooms.values():
             room.drop_large()
-        self.buffers.context.gc()
+        self.engine.collect()
         return_free_memory()
 
     def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
@@ -132,6 +132,9 @@ class StageCache:
             self.pools,
             self._weights,
         )
-        room = self._rooms.setdefault(shear, DrawingRoom(self.buffers))
-        renderer = Renderer(self.buffers, beamformer.fan, self.acoustics.specular, room)
+        if shear not in self._rooms:
+            self._rooms[shear] = self.engine.make_room()
+        renderer = self.engine.make_renderer(
+            beamformer.fan, self.acoustics.specular, self._rooms[shear], self._thread
+        )
         return Stage(sampling, beamformer, renderer)

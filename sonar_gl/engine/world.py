@@ -1,23 +1,18 @@
-"""A scene in an OpenGL context: what the simulators of several sonars may share."""
+"""A scene in a raster engine: what the simulators of several sonars may share."""
 
 from __future__ import annotations
 
 import os
-import threading
 from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, is_number, shown
-from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, nearest_names, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.worker import SecondThread, ThreadLock
-from sonar_gl.gl import context as gl
-from sonar_gl.gl import egl, lifetime
-from sonar_gl.gl.host import check_thread, join
-from sonar_gl.raster.buffers import SceneBuffers
+from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
@@ -31,39 +26,33 @@ IN_USE = (
 
 
 class World:
-    """A scene's bodies in an OpenGL context, used by one simulator or several, one at a time.
+    """A scene's bodies in a raster engine, used by one simulator or several, one at a time.
 
     Parameters
     ----------
-    device, context : as for `Simulator`
+    engine, device, context : as for `Simulator`
 
     Attributes
     ----------
     scene : Scene, of all bodies that there are
-    buffers : SceneBuffers, their meshes; None once the context is given back
+    engine : RasterEngine, with their meshes; None once it is given back
     thread : SecondThread, which all simulators share
-    gl_info : driver, version and limits
+    gl_info : names and limits of what draws
     """
 
-    def __init__(self, scene: Scene, device: int | None = None, context: str | None = None):
-        if context not in (None, "current") or (context and device is not None):
-            got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
-            raise Error(f"context must be 'current' without a device, or None (got {got})")
-        joins = context is not None
-        self._context, self._lock, self._process = None, ThreadLock(IN_USE), os.getpid()
-        self._host_thread = threading.current_thread() if joins else None
+    def __init__(
+        self,
+        scene: Scene,
+        engine: str | None = None,
+        device: int | None = None,
+        context: str | None = None,
+    ):
+        self.engine: RasterEngine | None = None
+        self._lock, self._process = ThreadLock(IN_USE), os.getpid()
         self.scene, self._users, self.thread = scene, set(), SecondThread()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
-        lifetime.release_waiting()
-        with egl.preserve_current():
-            self._context = join() if joins else gl.create_context(device)
-        try:
-            with self._context:
-                self.gl_info = gl.describe(self._context)
-                self.buffers = SceneBuffers(self._context, scene, data_folder("shaders"), self.thread)
-        except BaseException:
-            lifetime.discard(self._context)  # the exception holds what is in it
-            raise
+        self.engine = make_engine(scene, engine, device, context)
+        self.gl_info = self.engine.driver
         self._indices = _indices(scene)
 
     def check_idle(self) -> None:
@@ -71,9 +60,9 @@ class World:
         self._lock.check_free()
 
     def check_thread(self) -> None:
-        """Raise an Error in another thread than that whose context was joined."""
-        if self._host_thread is not None:
-            check_thread(self._host_thread)
+        """Raise an Error in a thread that may not draw."""
+        if self.engine is not None:
+            self.engine.check_thread()
 
     @contextmanager
     def unchanged(self):
@@ -82,19 +71,16 @@ class World:
             raise other_process_error("Simulator")
         self.check_thread()
         with self._lock.held():
-            if self._context is None:
+            if self.engine is None:
                 raise closed_error("Simulator")
             yield
 
     @contextmanager
     def drawing(self):
-        """Have the context current for the time of the block, in one thread at a time."""
+        """Have the engine ready to draw for the time of the block, in one thread at a time."""
         with self.unchanged():
             self.thread.settle()
-            lifetime.release_waiting()
-            # after an interrupt in the context's own end, the outer manager still makes it not current
-            with egl.preserve_current(), self._context as context:
-                context.gc()
+            with self.engine.drawing() as context:
                 yield context
 
     def state_of(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> SceneState:
@@ -135,10 +121,10 @@ class World:
 
     def place(self, bodies) -> None:
         """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
-        self.buffers.meshes.state, self._plume_poses = self._moved(bodies)
+        self.engine.meshes.state, self._plume_poses = self._moved(bodies)
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
-        state = self.buffers.meshes.state
+        state = self.engine.meshes.state
         if not bodies:
             return state, self._plume_poses
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
@@ -163,7 +149,7 @@ class World:
 
     def _reflectivity(self, changed) -> np.ndarray:
         check_kind("reflectivity", changed, dict, 'such as {"diver": 0.2}')
-        out = self.buffers.meshes.reflectivity.copy()
+        out = self.engine.meshes.reflectivity.copy()
         for name, value in changed.items():
             index = self._index_of(name, "names in reflectivity")
             if not (is_number(value) and 0 <= value <= 1):  # NaN too
@@ -178,12 +164,12 @@ class World:
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
         scene = self.scene.with_more(bodies)
-        uploaded = self.buffers.uploaded.with_more([body for body in bodies if isinstance(body, Body)])
+        contents = self.engine.with_more([body for body in bodies if isinstance(body, Body)])
         plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
         plume_poses, indices = self._plume_poses | plume_poses, _indices(scene)
         # all in one step: an interrupt before it leaves the scene without these bodies
-        self.buffers.uploaded, self.scene, self._plume_poses, self._indices = (
-            uploaded, scene, plume_poses, indices
+        self.engine.contents, self.scene, self._plume_poses, self._indices = (
+            contents, scene, plume_poses, indices
         )  # fmt: skip
 
     def join(self, user: int) -> None:
@@ -191,28 +177,31 @@ class World:
         self._users.add(user)
 
     def leave(self, user: int, release) -> None:
-        """Take one user less: `release` drops its GL objects; after the last user the context goes, too.
+        """Take one user less: `release` drops what it has in the engine; after the last user the engine goes, too.
 
         After an interrupt, call it again: each step may be repeated.
         """
-        if os.getpid() != self._process:  # of a fork: the context and the lock are the parent's
+        if os.getpid() != self._process:  # of a fork: the engine and the lock are the parent's
             return
+        # a function alone: what still held the engine would keep its objects
+        release_waiting = None if self.engine is None else self.engine.release_waiting
         with self._lock.held():
             release()
             self._users.discard(user)
             if not self._users:
                 self.thread.close()
-                if self._context is not None:
-                    lifetime.discard(self._context)
-                self._context = self.buffers = None
-        lifetime.release_waiting()
+                if self.engine is not None:
+                    self.engine.discard()
+                self.engine = None
+        if release_waiting is not None:
+            release_waiting()
 
     def forget(self, user: int) -> None:
         """Take one user less that was not closed: nothing may be drawn or released now."""
         self._users.discard(user)
-        if not self._users and self._context is not None and os.getpid() == self._process:
+        if not self._users and self.engine is not None and os.getpid() == self._process:
             self.thread.close()
-            lifetime.discard(self._context)
+            self.engine.discard()
 
 
 def _indices(scene: Scene) -> dict[str, int]:

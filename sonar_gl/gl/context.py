@@ -25,8 +25,9 @@ SETTINGS = {  # environment variable: where its value may come from; ours, and t
 DEVICE_VARIABLES = tuple(SETTINGS)
 EGL_DRM_DEVICE_FILE_EXT, EGL_RENDERER_EXT = 0x3233, 0x335F  # names for eglQueryDeviceStringEXT
 NO_EGL = (
-    "OpenGL must be reachable through EGL, without a display (got: {why}); on Debian or Ubuntu install it "
-    "with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
+    "OpenGL must be reachable through EGL, without a display (got: {why}); pings need none with the "
+    "engine 'cpu'; on Debian or Ubuntu install it with 'apt-get install libegl1 libgl1', in a container with a GPU let "
+    "the driver's EGL library in"
 )
 SOFTWARE_VARIABLE = (
     "SONAR_GL_SOFTWARE"  # 0 or 1 in place of what the driver's name says, to test the other path
@@ -228,12 +229,21 @@ def create_context(device: int | None = None) -> moderngl.Context:
     return context
 
 
+def hardware_context() -> moderngl.Context | None:
+    """Return a context of a graphics card, as `create_context` does; None if OpenGL is missing or in software."""
+    try:
+        context = create_context()
+    except Error:
+        return None
+    if is_software(context.info["GL_RENDERER"]):
+        context.release()
+        return None
+    return context
+
+
 def too_old_message(got: str) -> str:
     """Return the error message for a driver below OpenGL 3.3."""
-    return (
-        f"OpenGL must be 3.3 or newer (got {got}); update the driver, or use Mesa's software renderer with "
-        "'LIBGL_ALWAYS_SOFTWARE=1'"
-    )
+    return f"OpenGL must be 3.3 or newer (got {got}); update the driver, or ask for the engine 'cpu', which needs none"
 
 
 def describe(context: moderngl.Context) -> dict:

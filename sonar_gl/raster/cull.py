@@ -184,14 +184,14 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
 
     Returns
     -------
-    how many are chosen
+    how many are chosen, and how many faces they have
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
     _, bounds, closed, roots, order = bodies
     present, matrices, outside = places
     sector, planes_uv, inverse, corner, _, _, _ = view
     near_m, far_m, range_max_m, error_per_m, echo_errors = limits
-    n = 0
+    n, faces_of_all = 0, 0
     m, normals, eye, ray = np.empty((3, 4)), np.empty((5, 3)), np.empty(3), np.empty(3)
     planes = np.zeros((5, 3))  # inwards, in the sector's frame: u and v between their limits, ahead
     for k in range(2):
@@ -255,23 +255,6 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
                 hidden = along >= math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance + radius
             if not hidden and n_faces[i] > 0:
                 chosen[n, 0], chosen[n, 1] = i, b
-                n += 1
+                n, faces_of_all = n + 1, faces_of_all + n_faces[i]
             i = skip[i]
-    return n
-
-
-@compiled
-def draw_patches(chosen, first_face, n_faces, closed, row, draws):
-    """Write patches as draws: (M, 5) uint32 of indices, instances, first index, first vertex, body's row.
-
-    Returns
-    -------
-    how many of them, the first, are of closed bodies
-    """
-    n_closed = 0
-    for k in range(chosen.shape[0]):
-        patch, body = chosen[k, 0], chosen[k, 1]
-        n_closed += closed[body] != 0
-        draws[k, 0], draws[k, 1], draws[k, 2] = 3 * n_faces[patch], 1, 3 * first_face[patch]
-        draws[k, 3], draws[k, 4] = 0, row + body
-    return n_closed
+    return n, faces_of_all

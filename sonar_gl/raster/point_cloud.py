@@ -7,21 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonar_gl.raster.buffers import SceneBuffers
-from sonar_gl.raster.renderer import Renderer
+from sonar_gl.raster.engine import RasterEngine
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 
-def point_cloud(buffers: SceneBuffers, sonar: Sonar, pose, columns: int, rows: int):
-    """Return what `Simulator.point_cloud` gives; the context must be current."""
+def point_cloud(engine: RasterEngine, sonar: Sonar, pose, columns: int, rows: int):
+    """Return what `Simulator.point_cloud` gives; inside `drawing`."""
     # one beam a column, that reach to the edges of the field of view and not beyond
     sonar = replace(sonar, n_beams=columns, beam_azimuths_deg=None)
     reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
-    (view,) = Renderer(buffers, make_fan(sonar, Sampling(1, rows), reach, shear=0.0)).render(
-        [pose], full=True
-    )
+    fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
+    (view,) = engine.make_renderer(fan, False, engine.make_room()).render([pose], full=True)
     points, echoes = [], []
     for sector, plane_echo, _ in view.sectors:
         u, v = sector.sample_coordinates()

@@ -8,34 +8,18 @@ from dataclasses import fields
 
 import numpy as np
 
-from sonar_gl.core.worker import SecondThread
-from sonar_gl.raster.cull import (
-    BodyBoxes,
-    BodyPlaces,
-    DetailLimits,
-    PatchTree,
-    choose_patches,
-    draw_patches,
-    place_bodies,
-)
-from sonar_gl.raster.draw_list import (
+from sonar_gl.raster.cull import BodyBoxes, BodyPlaces, DetailLimits, PatchTree, choose_patches, place_bodies
+from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
+from sonar_gl.raster.views import (
     LOBE,
     PER_BODY,
     REFLECTIVITY,
     BodiesInView,
-    DrawList,
-    SectorDraws,
+    PatchesInView,
     SectorView,
+    Window,
     distance_before_plane,
     window_about,
-)
-from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
-from sonar_gl.raster.small_triangles import (
-    DrawnTriangles,
-    PatchFaces,
-    PlacedBodies,
-    Vertices,
-    rasterize_small_triangles,
 )
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M
@@ -43,8 +27,6 @@ from sonar_gl.sonar.fan import NEAR_M
 # A patch replaces its mesh where its geometric error is at most so many samples, and where its echo changes
 # by at most so much per radian of a sample's width; not at all where its normals make a specular lobe.
 ERROR_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
-TWO_THREADS = 4000  # faces, below which one thread is as fast
-LAYERS = 2  # samples rasterised in software, per sample of a sector; what exceeds this is drawn
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
 
 
@@ -53,8 +35,6 @@ class SceneMeshes:
 
     Parameters
     ----------
-    rasterizes : leave out triangles that meet no sample, and rasterise small ones in software
-    thread : for the second half of that
     surface_z_m : of the water, which ends there for a sonar in it; or None
 
     Attributes
@@ -64,15 +44,11 @@ class SceneMeshes:
     rows : (n, PER_BODY) float32, positions not filled in
     boxes : BodyBoxes
     levels : the patches of all meshes, one after the other: fields of `Levels` by name
+    most_patches : that a sector may choose
     """
 
-    def __init__(
-        self,
-        rasterizes: bool = False,
-        thread: SecondThread | None = None,
-        surface_z_m: float | None = None,
-    ):
-        self.rasterizes, self._surface_z_m, self._thread = rasterizes, surface_z_m, thread
+    def __init__(self, surface_z_m: float | None = None):
+        self._surface_z_m, self.most_patches = surface_z_m, 0
         self.bodies, self.state = [], SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
         self.rows = np.empty((0, PER_BODY), np.float32)
         self.boxes = BodyBoxes(
@@ -83,12 +59,7 @@ class SceneMeshes:
             order=np.empty(0, np.int64),
         )
         self.levels: dict[str, np.ndarray] = {}
-        self._vertices = Vertices(
-            np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32)
-        )
-        self._tree = self._faces = ()
-        self._meshes = {}
-        self._chosen = np.empty((0, 2), np.int32)
+        self._tree, self._meshes = (), {}
 
     @property
     def reflectivity(self) -> np.ndarray:
@@ -130,7 +101,7 @@ class SceneMeshes:
             self.state = SceneState(poses, np.append(self.state.present, np.ones(len(bodies), bool)))
             self.bodies = [*self.bodies, *bodies]
             most = [self.levels["leaf"][first:end].sum() for first, end in boxes.roots]
-            self._chosen = np.empty((int(sum(most)), 2), np.int32)
+            self.most_patches = int(sum(most))
         return made
 
     def _append_levels(self, made) -> None:
@@ -138,7 +109,7 @@ class SceneMeshes:
         parts = {name: [column] for name, column in self.levels.items()}
         parts = parts or {name: [] for name in LEVEL_FIELDS}
         n_patches, n_faces = len(self.levels.get("skip", ())), len(self.levels.get("faces", ()))
-        n_vertices = len(self._vertices.points)
+        n_vertices = len(self.levels.get("vertices", ()))
         for one in made:
             shifts = {"skip": n_patches, "first_vertex": n_vertices, "first_face": n_faces}
             for name in LEVEL_FIELDS:
@@ -149,25 +120,6 @@ class SceneMeshes:
         if made:
             self.levels = {name: np.concatenate(columns) for name, columns in parts.items()}
             self._tree = tuple(self.levels[name] for name in PatchTree._fields)
-            self._faces = tuple(self.levels[name] for name in PatchFaces._fields)
-            points = np.concatenate([self._vertices.points, *(one.points for one in made)])
-            self._vertices = Vertices(
-                points if self.rasterizes else points[:0],  # otherwise the driver has them
-                self._appended("normals", made, np.zeros(3, np.float32)),
-                self._appended("reflectivity", made, np.float32(1.0)),
-            )
-
-    def _appended(self, name, made, default):
-        """Return an attribute of all vertices, as soon as any mesh has it."""
-        old = getattr(self._vertices, name)
-        if not self.rasterizes or (not len(old) and all(getattr(one, name) is None for one in made)):
-            return old
-        if not len(old):
-            n = len(self._vertices.points)
-            old = np.tile(default, (n,) + (1,) * default.ndim).reshape(-1, *default.shape)
-        parts = [getattr(one, name) for one in made]
-        fill = [np.broadcast_to(default, (len(one.points), *default.shape)) for one in made]
-        return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
 
     def view_from(
         self, pose, state: SceneState | None = None, plane=None, specular: bool = False
@@ -194,12 +146,19 @@ class SceneMeshes:
             present, is_cut = present & (furthest > 0), nearest < 0
         return BodiesInView(matrices, rows, present, outside, plane, is_cut)
 
-    def draw_sector(
-        self, view: SectorView, bodies: BodiesInView, far_m, range_max_m, row: int, out: DrawList
-    ) -> SectorDraws:
-        """Add what a sector draws to `out`; `row` is where the rows of `bodies` begin."""
+    def choose(
+        self, view: SectorView, bodies: BodiesInView, far_m, range_max_m, out: np.ndarray
+    ) -> PatchesInView:
+        """Choose what a sector draws of bodies.
+
+        Parameters
+        ----------
+        far_m, range_max_m : distance of the far plane, and of the last bin
+        out : (most_patches, 2) int32, overwritten
+        """
+        if not self.bodies:
+            return PatchesInView(out[:0], 0, Window())
         extent = np.array([np.inf, -np.inf, np.inf, -np.inf])
-        first, first_sample = out.draws.used, out.samples.used
         lobes = bodies.rows[:, LOBE] > 0
         limits = DetailLimits(
             near_m=NEAR_M,
@@ -208,72 +167,13 @@ class SceneMeshes:
             error_per_m=ERROR_SAMPLES * view.sample_rad,
             echo_errors=np.where(lobes, 0.0, ECHO_PER_RAD * view.sample_rad),
         )
-        n = choose_patches(
+        n, n_faces = choose_patches(
             self._tree,
             tuple(self.boxes),
             tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.outside)),
             view.geometry,
             tuple(limits),
-            self._chosen,
+            out,
             extent,
         )
-        chosen = self._chosen[:n]
-        if self.rasterizes:
-            n_closed = self._rasterize(view, bodies, row, chosen, out)
-        else:
-            (draws,) = out.draws.reserve(n)
-            first_face, n_faces = self.levels["first_face"], self.levels["n_faces"]
-            n_closed = draw_patches(chosen, first_face, n_faces, self.boxes.closed, row, draws)
-            out.draws.used += n
-        window = window_about(extent, view.sector.columns, view.sector.rows)
-        samples = slice(first_sample, out.samples.used)
-        return SectorDraws(first, n_closed, out.draws.used - first, samples, window)
-
-    def _rasterize(self, view, bodies, row, chosen, out) -> int:
-        """Add the triangles of patches that meet a sample; return how many draws are of closed bodies."""
-        counts = self.levels["n_faces"][chosen[:, 0]]
-        ends, sector = counts.cumsum(), view.sector
-        total = int(ends[-1]) if len(ends) else 0
-        half = int(ends.searchsorted(total // 2)) if total > TWO_THREADS else len(chosen)
-        n_samples = LAYERS * sector.columns * sector.rows
-        starts = (0, int(ends[half - 1]) if half else 0)
-        (draws,), (indices,) = out.draws.reserve(len(chosen)), out.indices.reserve(3 * total)
-        samples = out.samples.reserve(2 * n_samples)
-        placed = PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, self.boxes.closed, bodies.outside)
-
-        def work(which):
-            part = slice(half, None) if which else slice(0, half)
-            drawn = DrawnTriangles(
-                draws=draws[part],
-                indices=indices[3 * starts[which] :],
-                first_index=out.indices.used,
-                first_row=row,
-            )
-            return rasterize_small_triangles(
-                chosen[part],
-                self._faces,
-                tuple(self._vertices),
-                tuple(placed),
-                view.geometry,
-                NEAR_M,
-                tuple(drawn),
-                tuple(array[which * n_samples :][:n_samples] for array in samples),
-            )
-
-        if half == len(chosen):
-            n_closed, n, used, filled = work(0)
-        else:
-            first, second = self._thread.run_halves(work) if self._thread else (work(0), work(1))
-            (n_closed, n, used, filled), (more_closed, more, more_used, more_filled) = first, second
-            draws[n : n + more] = draws[half : half + more]
-            draws[n : n + more, 2] += used
-            begin = 3 * starts[1]
-            indices[used : used + more_used] = indices[begin : begin + more_used]
-            for array in samples:
-                array[filled : filled + more_filled] = array[n_samples : n_samples + more_filled]
-            n_closed, n = n_closed + more_closed, n + more
-            used, filled = used + more_used, filled + more_filled
-        out.draws.used += n
-        out.indices.used += used
-        out.samples.used += filled
-        return n_closed
+        return PatchesInView(out[:n], n_faces, window_about(extent, view.sector.columns, view.sector.rows))

@@ -20,6 +20,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl
+from sonar_gl.raster.opengl import draw_list
 from sonar_gl.simulator import Simulator
 from tests.support import command_line
 from tests.support.command_line import BODY, BOX, SENSOR, WALL
@@ -60,7 +61,7 @@ def test_known_scene_finds_a_wrong_drawing(monkeypatch):
 
     monkeypatch.setattr(Simulator, "ping", mirrored)
     ok, detail, cure = system_checks.check_known_scene()
-    assert ok is False and ", -2." in detail and "driver draws wrongly" in cure
+    assert ok is False and ", -2." in detail and cure == "install sonar_gl again"
 
 
 def test_missing_package_has_its_cure(monkeypatch):
@@ -86,9 +87,9 @@ def test_process_without_a_package(tmp_path):
     at = lines.index("FAIL trimesh cannot be imported (no trimesh here)")
     assert lines[at + 1] == pip_install("trimesh")
     assert "FAIL OpenGL not tried (no trimesh here)" in lines
-    assert "FAIL known scene not tried without OpenGL" in lines
+    assert "FAIL known scene not tried (no trimesh here)" in lines
     assert any(line.startswith("ok shaders ") for line in lines)
-    assert lines[-1] == "7 of 22 failed"
+    assert lines[-1] == "8 of 23 failed"
 
 
 def test_optional_packages_may_be_missing(monkeypatch):
@@ -120,19 +121,30 @@ def no_egl(monkeypatch):
     egl.library.cache_clear()
 
 
-def test_no_opengl_is_told_with_its_cure_and_status_1(monkeypatch, no_egl):
+def test_no_opengl_leaves_pings_to_the_cpu(monkeypatch, no_egl):
     monkeypatch.setattr(doctor, "PACKAGES", ())
+    monkeypatch.setenv("SONAR_GL_ENGINE", "auto")
+    result = CliRunner().invoke(cli.main, ["doctor"])
+    assert result.exit_code == 0
+    lines = [" ".join(line.split()) for line in result.output.splitlines()]
+    at = lines.index("- EGL libEGL.so.1: cannot open shared object file")
+    assert lines[at + 1].endswith("on Debian or Ubuntu: apt-get install libegl1 libgl1")
+    assert lines[at + 2].startswith("- OpenGL OpenGL must be reachable through EGL, without a display (got: ")
+    assert lines[at + 3].startswith("pings are drawn by the CPU")
+    assert lines[at + 4].startswith("ok engine cpu: CPU, Numba ")
+    assert any(line.startswith("ok known scene ") for line in lines)
+    assert lines[-1] == "all is well"
+
+
+def test_no_opengl_is_told_with_its_cure_and_status_1_where_it_is_asked_for(monkeypatch, no_egl):
+    monkeypatch.setattr(doctor, "PACKAGES", ())
+    monkeypatch.setenv("SONAR_GL_ENGINE", "opengl")
     result = CliRunner().invoke(cli.main, ["doctor"])
     assert result.exit_code == 1
     lines = [" ".join(line.split()) for line in result.output.splitlines()]
-    at = lines.index("FAIL EGL libEGL.so.1: cannot open shared object file")
-    assert lines[at + 1] == "on Debian or Ubuntu: apt-get install libegl1 libgl1"
-    assert lines[at + 2].startswith(
-        "FAIL OpenGL OpenGL must be reachable through EGL, without a display (got: "
-    )
-    assert lines[at + 3] == "FAIL compiled functions not tried without OpenGL"
-    assert lines[at + 4] == "FAIL known scene not tried without OpenGL"
-    assert lines[-1] == "4 of 10 failed"
+    why = "OpenGL must be reachable through EGL, without a display (got: "
+    for what in ("OpenGL", "engine", "known scene"):
+        assert any(line.startswith(f"FAIL {what} {why}") for line in lines)
 
 
 def test_command_is_quiet_about_cures_when_all_is_well(monkeypatch, well):
@@ -188,18 +200,18 @@ print(done.n_functions, done.n_compiled, len(reports) > 3, *(n for n, f in funct
     home = str(Path(sonar_gl.__file__).parent.parent)
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": home, "NUMBA_CACHE_DIR": str(tmp_path)},
+        env={**os.environ, "PYTHONPATH": home, "NUMBA_CACHE_DIR": str(tmp_path), "SONAR_GL_ENGINE": "cpu"},
         capture_output=True,
         text=True,
         check=True,
         timeout=590,
     )
     n_functions, n_compiled, has_reports, *left = done.stdout.split()
-    with gl.create_context() as context:
-        is_software = gl.is_software(gl.describe(context)["renderer"])
-    unused = r"raster\.cull\.draw_patches" if is_software else r"raster\.small_triangles\.\w+"
-    assert [name for name in left if not re.fullmatch(rf"sonar_gl\.{unused}", name)] == []
-    assert int(n_functions) == int(n_compiled) + len(left) == n_compiled_in_source() and has_reports == "True"
+    assert left == []
+    only_opengl = len(re.findall("^@compiled$", Path(draw_list.__file__).read_text(), re.MULTILINE))
+    assert (
+        int(n_functions) == int(n_compiled) == n_compiled_in_source() - only_opengl and has_reports == "True"
+    )
 
 
 def n_compiled_in_source() -> int:
@@ -317,7 +329,7 @@ def test_doctor_lists_devices_and_which_is_used(several, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "names, ok, told", [([], False, "0 devices"), (None, None, "cannot list its devices")]
+    "names, ok, told", [([], None, "0 devices"), (None, None, "cannot list its devices")]
 )
 def test_no_devices_and_an_egl_that_cannot_list_them(monkeypatch, names, ok, told):
     monkeypatch.setattr(gl, "egl_devices", lambda: names)

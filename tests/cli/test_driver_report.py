@@ -9,8 +9,8 @@ from sonar_gl import __version__
 from sonar_gl.cli import doctor, driver_report, system_checks
 from sonar_gl.cli import main as cli
 from sonar_gl.cli.doctor import Finding
-from sonar_gl.engine import world
 from sonar_gl.gl import context as gl
+from sonar_gl.raster.opengl import engine
 from tests.support.noisy_shaders import noisy_shaders
 
 
@@ -64,7 +64,7 @@ def test_a_report_that_cannot_be_written(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("units", [8, 256])
-def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path):
+def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path, opengl_engine):
     """Of some thousand samples one has nearly the greatest noise, and a difference of two nearly twice that.
 
     Rows are sheared, so that slopes along v take some of the noise along u, too. The driver adds its own. The known
@@ -72,7 +72,7 @@ def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path):
     """
     own = driver_report.sample_noise()
     folder = noisy_shaders(tmp_path, units)
-    monkeypatch.setattr(world, "data_folder", lambda _: folder)
+    monkeypatch.setattr(engine, "data_folder", lambda _: folder)
     noise = driver_report.sample_noise()
     assert 0.95 * units - own.depth < noise.depth < units + own.depth + 1
     assert 1.6 * units - own.slopes < noise.slopes < 3 * units + own.slopes + 1

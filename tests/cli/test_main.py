@@ -780,12 +780,13 @@ def test_tables_of_poses_go_by_the_names_of_their_columns():
 
 
 NO_EGL = (
-    "OpenGL must be reachable through EGL, without a display (got: {}); on Debian or Ubuntu install it with "
-    "'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL library in"
+    "OpenGL must be reachable through EGL, without a display (got: {}); pings need none with the engine 'cpu'; on "
+    "Debian or Ubuntu install it with 'apt-get install libegl1 libgl1', in a container with a GPU let the driver's EGL "
+    "library in"
 )
 
 
-def test_no_egl_and_too_old_an_opengl(monkeypatch):
+def test_no_egl_and_too_old_an_opengl(monkeypatch, opengl_engine):
     def failing(message):
         def create(*_args, **_more):
             raise Exception(message)
@@ -797,7 +798,7 @@ def test_no_egl_and_too_old_an_opengl(monkeypatch):
     told = "Requested OpenGL version 330, got version 310"
     monkeypatch.setattr(moderngl, "create_context", failing(told))
     assert re.fullmatch(
-        r"OpenGL must be 3\.3 or newer \(got 3\.[13]\); update the driver, or use Mesa's .*", refused()
+        r"OpenGL must be 3\.3 or newer \(got 3\.[13]\); update the driver, or ask for .*", refused()
     )
 
 
@@ -837,7 +838,13 @@ def test_process_renders_and_says_nothing_on_stderr():
 
 def test_process_without_egl():
     done = process(
-        "render", "tank.sdf", "--sonar", "small.toml", __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json"
+        "render",
+        "tank.sdf",
+        "--sonar",
+        "small.toml",
+        "--engine",
+        "opengl",
+        __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json",
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: {NO_EGL.format('requested device index 0, but found 0 devices')}\n"
@@ -848,7 +855,9 @@ def test_process_with_too_old_an_opengl():
     with gl.create_context() as context:
         if "Mesa" not in gl.describe(context)["version"]:
             pytest.skip("needs Mesa")
-    done = process("render", "tank.sdf", "--sonar", "small.toml", MESA_GL_VERSION_OVERRIDE="3.1")
+    done = process(
+        "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl", MESA_GL_VERSION_OVERRIDE="3.1"
+    )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: OpenGL must be ") and done.stderr.count("\n") == 1
 

@@ -227,7 +227,7 @@ def test_the_page_of_batches_runs(folder):
         if words[-1] == "--dry-run":
             assert re.search(r"^9 pings in 1 parts of \d+$", result.stdout, re.M)
             assert re.search(
-                r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ x \d+ samples", result.stdout, re.M
+                r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
             assert re.search(r"^time: .* ms a ping, on .*\), .* at best in \d+", result.stdout, re.M)

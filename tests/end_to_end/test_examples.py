@@ -43,6 +43,7 @@ class Run:
         environment = {key: value for key, value in os.environ.items() if key not in hidden}
         if display:
             environment["DISPLAY"] = display
+        environment["SONAR_GL_ENGINE"] = "opengl"  # hosts draw by OpenGL, and what they are compared with
         environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), environment.get("PYTHONPATH", "")])
         program = sys.executable, "-W", "error::UserWarning", "-m", "tests.support.run_example"
         done = subprocess.run(

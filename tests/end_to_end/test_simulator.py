@@ -191,7 +191,7 @@ def dropping_in_the_middle(monkeypatch, simulator, drop):
 
 
 @pytest.mark.parametrize("does", ["make_current", "delete_names"])
-def test_a_host_s_objects_are_not_finalised_in_the_middle_of_a_ping(does, host, monkeypatch):
+def test_a_host_s_objects_are_not_finalised_in_the_middle_of_a_ping(does, host, monkeypatch, opengl_engine):
     """Such a finaliser makes another context current, or deletes objects by names that are ours, too."""
     theirs = egl.current()
     finalise = {"make_current": lambda: egl.make_current(theirs), "delete_names": delete_names}[does]
@@ -213,7 +213,9 @@ def test_a_host_s_objects_are_not_finalised_in_the_middle_of_a_ping(does, host, 
         np.testing.assert_array_equal(several, expected * 3)
 
 
-def test_another_context_made_current_in_the_middle_of_a_ping_raises_an_error(host, monkeypatch):
+def test_another_context_made_current_in_the_middle_of_a_ping_raises_an_error(
+    host, monkeypatch, opengl_engine
+):
     """What the collector cannot help: a signal handler, or a call of gc.collect() in one."""
     theirs = egl.current()
     with simulator() as it:
@@ -549,7 +551,7 @@ print(make_in_fork())
 """
 
 
-def test_a_process_forked_after_a_context_was_made_makes_no_other():
+def test_a_process_forked_after_a_context_was_made_makes_no_other(opengl_engine):
     """It would hang: the driver's threads are the parent's. One forked before makes its own."""
     run = subprocess.run(
         [sys.executable, "-W", "ignore::DeprecationWarning", "-c", MAKE_IN_FORK],
@@ -585,7 +587,7 @@ def test_a_deleted_simulator_is_freed():
     assert beamformer() is None
 
 
-def test_point_clouds_do_not_leak_gl_objects():
+def test_point_clouds_do_not_leak_gl_objects(opengl_engine):
     """Each call deletes the objects that the last one released, so their number does not grow."""
     with simulator() as it:
         waiting = []

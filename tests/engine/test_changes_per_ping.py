@@ -9,7 +9,6 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.raster import buffers
 
 SONAR = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0)
 SAMPLING = sg.Sampling(2, 30)
@@ -54,10 +53,10 @@ def check_same(one, other):
     assert one.intensity.any()
 
 
-@pytest.mark.parametrize("rasterizer", ["software", "driver"])
-def test_a_ping_with_other_reflectivity_is_that_of_such_a_scene(monkeypatch, rasterizer):
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_ping_with_other_reflectivity_is_that_of_such_a_scene(monkeypatch, engine):
     """Specular lobes stay; values per face are scaled by the factor, here one half, which causes no rounding."""
-    monkeypatch.setattr(buffers, "is_software", lambda _: rasterizer == "software")
+    monkeypatch.setenv("SONAR_GL_ENGINE", engine)
     settings, other = {"labels": True, "time_s": 3.0}, {"plain": 0.3, "smooth": 0.95, "patchy": 0.5}
     # reflection coefficients follow from the bodies' own values, so multipath is off
     acoustics = replace(ACOUSTICS, multipath="none")

@@ -99,7 +99,7 @@ def check_naive(pristine, working, hostile):
     assert working.get("error") or working["wrong"] > 10_000
     assert working["frame"] > 1000
     assert hostile.get("error") or hostile["wrong"] > 10_000
-    assert "CURRENT_PROGRAM" in hostile["changed"]
+    assert len(hostile["changed"]) > 20  # until the driver reported an error
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,11 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.raster import buffers, scene_meshes
 from sonar_gl.raster import level_of_detail as detail
+from sonar_gl.raster import scene_meshes
 from sonar_gl.raster.cull import BEYOND, SectorGeometry
-from sonar_gl.raster.draw_list import DrawList, SectorView
+from sonar_gl.raster.opengl import buffers
+from sonar_gl.raster.views import SectorView
 from sonar_gl.sonar.fan import FAR_FACTOR
 from tests.support.worlds import terrain
 
@@ -50,13 +51,10 @@ def choose(bodies, pose, view):
     some = scene_meshes.SceneMeshes()
     some.add(bodies)
     placed = some.view_from(pose)
-    out = DrawList()
-    some.draw_sector(view, placed, FAR_M, SONAR.range_max_m, 0, out)
-    (draws,) = out.draws.filled()
-    firsts = 3 * some.levels["first_face"]
-    real = np.flatnonzero(some.levels["n_faces"] > 0)
-    at = dict(zip(firsts[real].tolist(), real.tolist(), strict=True))
-    return [(at[int(row[2])], int(row[4])) for row in draws], some, placed
+    room = np.empty((some.most_patches, 2), np.int32)
+    found = some.choose(view, placed, FAR_M, SONAR.range_max_m, room)
+    assert found.n_faces == some.levels["n_faces"][found.chosen[:, 0]].sum()
+    return [tuple(row) for row in found.chosen.tolist()], some, placed
 
 
 def corners_in(view, some, placed, patch, body, m=None):
@@ -256,9 +254,7 @@ def small_scene(hills):
 VIEWS = [sg.pose(0, 0, 0, 0, 0.1, 0), sg.pose(-3, 1, 1, 0.2, 0.1, 0.3)]
 
 
-@pytest.mark.parametrize("software", [True, False])
-def test_pings_without_indirect_draws_are_identical(monkeypatch, hills, software):
-    monkeypatch.setattr(buffers, "is_software", lambda _: software)
+def test_pings_without_indirect_draws_are_identical(monkeypatch, hills, opengl_engine):
     expected, calls = pings(small_scene(hills), VIEWS), []
     draw = buffers.SceneBuffers.draw
     monkeypatch.setattr(
@@ -280,7 +276,7 @@ import numpy as np
 sys.path.insert(0, sys.argv[1])
 from tests.raster import test_cull as here
 here.detail.LEAF_FACES, here.detail.MIN_FACES_TO_SIMPLIFY = 64, 2000
-from sonar_gl.raster import buffers
+from sonar_gl.raster.opengl import buffers
 used = []
 draw = buffers.SceneBuffers.draw
 buffers.SceneBuffers.draw = lambda self, *a: used.append(self.indirect) or draw(self, *a)
@@ -299,7 +295,7 @@ def old_hills():
     return terrain(np.random.default_rng(0), 60.0, 6.0, 30)
 
 
-def test_a_driver_of_opengl_3_3_gives_the_same_ping(tmp_path):
+def test_a_driver_of_opengl_3_3_gives_the_same_ping(tmp_path, opengl_engine):
     """Mesa offers version 3.3 in a separate process."""
     bodies = small_scene(old_hills())
     with sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), SAMPLING) as it:

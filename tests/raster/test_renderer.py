@@ -15,11 +15,13 @@ from sonar_gl.gl import context as gl
 from sonar_gl.gl import memory
 from sonar_gl.gl import shaders as programs
 from sonar_gl.gl.functions import Functions
-from sonar_gl.raster import renderer
-from sonar_gl.raster.renderer import RenderTarget
+from sonar_gl.raster.opengl import renderer
+from sonar_gl.raster.opengl.renderer import RenderTarget
 from sonar_gl.scene.primitives import closedness
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from tests.support import glsl
+
+pytestmark = pytest.mark.usefixtures("opengl_engine")
 
 BOX = trimesh.creation.box((1, 1, 1))
 

@@ -5,8 +5,10 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.engine import world
+from sonar_gl.raster.opengl import engine
 from tests.support.noisy_shaders import noisy_shaders
+
+pytestmark = pytest.mark.usefixtures("opengl_engine")
 
 ULPS = 8  # a sloppy reciprocal: OpenGL demands 2.5 of division, and w is the reciprocal of an interpolated reciprocal
 # 8 units are 5 µm at 10 m: an even footprint of a bin's length (8 mm) loses 6e-4 of its echo to the next bin or gains
@@ -24,7 +26,7 @@ def labelled_ping(name, sampling, folder, monkeypatch):
     scene = sg.load_scene(name)
     with monkeypatch.context() as patch:
         patch.setenv("SONAR_GL_SOFTWARE", "0")
-        patch.setattr(world, "data_folder", lambda _: folder)
+        patch.setattr(engine, "data_folder", lambda _: folder)
         with sg.Simulator(scene, sg.load_sonar("p900-45"), sampling=sampling) as simulator:
             return simulator.ping(scene.sonar_pose, labels=True)
 

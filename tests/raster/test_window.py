@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.raster.draw_list import DrawList, SectorView
 from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.raster.views import SectorView
 from tests.support.worlds import random_world
 
 
@@ -77,7 +77,8 @@ def test_the_window_has_every_ray_that_hits_a_box():
         meshes.add([sg.Body("box", box, pose)])
         for sector in sectors:
             bodies = meshes.view_from(np.eye(4))
-            found = meshes.draw_sector(SectorView(sector), bodies, 1e3, 1e3, 0, DrawList())
+            room = np.empty((meshes.most_patches, 2), np.int32)
+            found = meshes.choose(SectorView(sector), bodies, 1e3, 1e3, room)
             i, j, columns, rows = found.window
             u, v = sector.sample_coordinates()
             d = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation() @ pose[:3, :3]

@@ -19,7 +19,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.gl import lifetime
-from sonar_gl.raster import buffers
+from sonar_gl.raster.opengl import buffers
 from tests.support import soak
 from tests.support.host_state import objects
 from tests.support.hosts import HOSTS, EglHost

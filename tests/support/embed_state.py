@@ -21,10 +21,10 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.embed import sensor as embed
-from sonar_gl.engine import world
 from sonar_gl.gl import context as gl
 from sonar_gl.gl.host import CurrentContext
 from sonar_gl.gl.state_guard import StateGuard
+from sonar_gl.raster.opengl import engine as opengl
 from tests.support import embed_modes, soak
 from tests.support.host_state import (
     ERRORS,
@@ -156,11 +156,11 @@ class Naive:
 
 def naive(kind, version, state, wanted) -> dict:
     """Return how many values change, and how many bytes of a ping are wrong, without a guard."""
-    trial, join = HostRun(kind, version, state), world.join
+    trial, join = HostRun(kind, version, state), opengl.join
     if "MESA_pack_invert" in trial.gl.has:  # with skipped rows, Mesa would write outside the array
         trial.gl.PixelStorei(enum("PACK_INVERT_MESA"), 0)
     before, frame = trial.snapshot(), trial.scene and trial.scene.draw()
-    world.join = lambda: gl.make_context(Naive(CurrentContext()))
+    opengl.join = lambda: gl.make_context(Naive(CurrentContext()))
     try:
         doing = use("current")
         next(doing)
@@ -170,7 +170,7 @@ def naive(kind, version, state, wanted) -> dict:
     except Exception as why:  # moderngl raises plain Exception
         out = {"error": f"{type(why).__name__}: {why}"}
     finally:
-        world.join = join
+        opengl.join = join
     out["changed"] = sorted(changes(before, trial.snapshot()))
     out["frame"] = int((trial.scene.draw() != frame).sum()) if trial.scene else 0
     doing.close()

@@ -4,6 +4,7 @@ Those that draw are our own simulator with one of its remedies removed.
 """
 
 import math
+import os
 import tempfile
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,8 +14,10 @@ from unittest import mock
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.engine import world
-from sonar_gl.raster import renderer, scene_meshes
+from sonar_gl.raster import scene_meshes
+from sonar_gl.raster.cpu import engine as cpu
+from sonar_gl.raster.opengl import engine as opengl
+from sonar_gl.raster.opengl import renderer
 from sonar_gl.scene import load
 from sonar_gl.sonar import fan, sector
 
@@ -34,7 +37,7 @@ def in_points(sampling):
 @contextmanager
 def near_plane_at(range_m):
     """Put the near plane at the given range instead of at the sonar."""
-    with mock.patch.object(renderer, "NEAR_M", range_m):
+    with mock.patch.object(renderer, "NEAR_M", range_m), mock.patch.object(cpu, "NEAR_M", range_m):
         yield
 
 
@@ -53,13 +56,14 @@ def back_faces_always_culled():
 
 @contextmanager
 def projection_depth():
-    """Use the projection's z-buffer of 24 bits instead of a depth that is linear in range."""
+    """Draw by OpenGL with the projection's z-buffer of 24 bits instead of a depth that is linear in range."""
     with tempfile.TemporaryDirectory() as folder:
         for path in load.data_folder("shaders").iterdir():
             if path.suffix in (".vert", ".frag", ".glsl"):
                 text = path.read_text(encoding="utf-8").replace("gl_FragDepth =", "float unused =")
                 (Path(folder) / path.name).write_text(text, encoding="utf-8")
-        with mock.patch.object(world, "data_folder", lambda _: Path(folder)):
+        shaders = mock.patch.object(opengl, "data_folder", lambda _: Path(folder))
+        with shaders, mock.patch.dict(os.environ, SONAR_GL_ENGINE="opengl"):
             yield
 
 

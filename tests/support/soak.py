@@ -82,7 +82,9 @@ def check_growth(before, resident, n_pings):
 
 
 def gl_objects(simulator):
-    """Return the number of OpenGL objects of each kind in a simulator's context."""
+    """Return the number of OpenGL objects of each kind in a simulator's context; none where the CPU draws."""
+    if simulator.gl_info["engine"] == "cpu":
+        return {}
     library = ctypes.CDLL("libGL.so.1")
     with simulator.run.drawing() as context:
         context.gc()

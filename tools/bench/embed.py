@@ -63,7 +63,7 @@ class Modes:
         self.mu = {number: float(np.mean(body.reflectivity)) for number, body in enumerate(scene.bodies, 1)}
         for columns, rows in SAMPLES[:2] if quick else SAMPLES:
             arguments = sonar, self.ideal, sg.Sampling(columns, rows)
-            alone = stack.enter_context(sg.Simulator(scene, *arguments))
+            alone = stack.enter_context(sg.Simulator(scene, *arguments, engine="opengl"))
             shared = stack.enter_context(sg.Simulator(scene, *arguments, context="current"))
             sensor = stack.enter_context(Sensor(*arguments))
             samples = f"{columns:g} x {rows}"

@@ -1,19 +1,22 @@
-"""Between the bodies of a scene and the driver: how they lie before a sector, and what is drawn of them."""
+"""Between the bodies of a scene and what draws them: how they lie before a sector, and which part of it they fill."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.raster.cull import SectorGeometry
-from sonar_gl.raster.small_triangles import SampleList
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import Sector
+
+MAX_SAMPLES = 1 << 24  # drawn at a time: 26 bytes each, and with OpenGL 16 in the driver
+NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 
 PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
 REFLECTIVITY, LOBE = 12, 14  # of these; LOBE is the strength
-MAX_KEPT_ROWS = 1 << 20  # of samples this is 27 MB; four pings of half a degree a sample need about as many
 MARGIN = 2  # samples about what is visible, so that the outermost of a window meet nothing
 
 
@@ -34,6 +37,7 @@ class SectorView:
         ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
         ends = ends @ lattice.T + corner
         self.sector, self.sample_rad = sector, min(u[1], v[2])
+        self._last = Window(0, 0, sector.columns, sector.rows), sector
         self.geometry = tuple(
             SectorGeometry(
                 rotation=sector.rotation(),
@@ -50,6 +54,17 @@ class SectorView:
     def inverse(self) -> np.ndarray:
         """(2, 2) samples per (u, v)."""
         return SectorGeometry(*self.geometry).inverse
+
+    def within(self, window: Window) -> Sector:
+        """Return the sector whose lattice is that of a window; kept, since windows often stay as they are."""
+        last = self._last  # other threads may replace it
+        if last[0] != window:
+            i, j, columns, rows = window
+            u, v = (
+                np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (self.sector.u, self.sector.v)
+            )
+            last = self._last = window, replace(self.sector, u=u, v=v, columns=columns, rows=rows)
+        return last[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,73 +98,19 @@ class Window(NamedTuple):
     rows: int = 0
 
 
-class SectorDraws(NamedTuple):
-    """What a sector draws.
+class PatchesInView(NamedTuple):
+    """What a sector sees of the bodies.
 
     Attributes
     ----------
-    first, n_closed, n : its draws in the list; the first of them are of closed bodies
-    samples : slice of the list's samples that were rasterised in software
-    window : Window
+    chosen : (K, 2) int32, patch and body; valid until the next choice into the same array
+    n_faces : how many faces these patches have
+    window : Window about them
     """
 
-    first: int
-    n_closed: int
-    n: int
-    samples: slice
+    chosen: np.ndarray
+    n_faces: int
     window: Window
-
-
-class GrowingArrays:
-    """Arrays that are filled together from the front, and grow."""
-
-    def __init__(self, *arrays: np.ndarray):
-        self.arrays, self.used = arrays, 0
-
-    def reserve(self, count: int) -> tuple[np.ndarray, ...]:
-        """Return the free part of each, with room for so many rows more."""
-        if self.used + count > len(self.arrays[0]):
-            old, size = self.arrays, self.used + count
-            size = 2 * size if 2 * size <= MAX_KEPT_ROWS else size
-            self.arrays = tuple(np.empty((size, *array.shape[1:]), array.dtype) for array in old)
-            for array, before in zip(self.arrays, old, strict=True):
-                array[: self.used] = before[: self.used]
-        return tuple(array[self.used :] for array in self.arrays)
-
-    def clear(self) -> None:
-        """Drop all rows, and arrays of very many rows, since coarse pings would keep the memory of a fine one."""
-        self.used = 0
-        if len(self.arrays[0]) > MAX_KEPT_ROWS:
-            self.arrays = tuple(np.empty((0, *array.shape[1:]), array.dtype) for array in self.arrays)
-
-    def filled(self) -> tuple[np.ndarray, ...]:
-        """Return the used part of each."""
-        return tuple(array[: self.used] for array in self.arrays)
-
-
-class DrawList:
-    """Draws of one ping or several, gathered before they are sent; and samples that need no drawing.
-
-    Attributes
-    ----------
-    draws : (n, 5) uint32: indices, instances, first index, first vertex, body's row
-    indices : (m,) uint32 that they name; of no length where they name those of all patches
-    samples : (s, 2) int32, (s, 4) float32, (s,) uint16 of SampleList
-    """
-
-    def __init__(self):
-        self.draws = GrowingArrays(np.empty((64, 5), np.uint32))
-        self.indices = GrowingArrays(np.empty(1024, np.uint32))
-        self.samples = GrowingArrays(
-            *SampleList(
-                np.empty((1024, 2), np.int32), np.empty((1024, 4), np.float32), np.empty(1024, np.uint16)
-            )
-        )
-
-    def clear(self) -> None:
-        """Drop all."""
-        for arrays in (self.draws, self.indices, self.samples):
-            arrays.clear()
 
 
 def window_about(extent, columns: int, rows: int) -> Window:
@@ -170,3 +131,26 @@ def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarr
     middle = (along * middles).sum(axis=1) + matrices[:, :, 3] @ plane[:3] + plane[3]
     half = (np.abs(along) * halves).sum(axis=1)
     return middle - half, middle + half
+
+
+def samples_of(
+    views: Sequence[SectorView], windows: Sequence[Window], plane_echo: np.ndarray, body_id: np.ndarray
+) -> ViewSamples:
+    """Return the samples of a view.
+
+    Parameters
+    ----------
+    windows : of each sector, which lie in the image side by side
+    plane_echo, body_id : (H, W, 4) float32 and (H, W) uint16 of `SectorSamples`; body_id of no size without bodies
+    """
+    out, lefts, left = [], [], 0
+    for view, window in zip(views, windows, strict=True):
+        sector, columns = view.within(window), window.columns
+        if columns == 0:
+            out.append(SectorSamples(sector, NO_SAMPLES, NO_BODIES))
+        else:
+            here = (slice(0, window.rows), slice(left, left + columns))
+            out.append(SectorSamples(sector, plane_echo[here], body_id[here] if body_id.size else NO_BODIES))
+        lefts.append(left)
+        left += columns
+    return ViewSamples(tuple(out), plane_echo, tuple(lefts))

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
-from sonar_gl.core.worker import SecondThread
-from sonar_gl.gl.context import is_software
 from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
-from sonar_gl.raster.draw_list import DrawList
+from sonar_gl.raster.opengl.draw_list import DrawList
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.scene import Scene
 
@@ -57,7 +55,7 @@ class UploadedMeshes:
     ----------
     meshes : SceneMeshes, the bodies and their poses
     points, normals, reflectivity : GrowingBuffer of each vertex; unused as long as no mesh has the attribute
-    indices : GrowingBuffer of all faces; unused where a ping's faces are chosen on the CPU
+    indices : GrowingBuffer of all faces
     n_points : how many vertices there are
     """
 
@@ -80,9 +78,8 @@ class UploadedMeshes:
         for one in meshes.add(bodies):
             levels = one.levels
             points.append(one.points)
-            if not meshes.rasterizes:
-                first = np.repeat(levels.first_vertex + n_points, levels.n_faces)
-                indices.append((levels.faces + first[:, None]).astype(np.uint32))
+            first = np.repeat(levels.first_vertex + n_points, levels.n_faces)
+            indices.append((levels.faces + first[:, None]).astype(np.uint32))
             for buffer, data, default in (
                 (normals, one.normals, np.zeros(3, np.float32)),
                 (reflectivity, one.reflectivity, np.ones(1, np.float32)),
@@ -104,17 +101,12 @@ class SceneBuffers:
     uploaded : UploadedMeshes
     """
 
-    def __init__(
-        self, context: moderngl.Context, scene: Scene, shader_folder, thread: SecondThread | None = None
-    ):
+    def __init__(self, context: moderngl.Context, scene: Scene, shader_folder):
         self.context, self.shader_folder = context, shader_folder
         self.indirect = context.version_code >= MIN_INDIRECT_VERSION
-        # Software OpenGL is slow per triangle, so triangles that cover no sample are culled on the CPU first.
-        self.rasterizes = is_software(context.info["GL_RENDERER"])
-        meshes = SceneMeshes(self.rasterizes, thread, scene.surface_z_m)
-        empty = UploadedMeshes(meshes, *(GrowingBuffer(context) for _ in range(4)))
+        empty = UploadedMeshes(SceneMeshes(scene.surface_z_m), *(GrowingBuffer(context) for _ in range(4)))
         self.uploaded = empty.with_more(scene.bodies)
-        self._rows, self._draws, self._indices = (GrowingBuffer(context) for _ in range(3))
+        self._rows, self._draws = GrowingBuffer(context), GrowingBuffer(context)
         self._programs, self._arrays, self._bound = {}, {}, ()
 
     @property
@@ -125,8 +117,7 @@ class SceneBuffers:
     def array(self, labels: bool, lobes: bool) -> moderngl.VertexArray:
         """Return the vertex array of the program with or without body numbers and specular lobes."""
         uploaded = self.uploaded
-        indices = self._indices if self.rasterizes else uploaded.indices
-        bound = uploaded, indices.buffer, self._rows.buffer
+        bound = uploaded, self._rows.buffer
         if self._bound != bound:  # bodies were added, or a buffer was replaced by a larger one
             self._arrays = {}
             self._bound = bound
@@ -149,16 +140,14 @@ class SceneBuffers:
             if self.indirect:
                 names = "body_x", "body_y", "body_z", "body_echo"
                 layout.append((self._rows.buffer, "4f 4f 4f 4f/i", *names))
-            array = self.context.vertex_array(program, layout, index_buffer=indices.buffer)
+            array = self.context.vertex_array(program, layout, index_buffer=uploaded.indices.buffer)
             self._arrays[labels, lobes] = array
         return self._arrays[labels, lobes]
 
     def upload(self, rows, out: DrawList) -> None:
         """Upload the bodies' rows and the draw list."""
         self._rows.overwrite(rows)
-        self._draws.overwrite(*out.draws.filled())
-        if self.rasterizes:
-            self._indices.overwrite(*out.indices.filled())
+        self._draws.overwrite(out.filled())
 
     def draw(self, array, flags: int, rows, out: DrawList, first: int, n: int) -> None:
         """Draw `n` entries of the list from `first` on, in one call where the driver has indirect draws."""
@@ -168,7 +157,7 @@ class SceneBuffers:
         if self.indirect:
             array.render_indirect(self._draws.buffer, count=n, first=first)
             return
-        for count, _, index, _, row in out.draws.arrays[0][first : first + n].tolist():
+        for count, _, index, _, row in out.filled()[first : first + n].tolist():
             values = rows[row]
             for k, name in enumerate(("body_x", "body_y", "body_z")):
                 array.program[name].write(values[4 * k : 4 * k + 4])

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
 
-from sonar_gl.acoustics.boundary import plane_of
 from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.gl import egl
+from sonar_gl.gl.context import is_software
 from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.gl.memory import check_driver, check_room, side_limit
-from sonar_gl.ping import GBuffer
-from sonar_gl.raster.buffers import SceneBuffers
-from sonar_gl.raster.draw_list import LOBE, BodiesInView, DrawList, SectorDraws, SectorView, Window
-from sonar_gl.raster.small_triangles import merge_samples
+from sonar_gl.raster.opengl.buffers import SceneBuffers
+from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
+from sonar_gl.raster.views import (
+    LOBE,
+    MAX_SAMPLES,
+    NO_BODIES,
+    NO_SAMPLES,
+    BodiesInView,
+    SectorView,
+    Window,
+    samples_of,
+)
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.samples import ViewSamples
 
-NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
-MAX_SAMPLES = 1 << 24  # drawn at a time: 16 bytes each in the driver, and as many here
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
 NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
@@ -31,6 +37,21 @@ NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost 
 # would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
 MAX_EXCESS, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
+
+
+class SectorDraws(NamedTuple):
+    """What a sector draws.
+
+    Attributes
+    ----------
+    first, n_closed, n : its draws in the list; the first of them are of closed bodies
+    window : Window
+    """
+
+    first: int
+    n_closed: int
+    n: int
+    window: Window
 
 
 class RenderTarget:
@@ -154,20 +175,28 @@ class RenderTarget:
 
 
 class DrawingRoom:
-    """The memory that renderers draw into, one at a time: render targets, and the list of draws.
+    """The memory that renderers draw into, one at a time: render targets, the list of draws, and chosen patches.
 
     Parameters
     ----------
-    buffers : SceneBuffers of these renderers
+    context : of these renderers
 
     Attributes
     ----------
     draw_list : DrawList
     """
 
-    def __init__(self, buffers: SceneBuffers):
+    def __init__(self, context: moderngl.Context):
         self.draw_list, self._targets, self._other_targets = DrawList(), [], []
-        self._asynchronous = not buffers.rasterizes  # graphics cards copy samples while the next are drawn
+        self._chosen = np.empty((0, 2), np.int32)
+        # graphics cards copy samples while the next are drawn
+        self._asynchronous = not is_software(context.info["GL_RENDERER"])
+
+    def chosen(self, most_patches: int) -> np.ndarray:
+        """Return room for so many chosen patches, (n, 2) int32."""
+        if len(self._chosen) < most_patches:
+            self._chosen = np.empty((most_patches, 2), np.int32)
+        return self._chosen
 
     def targets(self, count: int, keep_last: bool) -> list[RenderTarget]:
         """Return as many render targets; with `keep_last` not those of the last call."""
@@ -211,7 +240,7 @@ class Renderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector) for sector in fan.sectors]
-        self._uniforms, self._room = {}, DrawingRoom(buffers) if room is None else room
+        self._uniforms, self._room = {}, DrawingRoom(context) if room is None else room
 
     def render(
         self,
@@ -247,7 +276,7 @@ class Renderer:
             )
             target.has_bodies = with_bodies
         self._check_room(max(one.width for one in targets), max(one.height for one in targets))
-        if out.draws.used:
+        if out.used:
             self._buffers.upload(rows, out)
         for target, sectors, one in zip(targets, draws, bodies, strict=True):
             if target.width:
@@ -262,15 +291,18 @@ class Renderer:
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
         meshes, out, draws = self._buffers.meshes, self._room.draw_list, []
-        n_bodies = len(meshes.bodies)
+        ranges, room = (self._far_m, self._fan.sonar.range_max_m), self._room.chosen(meshes.most_patches)
         for view in self._sectors:
-            found = SectorDraws(0, 0, 0, slice(out.samples.used, out.samples.used), Window())
-            if n_bodies:
-                ranges = self._far_m, self._fan.sonar.range_max_m
-                found = meshes.draw_sector(view, bodies, *ranges, number * n_bodies, out)
+            chosen, _, window = meshes.choose(view, bodies, *ranges, room)
             if full:
-                found = found._replace(window=Window(0, 0, view.sector.columns, view.sector.rows))
-            draws.append(found._replace(n_closed=found.n_closed if bodies.outside else 0))
+                window = Window(0, 0, view.sector.columns, view.sector.rows)
+            first, n_closed = out.used, 0
+            if len(chosen):
+                faces = meshes.levels["first_face"], meshes.levels["n_faces"]
+                row = number * len(meshes.bodies)
+                n_closed = draw_patches(chosen, *faces, meshes.boxes.closed, row, out.reserve(len(chosen)))
+                out.used += len(chosen)
+            draws.append(SectorDraws(first, n_closed if bodies.outside else 0, len(chosen), window))
         return draws
 
     def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], plane) -> None:
@@ -279,7 +311,7 @@ class Renderer:
         array.program["before"].write(np.asarray(NO_PLANE if plane is None else plane, np.float32))
         self._context.enable_direct(CLIP_DISTANCE0)
         left = 0
-        for view, (first, n_closed, n, _, window) in zip(self._sectors, draws, strict=True):
+        for view, (first, n_closed, n, window) in zip(self._sectors, draws, strict=True):
             if n:
                 sector, (i, j, columns, n_rows) = view.sector, window
                 framebuffer.viewport = (left - i, -j, sector.columns, sector.rows)
@@ -298,25 +330,8 @@ class Renderer:
         self._context.disable_direct(CLIP_DISTANCE0)
 
     def _read(self, target: RenderTarget, draws: list[SectorDraws]) -> ViewSamples:
-        """Return what was drawn, with the samples that were rasterised in software."""
-        plane_echo, body_id = target.read()
-        sectors, lefts, left = [], [], 0
-        for view, (*_, mine, (i, j, columns, rows)) in zip(self._sectors, draws, strict=True):
-            sector = view.sector
-            if target.width:
-                samples = tuple(array[mine] for array in self._room.draw_list.samples.arrays)
-                merge_samples(samples, i, j, left, plane_echo, body_id)
-            if columns == 0:
-                sectors.append(SectorSamples(replace(sector, columns=0, rows=0), NO_SAMPLES, NO_BODIES))
-            else:
-                here = (slice(0, rows), slice(left, left + columns))
-                u, v = (np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (sector.u, sector.v))
-                window = replace(sector, u=u, v=v, columns=columns, rows=rows)
-                bodies = body_id[here] if target.has_bodies else NO_BODIES
-                sectors.append(SectorSamples(window, plane_echo[here], bodies))
-            lefts.append(left)
-            left += columns
-        return ViewSamples(tuple(sectors), plane_echo, tuple(lefts))
+        """Return what was drawn."""
+        return samples_of(self._sectors, [one.window for one in draws], *target.read())
 
     def _check_size(self, width: int, height: int) -> None:
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
@@ -350,26 +365,3 @@ class Renderer:
                 if name in program
             ]
         return self._uniforms[key]
-
-
-def gbuffers_of(view: ViewSamples) -> list[GBuffer]:
-    """Return samples that were drawn with bodies as one `GBuffer` a sector."""
-    out = []
-    for sector, plane_echo, body_id in view.sectors:
-        u, v = sector.sample_coordinates()
-        q, slopes = np.split(plane_echo[..., :3].astype(np.float64), [1], axis=-1)
-        q = q[..., 0]
-        plane = plane_of(q, slopes, np.stack([u, v], axis=-1))
-        hit = q > 0
-        length = np.where(hit, np.linalg.norm(plane, axis=-1), 1.0)
-        normal = -(plane / length[..., None]) @ sector.rotation()
-        range_m = np.where(hit, np.sqrt(1 + u * u + v * v) / np.where(hit, q, 1.0), 0.0)
-        out.append(
-            GBuffer(
-                range_m=range_m.astype(np.float32),
-                normal=np.where(hit[..., None], normal, 0).astype(np.float32),
-                echo=np.where(hit, plane_echo[..., 3] / np.where(hit, range_m, 1), 0).astype(np.float32),
-                body_id=np.where(hit, body_id, 0),  # OpenGL leaves open whether integers are cleared
-            )
-        )
-    return out

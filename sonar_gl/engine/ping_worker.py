@@ -1,0 +1,81 @@
+"""Threads that each make whole pings of a sequence, where drawing needs no context."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from threading import Lock
+
+import numba
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.worker import Job, JobThread, held
+from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.multipath import HalvingChoice, ImageSources
+from sonar_gl.engine.pipeline import draw, receive
+from sonar_gl.engine.stage import StageCache
+from sonar_gl.raster.engine import RasterEngine
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.sonar import Sonar
+
+MAX_WORKERS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
+
+
+def n_threads() -> int:
+    """Return how many threads make pings: those of Numba, one for each core unless NUMBA_NUM_THREADS says otherwise."""
+    return min(numba.config.NUMBA_NUM_THREADS, MAX_WORKERS)
+
+
+class PingWorker:
+    """A thread that makes pings, one after the other, with arrays of its own.
+
+    A ping's two halves are done in turn, so that the ping is that of `Simulator.ping` to the last bit.
+
+    Parameters
+    ----------
+    engine, sonar, acoustics, scene, tolerance : of the run
+    """
+
+    def __init__(
+        self, engine: RasterEngine, sonar: Sonar, acoustics: Acoustics, scene: Scene, tolerance: float
+    ):
+        self._stages, self._images = StageCache(engine, sonar, acoustics), None
+        if acoustics.multipath != "none":
+            self._images = ImageSources(self._stages, None, scene, tolerance)
+        self._thread, self._making = JobThread("sonar_gl ping"), Lock()
+
+    def job(
+        self, setup: PingSetup, resolution: Resolution, choice: HalvingChoice | None, scene: Scene
+    ) -> Job:
+        """Return a job that makes one ping; hand it over by `submit`.
+
+        Parameters
+        ----------
+        resolution : its samples; the stage is replaced by the worker's own
+        choice : how often samples are halved for image sources; None without multipath
+        """
+
+        def make() -> list[ReceivedPing]:
+            with held(self._making):  # a caller that settles the job runs it, perhaps beside this thread
+                if self._images is not None:
+                    self._images.use_scene(scene)
+                    self._images.fix(choice.halvings)
+                own = replace(resolution, stage=self._stages.stage(resolution.stage.sampling))
+                return [receive(one) for one in draw(self, [setup], own)]
+
+        return Job(make)
+
+    def submit(self, job: Job) -> None:
+        """Have the thread do a job."""
+        self._thread.submit(job)
+
+    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
+        """Draw the image sources of pings that were just drawn; None for each without multipath."""
+        if self._images is None:
+            return [None] * len(setups)
+        poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
+        return self._images.draw(resolution.stage, views, poses, states)
+
+    def close(self) -> None:
+        """End the thread after the jobs that it has."""
+        self._thread.close()

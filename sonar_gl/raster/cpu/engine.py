@@ -1,0 +1,346 @@
+"""A scene for the compiled rasteriser, and what draws it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.raster.cpu.visibility_buffer import (
+    PatchFaces,
+    PlacedBodies,
+    Triangles,
+    Vertices,
+    VisibilityBuffer,
+    rasterize,
+    shade,
+)
+from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.raster.views import (
+    LOBE,
+    MAX_SAMPLES,
+    NO_BODIES,
+    BodiesInView,
+    PatchesInView,
+    SectorView,
+    Window,
+    samples_of,
+)
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
+from sonar_gl.sonar.samples import ViewSamples
+
+# About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
+# other one takes 10 to 20 us.
+FACE_NS, SAMPLE_NS, FEW_NS = 20, 4, 60_000
+# An array is replaced by a smaller one where it is so many times larger than needed, or else a coarse ping would keep
+# the memory of a fine one; not below MIN_KEPT entries.
+MAX_EXCESS, MIN_KEPT = 2, 1 << 16
+MAX_KEPT_SAMPLES = 1 << 18
+FEW_TRIANGLES = 1024  # initial room
+NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedMeshes:
+    """The meshes of a scene's bodies in arrays.
+
+    Attributes
+    ----------
+    meshes : SceneMeshes, the bodies and their poses
+    vertices : Vertices of all patches
+    patches : tuple of PatchFaces; empty without bodies
+    """
+
+    meshes: SceneMeshes
+    vertices: Vertices
+    patches: tuple[np.ndarray, ...] = ()
+
+    def with_more(self, bodies) -> LoadedMeshes:
+        """Return these and more bodies. This object stays as it is."""
+        meshes = copy(self.meshes)
+        made = meshes.add(bodies)
+        if not made:
+            return LoadedMeshes(meshes, self.vertices, self.patches)
+        points = np.concatenate([self.vertices.points, *(one.points for one in made)])
+        normals = self._appended("normals", made, np.zeros(3, np.float32))
+        reflectivity = self._appended("reflectivity", made, np.float32(1.0))
+        patches = tuple(meshes.levels[name] for name in PatchFaces._fields)
+        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches)
+
+    def _appended(self, name: str, made, default):
+        """Return an attribute of all vertices, as soon as any mesh has it."""
+        old, n = getattr(self.vertices, name), len(self.vertices.points)
+        if not len(old) and all(getattr(one, name) is None for one in made):
+            return old
+        if not len(old):
+            old = np.broadcast_to(default, (n, *default.shape))
+        parts = [getattr(one, name) for one in made]
+        fill = [np.broadcast_to(default, (len(one.points), *default.shape)) for one in made]
+        return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
+
+
+class _Array:
+    """An array that is used again, of as many entries as are asked for."""
+
+    def __init__(self, dtype, *row: int):
+        self._array = np.empty((0, *row), dtype)
+
+    def take(self, count: int) -> np.ndarray:
+        """Return an array of so many rows; what was in it may be there still."""
+        if not count <= len(self._array) <= max(MAX_EXCESS * count, MIN_KEPT):
+            # a little more, so that a window that grows does not need a new one every time
+            self._array = np.empty((count + count // 8, *self._array.shape[1:]), self._array.dtype)
+        return self._array[:count]
+
+    def drop(self, most: int) -> None:
+        """Drop an array of more than so many rows; what was taken stays valid."""
+        if len(self._array) > most:
+            self._array = self._array[:0].copy()
+
+
+class _Image:
+    """Samples of one view, side by side."""
+
+    def __init__(self):
+        self._plane_echo, self._body_id = _Array(np.float32, 4), _Array(np.uint16)
+
+    def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return (H, W, 4) and (H, W), or of no size what is not wanted."""
+        plane_echo = self._plane_echo.take(width * height).reshape(height, width, 4)
+        if not with_bodies:
+            return plane_echo, NO_BODIES
+        return plane_echo, self._body_id.take(width * height).reshape(height, width)
+
+    def drop_large(self) -> None:
+        self._plane_echo.drop(MAX_KEPT_SAMPLES)
+        self._body_id.drop(MAX_KEPT_SAMPLES)
+
+
+class _HalfRoom:
+    """What one thread draws into: a visibility buffer and its triangles."""
+
+    def __init__(self):
+        self._depth, self._triangle = _Array(np.float32), _Array(np.int32)
+        self._triangles, self._has_normals = None, False
+
+    def buffer(self, rows: int, columns: int) -> VisibilityBuffer:
+        """Return a visibility buffer."""
+        size = rows * columns
+        return VisibilityBuffer(
+            self._depth.take(size).reshape(rows, columns), self._triangle.take(size).reshape(rows, columns)
+        )
+
+    def triangles(self, has_normals: bool, more: bool = False) -> Triangles:
+        """Return room for triangles; with `more`, for twice as many as before."""
+        if self._triangles is None or more or has_normals != self._has_normals:
+            n = FEW_TRIANGLES if self._triangles is None else (1 + more) * len(self._triangles.planes)
+            self._triangles = Triangles(
+                np.empty((n, 4), np.float32), np.empty((n, 2), np.int32), np.empty((n * has_normals, 9))
+            )
+            self._has_normals = has_normals
+        return self._triangles
+
+    def drop_large(self) -> None:
+        self._depth.drop(MAX_KEPT_SAMPLES)
+        self._triangle.drop(MAX_KEPT_SAMPLES)
+
+
+class DrawingRoom:
+    """The memory that renderers draw into, one at a time.
+
+    Attributes
+    ----------
+    halves : _HalfRoom of each thread
+    """
+
+    def __init__(self):
+        self.halves = _HalfRoom(), _HalfRoom()
+        self._images, self._other_images, self._chosen = [], [], []
+
+    def images(self, count: int, keep_last: bool) -> list[_Image]:
+        """Return as many images; with `keep_last` not those of the last call."""
+        if keep_last:
+            self._images, self._other_images = self._other_images, self._images
+        self._images += [_Image() for _ in range(count - len(self._images))]
+        return self._images[:count]
+
+    def chosen(self, sector: int, most_patches: int) -> np.ndarray:
+        """Return room for the chosen patches of a sector, (n, 2) int32."""
+        while len(self._chosen) <= sector:
+            self._chosen.append(np.empty((0, 2), np.int32))
+        if len(self._chosen[sector]) < most_patches:
+            self._chosen[sector] = np.empty((most_patches, 2), np.int32)
+        return self._chosen[sector]
+
+    def drop_large(self) -> None:
+        """Drop arrays of more than MAX_KEPT_SAMPLES; samples that were drawn stay valid."""
+        for one in (*self._images, *self._other_images, *self.halves):
+            one.drop_large()
+
+
+class CpuRenderer:
+    """Draws a fan's sectors side by side, an image for each pose. A `Renderer`.
+
+    Of each sector only the window that holds bodies is drawn, in two halves if that pays.
+
+    Parameters
+    ----------
+    engine : CpuEngine
+    fan : Fan
+    specular : add the specular lobes of smooth bodies
+    room : DrawingRoom, which renderers may share
+    thread : for the second half; None does both halves in the caller's thread
+    """
+
+    def __init__(
+        self, engine: CpuEngine, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None
+    ):
+        self._engine, self._fan, self._specular = engine, fan, specular
+        self._room, self._thread = room, thread
+        self._far_m = FAR_FACTOR * fan.sonar.range_max_m
+        self._limits = np.array([NEAR_M, self._far_m])
+        self._sectors = [SectorView(sector) for sector in fan.sectors]
+
+    def render(
+        self,
+        poses: Sequence[np.ndarray],
+        states: Sequence = (None,),
+        with_bodies: bool = False,
+        full: bool = False,
+        planes: Sequence | None = None,
+        keep_last: bool = False,
+    ) -> list[ViewSamples]:
+        """Draw all sectors as seen from some poses; see `Renderer.render`."""
+        planes = planes or [None] * len(poses)
+        images = self._room.images(len(poses), keep_last)
+        return [
+            self._draw(image, self._engine.meshes.view_from(*view, self._specular), with_bodies, full)
+            for image, *view in zip(images, poses, states, planes, strict=True)
+        ]
+
+    def _draw(self, image: _Image, bodies: BodiesInView, with_bodies: bool, full: bool) -> ViewSamples:
+        meshes, room, patches = self._engine.meshes, self._room, []
+        ranges = self._far_m, self._fan.sonar.range_max_m
+        for number, view in enumerate(self._sectors):
+            found = meshes.choose(view, bodies, *ranges, room.chosen(number, meshes.most_patches))
+            whole = Window(0, 0, view.sector.columns, view.sector.rows)
+            patches.append(found._replace(window=whole) if full else found)
+        windows = [one.window for one in patches]
+        width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
+        _check_size(width, height)
+        samples = image.take(width, height, with_bodies)
+        plane = NO_PLANE if bodies.plane is None else bodies.plane
+        closed = meshes.boxes.closed
+        placed = tuple(
+            PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
+        )
+        has_lobes = self._specular and bool((bodies.rows[:, LOBE] > 0).any())
+        work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height
+        if self._thread is None or work_ns < FEW_NS:
+            self._draw_part(0, 1, placed, has_lobes, patches, samples)
+        else:
+            self._thread.run_halves(
+                lambda half: self._draw_part(half, 2, placed, has_lobes, patches, samples)
+            )
+        return samples_of(self._sectors, windows, *samples)
+
+    def _draw_part(
+        self,
+        part: int,
+        n_parts: int,
+        placed: tuple,
+        has_lobes: bool,
+        patches: Sequence[PatchesInView],
+        samples,
+    ) -> None:
+        """Draw some columns of each sector's window; placed : tuple of PlacedBodies."""
+        contents, half, left = self._engine.contents, self._room.halves[part], 0
+        vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
+        triangles = tuple(half.triangles(has_normals))
+        for view, (chosen, _, (i, j, columns, rows)) in zip(self._sectors, patches, strict=True):
+            first, last = part * columns // n_parts, (part + 1) * columns // n_parts
+            if first < last:
+                extent = i + first, i + last - 1, j, j + rows - 1
+                buffer = tuple(half.buffer(rows, last - first))
+                shared = contents.patches, vertices, placed, view.geometry, extent, self._limits, buffer
+                if not contents.patches:
+                    buffer[0][:] = 0.0
+                while contents.patches and rasterize(chosen, *shared, triangles) < 0:
+                    triangles = tuple(half.triangles(has_normals, more=True))
+                shade(buffer, triangles, view.geometry, extent, placed[1], left + first, has_lobes, *samples)
+            left += columns
+
+
+def _check_size(width: int, height: int) -> None:
+    if width * height > MAX_SAMPLES:
+        raise SampleLimitError(
+            f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
+            f"by {height} rows; ask for a larger tolerance or fewer samples)"
+        )
+
+
+class CpuEngine:
+    """Draws the bodies of a scene by compiled code. A `RasterEngine`.
+
+    Attributes
+    ----------
+    contents : LoadedMeshes
+    driver : what stands in for the driver's names
+    """
+
+    name = "cpu"
+
+    def __init__(self, scene: Scene):
+        empty = Vertices(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32))
+        self.contents = LoadedMeshes(SceneMeshes(scene.surface_z_m), empty).with_more(scene.bodies)
+        self.driver = {
+            "engine": self.name,
+            "renderer": "CPU",
+            "vendor": "sonar_gl",
+            "version": f"Numba {numba.__version__}",
+            "max_samples": MAX_SAMPLES,
+        }
+
+    @property
+    def meshes(self) -> SceneMeshes:
+        """The bodies and their poses."""
+        return self.contents.meshes
+
+    def with_more(self, bodies) -> LoadedMeshes:
+        """Return contents with more bodies."""
+        return self.contents.with_more(bodies)
+
+    def make_room(self) -> DrawingRoom:
+        """Return memory to draw into."""
+        return DrawingRoom()
+
+    def make_renderer(
+        self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None
+    ) -> CpuRenderer:
+        """Return a renderer."""
+        return CpuRenderer(self, fan, specular, room, thread)
+
+    def check_thread(self) -> None:
+        """Do nothing: any thread may draw."""
+
+    @contextmanager
+    def drawing(self):
+        """Do nothing: there is no context."""
+        yield None
+
+    def collect(self) -> None:
+        """Do nothing: arrays go with their last name."""
+
+    def discard(self) -> None:
+        """Do nothing."""
+
+    @staticmethod
+    def release_waiting() -> None:
+        """Do nothing."""

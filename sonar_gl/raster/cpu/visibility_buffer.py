@@ -1,0 +1,522 @@
+"""Rasterise triangles on the CPU: find the nearest triangle of each sample, then shade the samples.
+
+A visibility buffer holds 1/x and a triangle for each sample. The triangles of patches are drawn into it with OpenGL's
+rules: corners are rounded to 1/256 of a sample, and the nearest triangle wins. 1/x is linear on the image plane, so
+that depth, the near plane and slopes come from one linear form. Only the triangles that win are shaded.
+
+Sources: Burns, Hunt, "The Visibility Buffer", J. Computer Graphics Techniques 2(2), 2013; Olano, Greer, "Triangle Scan
+Conversion using 2D Homogeneous Coordinates", Graphics Hardware 1997, for triangles with corners behind the sonar.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import uint64
+
+from sonar_gl.core.compiled import compiled, inlined
+
+GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
+FEW = (
+    16  # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
+)
+FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
+# Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
+# and rows up to some thousands.
+THINNEST = 1e-4
+ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows
+
+
+class PatchFaces(NamedTuple):
+    """Faces of all patches: fields of `Levels`."""
+
+    first_vertex: np.ndarray
+    n_vertices: np.ndarray
+    first_face: np.ndarray
+    n_faces: np.ndarray
+    faces: np.ndarray
+    box: np.ndarray
+
+
+class Vertices(NamedTuple):
+    """Vertices of all patches: (W, 3) float32 positions; (W, 3) normals and (W,) reflectivity, or of no
+    length.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    reflectivity: np.ndarray
+
+
+class PlacedBodies(NamedTuple):
+    """Bodies as seen from one pose.
+
+    matrices : (n, 3, 4) sonar_from_body
+    rows : (n, 16), of which 12 is the reflectivity, 14 and 15 strength and slope of the specular lobe
+    is_cut : (n,) bool, bodies that the clip plane cuts
+    closed : (n,) 0 for open meshes
+    outside : back faces of closed bodies are not visible
+    plane : (4,) clip plane in the sonar's frame: only a · (x, y, z, 1) > 0 is drawn
+    """
+
+    matrices: np.ndarray
+    rows: np.ndarray
+    is_cut: np.ndarray
+    closed: np.ndarray
+    outside: bool
+    plane: np.ndarray
+
+
+class Triangles(NamedTuple):
+    """The triangles of a visibility buffer; overwritten.
+
+    planes : (T, 4) float32: slopes of 1/x along u and v, distance of the plane (cos θ times range), reflectivity
+    bodies : (T, 2) int32: index of the body; row of `normals`, -1 for a flat triangle
+    normals : (T', 9) normal over x, as a linear form of the sample's column and row, in the sector's frame; T' is T
+        where meshes have shading normals, else 0
+    """
+
+    planes: np.ndarray
+    bodies: np.ndarray
+    normals: np.ndarray
+
+
+class VisibilityBuffer(NamedTuple):
+    """What is nearest in each sample of a window; overwritten.
+
+    depth : (H, W) float32, 1/x; 0 where there is nothing
+    triangle : (H, W) int32 row of `Triangles`, where `depth` > 0
+    """
+
+    depth: np.ndarray
+    triangle: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Projected vertices of one patch: columns, rows, 1/x; columns and rows rounded to the grid, and in its steps."""
+
+    columns: np.ndarray
+    rows: np.ndarray
+    inverses: np.ndarray
+    rounded_columns: np.ndarray
+    rounded_rows: np.ndarray
+    column_steps: np.ndarray
+    row_steps: np.ndarray
+
+
+@inlined
+def _project(points, start, count, p, scratch):
+    """Project a patch's vertices to columns, rows and 1/x; return the least and the greatest x.
+
+    p : (3, 4) of column x, row x, x
+    """
+    columns, rows, inverses, rounded_columns, rounded_rows, column_steps, row_steps = scratch
+    p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
+    p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
+    p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
+    nearest, furthest = np.inf, -np.inf
+    for w in range(uint64(count)):
+        at = uint64(start) + w
+        x, y, z = np.float64(points[at, 0]), np.float64(points[at, 1]), np.float64(points[at, 2])
+        depth = p20 * x + p21 * y + p22 * z + p23
+        inverse = 1.0 / depth
+        column = (p00 * x + p01 * y + p02 * z + p03) * inverse
+        row = (p10 * x + p11 * y + p12 * z + p13) * inverse
+        columns[w], rows[w], inverses[w] = column, row, inverse
+        column, row = math.floor(column * GRID + 0.5), math.floor(row * GRID + 0.5)
+        rounded_columns[w], rounded_rows[w] = column / GRID, row / GRID
+        # vertices behind the sonar may have any values; triangles that have some are not selected by these
+        column_steps[w] = np.int32(min(max(column, -1e9), 1e9))
+        row_steps[w] = np.int32(min(max(row, -1e9), 1e9))
+        nearest, furthest = min(nearest, depth), max(furthest, depth)
+    return nearest, furthest
+
+
+@inlined
+def _select_faces(faces, first, count, column_steps, row_steps, window, found):
+    """Select the faces with a sample of the window in the box about them; return how many."""
+    n, last, shift = 0, np.int32(GRID - 1), np.int32(8)  # 2 ** 8 = GRID
+    i0, i1, j0, j1 = window
+    for f in range(uint64(first), uint64(first + count)):
+        a, b, c = uint64(faces[f, 0]), uint64(faces[f, 1]), uint64(faces[f, 2])
+        x0, x1, x2 = column_steps[a], column_steps[b], column_steps[c]
+        y0, y1, y2 = row_steps[a], row_steps[b], row_steps[c]
+        left, low = (min(x0, x1, x2) + last) >> shift, (min(y0, y1, y2) + last) >> shift
+        end, high = max(x0, x1, x2) >> shift, max(y0, y1, y2) >> shift
+        found[n] = f
+        n += (left <= end) & (low <= high) & (end >= i0) & (high >= j0) & (left <= i1) & (low <= j1)
+    return n
+
+
+@compiled
+def _fill_rows(cuts, n_cuts, window, bottom, top, q0, q_column, q_row, t, depth, triangle, ends):
+    """Draw what lies within half-planes g0 + g1 column + g2 row >= 0; return how many samples were tried.
+
+    cuts : (n_cuts, 3) of g; q0, q_column, q_row : 1/x likewise; t : row of `Triangles`
+    window : first and last column, first and last row of the buffer, in the sector; bottom, top : rows of it
+    ends : (8, 3) float64, overwritten
+    """
+    tried, (i0, i1, j0, _) = 0, window
+    for k in range(n_cuts):
+        g0, g1, g2 = cuts[k, 0], cuts[k, 1], cuts[k, 2]
+        if g1 > 0.0:  # where rows begin
+            ends[k, 0], ends[k, 1], ends[k, 2] = 1.0, -g2 / g1, -g0 / g1 - ON_EDGE
+        elif g1 < 0.0:  # where they end
+            ends[k, 0], ends[k, 1], ends[k, 2] = -1.0, -g2 / g1, -g0 / g1 + ON_EDGE
+        else:
+            ends[k, 0], ends[k, 1], ends[k, 2] = 0.0, g2, g0
+    for row in range(bottom, top + 1):
+        low, high, y, j = float(i0), float(i1), float(row), uint64(row - j0)
+        for k in range(n_cuts):
+            edge = ends[k, 2] + ends[k, 1] * y
+            if ends[k, 0] > 0.0:
+                low = max(low, edge)
+            elif ends[k, 0] < 0.0:
+                high = min(high, edge)
+            elif edge < 0.0:
+                high = low - 1.0
+        if not low <= high:
+            continue
+        first, last = math.ceil(low), math.floor(high)
+        base = q0 + q_row * y
+        for i in range(uint64(first - i0), uint64(max(last + 1, first) - i0)):
+            q = np.float32(base + q_column * np.float64(np.int64(i) + i0))
+            was, who = depth[j, i], triangle[j, i]
+            is_nearer = q > was
+            depth[j, i] = q if is_nearer else was
+            triangle[j, i] = t if is_nearer else who
+        tried += max(last + 1 - first, 0)
+    return tried
+
+
+@inlined
+def _place(sector, inverse, offset, matrix, m, p):
+    """Fill m, (3, 4) sector_from_body, and p, (3, 4) of column x, row x and x of a point of the body."""
+    for i in range(3):
+        for j in range(4):
+            m[i, j] = 0.0
+            for k in range(3):
+                m[i, j] += sector[i, k] * matrix[k, j]
+    for j in range(4):  # of (u, v) = (-y / x, z / x)
+        for i in range(2):
+            p[i, j] = -inverse[i, 0] * m[1, j] + inverse[i, 1] * m[2, j] - offset[i] * m[0, j]
+        p[2, j] = m[0, j]
+
+
+@inlined
+def _is_outside(box, p, window):
+    """Return whether a box lies beside the window; p : (3, 4) of `_place`."""
+    outside = False
+    for side in range(4):
+        axis, far = side >> 1, (side & 1) == 1
+        edge = window[side] + 1.0 if far else window[side] - 1.0
+        at, reach = 0.0, 0.0
+        for k in range(4):  # of (column - edge) x, or its negative, which is positive in the window
+            g = p[axis, k] - edge * p[2, k]
+            g = -g if far else g
+            at += g * box[k] if k < 3 else g
+            reach += abs(g) * box[3 + k] if k < 3 else 0.0
+        outside |= at + reach < 0.0
+    return outside
+
+
+@compiled
+def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, triangles):
+    """Draw the triangles of some patches into a visibility buffer.
+
+    Parameters
+    ----------
+    chosen : (K, 2) patch and body, of `choose_patches`
+    patches, vertices, placed, view, buffer, triangles : tuples of PatchFaces, Vertices, PlacedBodies, SectorGeometry,
+        VisibilityBuffer and Triangles
+    window : first and last column, first and last row of the buffer, in the sector
+    limits : (2,) near and far plane, metres
+
+    Returns
+    -------
+    how many triangles have been written; -1 if there is no room for all
+    """
+    first_vertex, n_vertices, first_face, n_faces, faces, boxes = patches
+    points, normals, reflectivity = vertices
+    matrices, body_rows, is_cut, closed, outside, plane = placed
+    sector, _, inverse, corner, _, lattice_u, lattice_v = view
+    depth, triangle = buffer
+    planes, bodies, normal_forms = triangles
+    near_m, far_m = limits[0], limits[1]
+    i0, i1, j0, j1 = window
+    smooth = normal_forms.shape[0] > 0
+    u0, v0 = lattice_u[0], lattice_v[0]
+    offset = np.empty(2)
+    for i in range(2):
+        offset[i] = inverse[i, 0] * corner[0] + inverse[i, 1] * corner[1]
+    for j in range(uint64(depth.shape[0])):
+        for i in range(uint64(depth.shape[1])):
+            depth[j, i] = 0.0
+    m, p = np.empty((3, 4)), np.empty((3, 4))
+    size = 0
+    for k in range(chosen.shape[0]):
+        size = max(size, n_vertices[chosen[k, 0]])
+    scratch = Scratch(
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, np.int32),
+        np.empty(size, np.int32),
+    )
+    columns, rows, inverses, rounded_columns, rounded_rows, column_steps, row_steps = scratch
+    selected = np.empty(0, np.int64)
+    cuts, corners, ends = np.empty((8, 3)), np.empty((3, 3)), np.empty((8, 3))
+    in_column, in_row = np.empty(FEW + 1, np.int64), np.empty(FEW + 1, np.int64)
+    above = np.zeros(3)
+    n, last = 0, -1
+    for k in range(chosen.shape[0]):
+        patch, body = chosen[k, 0], chosen[k, 1]
+        if body != last:
+            last = body
+            _place(sector, inverse, offset, matrices[body], m, p)
+        if _is_outside(boxes[patch], p, window):
+            continue
+        start, count = first_vertex[patch], n_vertices[patch]
+        nearest, furthest = _project(points, start, count, p, scratch)
+        begin, n_selected = first_face[patch], n_faces[patch]
+        if selected.shape[0] < n_selected + 1:
+            selected = np.empty(n_selected + 1, np.int64)
+        if nearest >= near_m:
+            n_selected = _select_faces(faces, begin, n_selected, column_steps, row_steps, window, selected)
+        else:
+            for f in range(n_selected):
+                selected[f] = begin + f
+        turned, cut = outside and closed[body] != 0, is_cut[body]
+        plain = nearest >= near_m and furthest <= far_m and not cut
+        for number in range(uint64(n_selected)):
+            f = uint64(selected[number])
+            a, b, c = uint64(faces[f, 0]), uint64(faces[f, 1]), uint64(faces[f, 2])
+            qa, qb, qc = inverses[a], inverses[b], inverses[c]
+            n_cuts = 0
+            if plain or (min(qa, qb, qc) >= 0.0 and max(qa, qb, qc) <= 1.0 / near_m):  # in front of the sonar
+                ax, ay = rounded_columns[a], rounded_rows[a]
+                bx, by = rounded_columns[b], rounded_rows[b]
+                cx, cy = rounded_columns[c], rounded_rows[c]
+                area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+                if area == 0.0 or (turned and area < 0.0):
+                    continue
+                left = math.ceil(max(min(ax, bx, cx), float(i0)))
+                right = math.floor(min(max(ax, bx, cx), float(i1)))
+                bottom = math.ceil(max(min(ay, by, cy), float(j0)))
+                top = math.floor(min(max(ay, by, cy), float(j1)))
+                if left > right or bottom > top:
+                    continue
+                # a sample lies inside where all of e0 + e1 column + e2 row are positive
+                side = 1.0 if area > 0.0 else -1.0
+                e1, e2 = -side * (by - ay), side * (bx - ax)
+                f1, f2 = -side * (cy - by), side * (cx - bx)
+                g1, g2 = -side * (ay - cy), side * (ax - cx)
+                e0, f0, g0 = -e1 * ax - e2 * ay, -f1 * bx - f2 * by, -g1 * cx - g2 * cy
+                is_small = plain and (right - left + 1) * (top - bottom + 1) <= FEW
+                n_inside = 0
+                if is_small:  # without branches
+                    for j in range(bottom, top + 1):
+                        y = float(j)
+                        ey, fy, gy = e0 + e2 * y, f0 + f2 * y, g0 + g2 * y
+                        for i in range(left, right + 1):
+                            x = float(i)
+                            in_column[uint64(n_inside)], in_row[uint64(n_inside)] = i, j
+                            n_inside += min(ey + e1 * x, fy + f1 * x, gy + g1 * x) >= 0.0
+                    if n_inside == 0:
+                        continue
+                # 1/x from the corners as they are, before rounding
+                ai, aj = columns[a], rows[a]
+                bi, bj, ci, cj = columns[b] - ai, rows[b] - aj, columns[c] - ai, rows[c] - aj
+                determinant = bi * cj - bj * ci
+                longest2 = max(bi * bi + bj * bj, ci * ci + cj * cj, (ci - bi) ** 2 + (cj - bj) ** 2)
+                if determinant * determinant <= THINNEST * THINNEST * longest2:
+                    continue
+                q_column = ((qb - qa) * cj - (qc - qa) * bj) / determinant
+                q_row = (bi * (qc - qa) - ci * (qb - qa)) / determinant
+                q0 = qa - q_column * ai - q_row * aj
+                if is_small:
+                    n_nearest = 0
+                    for o in range(uint64(n_inside)):
+                        i, j = uint64(in_column[o] - i0), uint64(in_row[o] - j0)
+                        q = np.float32(q0 + q_column * float(in_column[o]) + q_row * float(in_row[o]))
+                        if q > depth[j, i]:
+                            depth[j, i], triangle[j, i] = q, n
+                            n_nearest += 1
+                    if n_nearest == 0:
+                        continue
+                else:
+                    cuts[0, 0], cuts[0, 1], cuts[0, 2] = e0, e1, e2
+                    cuts[1, 0], cuts[1, 1], cuts[1, 2] = f0, f1, f2
+                    cuts[2, 0], cuts[2, 1], cuts[2, 2] = g0, g1, g2
+                    n_cuts = 3
+            else:  # a corner lies before the near plane, or behind the sonar
+                n_behind = 0
+                for o in range(3):
+                    w = uint64(start) + (a if o == 0 else (b if o == 1 else c))
+                    x, y, z = points[w, 0], points[w, 1], points[w, 2]
+                    for i in range(3):
+                        corners[o, i] = p[i, 0] * x + p[i, 1] * y + p[i, 2] * z + p[i, 3]
+                    n_behind += corners[o, 2] < near_m
+                if n_behind == 3:
+                    continue
+                determinant = 0.0
+                for o in range(3):  # the plane through the sonar and an edge
+                    r, s = (o + 1) % 3, (o + 2) % 3
+                    cuts[o, 1] = corners[r, 1] * corners[s, 2] - corners[r, 2] * corners[s, 1]
+                    cuts[o, 2] = corners[r, 2] * corners[s, 0] - corners[r, 0] * corners[s, 2]
+                    cuts[o, 0] = corners[r, 0] * corners[s, 1] - corners[r, 1] * corners[s, 0]
+                for i in range(3):
+                    determinant += corners[0, i] * cuts[0, (i + 1) % 3]
+                if determinant == 0.0 or (turned and determinant < 0.0):
+                    continue
+                q0 = (cuts[0, 0] + cuts[1, 0] + cuts[2, 0]) / determinant
+                q_column = (cuts[0, 1] + cuts[1, 1] + cuts[2, 1]) / determinant
+                q_row = (cuts[0, 2] + cuts[1, 2] + cuts[2, 2]) / determinant
+                if determinant < 0.0:
+                    for o in range(3):
+                        for i in range(3):
+                            cuts[o, i] = -cuts[o, i]
+                cuts[3, 0], cuts[3, 1], cuts[3, 2] = 1.0 / near_m - q0, -q_column, -q_row
+                n_cuts = 4
+                bottom, top = j0, j1
+            if n_cuts:
+                if not plain:
+                    cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = q0 - 1.0 / far_m, q_column, q_row
+                    n_cuts += 1
+                if cut:  # a · (1, -u, v) + a_3 / x >= 0
+                    for o in range(3):
+                        above[o] = 0.0
+                        for i in range(3):
+                            above[o] += sector[o, i] * plane[i]
+                    cuts[n_cuts, 0] = above[0] - above[1] * u0 + above[2] * v0 + plane[3] * q0
+                    cuts[n_cuts, 1] = -above[1] * lattice_u[1] + above[2] * lattice_v[1] + plane[3] * q_column
+                    cuts[n_cuts, 2] = -above[1] * lattice_u[2] + above[2] * lattice_v[2] + plane[3] * q_row
+                    n_cuts += 1
+                n_tried = _fill_rows(
+                    cuts, n_cuts, window, bottom, top, q0, q_column, q_row, np.int32(n), depth, triangle, ends
+                )
+                if n_tried == 0:
+                    continue
+            along_u = q_column * inverse[0, 0] + q_row * inverse[1, 0]
+            along_v = q_column * inverse[0, 1] + q_row * inverse[1, 1]
+            ahead = (
+                q0 - along_u * u0 - along_v * v0
+            )  # of the plane p · x = 1, whose other parts are the slopes
+            if n + 1 >= planes.shape[0]:
+                return -1
+            planes[n, 0], planes[n, 1] = along_u, along_v
+            planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
+            planes[n, 3] = body_rows[body, 12]
+            if reflectivity.shape[0]:
+                planes[n, 3] *= reflectivity[uint64(start) + a]
+            bodies[n, 0], bodies[n, 1] = body, -1
+            if smooth:
+                bodies[n, 1] = n
+                _fit_normals(normals, start, f, faces, points, m, p, q0, q_column, q_row, normal_forms[n])
+            n += 1
+    return n
+
+
+@inlined
+def _fit_normals(normals, start, f, faces, points, m, p, q0, q_column, q_row, out):
+    """Fill out, (9,), with the normal over x, turned to the sector's frame, as a linear form of column and row.
+
+    A normal over x is linear over the image, as 1/x is: barycentric coordinates of a point are linear in the point's
+    (column x, row x, x).
+    """
+    a, b, c = uint64(start) + faces[f, 0], uint64(start) + faces[f, 1], uint64(start) + faces[f, 2]
+    h = np.empty((3, 3))
+    for o in range(3):
+        w = a if o == 0 else (b if o == 1 else c)
+        for i in range(3):
+            h[o, i] = p[i, 0] * points[w, 0] + p[i, 1] * points[w, 1] + p[i, 2] * points[w, 2] + p[i, 3]
+    # rows of the inverse of h, which give w over x at (column, row, 1)
+    c0x, c0y = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]
+    c0z = h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0]
+    c1x, c1y = h[2, 1] * h[0, 2] - h[2, 2] * h[0, 1], h[2, 2] * h[0, 0] - h[2, 0] * h[0, 2]
+    c1z = h[2, 0] * h[0, 1] - h[2, 1] * h[0, 0]
+    c2x, c2y = h[0, 1] * h[1, 2] - h[0, 2] * h[1, 1], h[0, 2] * h[1, 0] - h[0, 0] * h[1, 2]
+    c2z = h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
+    over = 1.0 / (h[0, 0] * c0x + h[0, 1] * c0y + h[0, 2] * c0z)
+    for axis in range(3):
+        na = m[axis, 0] * normals[a, 0] + m[axis, 1] * normals[a, 1] + m[axis, 2] * normals[a, 2]
+        nb = m[axis, 0] * normals[b, 0] + m[axis, 1] * normals[b, 1] + m[axis, 2] * normals[b, 2]
+        nc = m[axis, 0] * normals[c, 0] + m[axis, 1] * normals[c, 1] + m[axis, 2] * normals[c, 2]
+        out[3 * axis] = (na * c0z + nb * c1z + nc * c2z) * over
+        out[3 * axis + 1] = (na * c0x + nb * c1x + nc * c2x) * over
+        out[3 * axis + 2] = (na * c0y + nb * c1y + nc * c2y) * over
+
+
+@inlined
+def lobe_times_range(echo, range_m, strength, slope):
+    """Return the specular lobe times range of a sample, from cos θ times range; see `specular_lobe`."""
+    cosine = min(max(echo / range_m, 1e-3), 1.0)
+    square, s2 = cosine * cosine, np.float64(slope) * slope
+    exponent = -0.5 * (1.0 - square) / (square * s2)
+    if exponent < FAINTEST:
+        return 0.0
+    return strength * math.exp(exponent) / (8.0 * s2 * square * square * cosine) * range_m
+
+
+@compiled
+def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_echo, body_id):
+    """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
+
+    Parameters
+    ----------
+    buffer, triangles, view, window : as for `rasterize`
+    body_rows : of PlacedBodies
+    left : column of the image at which the window begins
+    has_lobes : whether any body has a specular lobe
+    plane_echo, body_id : (H, W, 4) float32 and (H, W) uint16 of `SectorSamples`; body_id of no length if it is not
+        wanted
+    """
+    depth, triangle = buffer
+    planes, bodies, normal_forms = triangles
+    lattice_u, lattice_v = view[5], view[6]
+    u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
+    is_even = normal_forms.shape[0] == 0 and not has_lobes
+    zero = np.float32(0.0)
+    for j in range(uint64(depth.shape[0])):
+        for i in range(uint64(depth.shape[1])):
+            q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
+            if q <= zero:
+                for k in range(uint64(4)):
+                    plane_echo[j, at, k] = zero
+                continue
+            plane_echo[j, at, 0] = q
+            plane_echo[j, at, 1] = planes[t, 0]
+            plane_echo[j, at, 2] = planes[t, 1]
+            echo = np.float64(planes[t, 2])
+            if not is_even:
+                x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
+                u = u0 + lattice_u[1] * x + lattice_u[2] * y
+                v = v0 + lattice_v[1] * x + lattice_v[2] * y
+                if normal_forms.shape[0]:
+                    # entry by entry: a row of the table would be an array with a reference to count
+                    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
+                    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
+                    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
+                    squares, slope_u, slope_v = nx * nx + ny * ny + nz * nz, planes[t, 0], planes[t, 1]
+                    if squares > 1e-6 * q * q:
+                        along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
+                        along_ray = nx - ny * u + nz * v
+                        turned = along_ray if along_plane > 0.0 else -along_ray
+                        echo = max(turned, 0.0) / (math.sqrt(squares) * q)
+                plane_echo[j, at, 3] = planes[t, 3] * echo
+                lobe, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
+                if has_lobes and lobe > zero:
+                    range_m = math.sqrt(1.0 + u * u + v * v) / q
+                    plane_echo[j, at, 3] += lobe_times_range(echo, range_m, lobe, slope)
+            else:
+                plane_echo[j, at, 3] = planes[t, 3] * echo
+    if body_id.shape[0]:
+        for j in range(uint64(depth.shape[0])):
+            for i in range(uint64(depth.shape[1])):
+                is_hit = depth[j, i] > zero
+                number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
+                body_id[j, uint64(left) + i] = number

@@ -1,0 +1,117 @@
+"""A scene in an OpenGL context, and what draws it."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+
+import moderngl
+
+from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.worker import SecondThread
+from sonar_gl.gl import context as gl
+from sonar_gl.gl import egl, lifetime
+from sonar_gl.gl.host import check_thread, join
+from sonar_gl.raster.opengl.buffers import SceneBuffers, UploadedMeshes
+from sonar_gl.raster.opengl.renderer import DrawingRoom, Renderer
+from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.scene.scene import Scene
+from sonar_gl.sonar.fan import Fan
+
+
+class OpenGLEngine:
+    """Draws the bodies of a scene by OpenGL. A `RasterEngine`.
+
+    Parameters
+    ----------
+    context : of its own, which goes with it; None joins the context that is current, a host's
+    """
+
+    name = "opengl"
+
+    def __init__(self, scene: Scene, context: moderngl.Context | None):
+        self._host_thread = threading.current_thread() if context is None else None
+        with egl.preserve_current():
+            self._context = join() if context is None else context
+        try:
+            with self._context:
+                self.driver = {"engine": self.name, **gl.describe(self._context)}
+                self._buffers = SceneBuffers(self._context, scene, data_folder("shaders"))
+        except BaseException:
+            lifetime.discard(self._context)  # the exception holds what is in it
+            raise
+
+    @property
+    def contents(self) -> UploadedMeshes:
+        """The meshes in GL buffers."""
+        return self._buffers.uploaded
+
+    @contents.setter
+    def contents(self, more: UploadedMeshes) -> None:
+        self._buffers.uploaded = more
+
+    @property
+    def meshes(self) -> SceneMeshes:
+        """The bodies and their poses."""
+        return self._buffers.meshes
+
+    def with_more(self, bodies) -> UploadedMeshes:
+        """Return contents with more bodies; inside `drawing`."""
+        return self._buffers.uploaded.with_more(bodies)
+
+    def make_room(self) -> DrawingRoom:
+        """Return memory to draw into."""
+        return DrawingRoom(self._context)
+
+    def make_renderer(
+        self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None
+    ) -> Renderer:
+        """Return a renderer; inside `drawing`. The driver has threads of its own."""
+        return Renderer(self._buffers, fan, specular, room)
+
+    def check_thread(self) -> None:
+        """Raise an Error in another thread than that whose context was joined."""
+        if self._host_thread is not None:
+            check_thread(self._host_thread)
+
+    @contextmanager
+    def drawing(self):
+        """Have the context current for the time of the block."""
+        lifetime.release_waiting()
+        # after an interrupt in the context's own end, the outer manager still makes it not current
+        with egl.preserve_current(), self._context as context:
+            context.gc()
+            yield context
+
+    def collect(self) -> None:
+        """Give back the memory of objects that nobody holds any more; inside `drawing`."""
+        self._context.gc()
+
+    def discard(self) -> None:
+        """Have the context released by the next call that may; a finaliser may call this."""
+        lifetime.discard(self._context)
+
+    @staticmethod
+    def release_waiting() -> None:
+        """Release what was discarded."""
+        lifetime.release_waiting()
+
+
+def by_device(scene: Scene, device: int | None) -> OpenGLEngine:
+    """Return an engine on an EGL device; None takes that of SONAR_GL_DEVICE, or else the first.
+
+    Raises
+    ------
+    Error
+        if there is no EGL or no such device, or the driver is too old.
+    """
+    with egl.preserve_current():  # a new context is current at first
+        context = gl.create_context(device)
+    return OpenGLEngine(scene, context)
+
+
+def by_card(scene: Scene) -> OpenGLEngine | None:
+    """Return an engine on a graphics card; None if OpenGL is missing or in software."""
+    with egl.preserve_current():
+        context = gl.hardware_context()
+    return None if context is None else OpenGLEngine(scene, context)
