@@ -163,6 +163,6 @@ def make_engine(
         return CpuEngine(scene)
     if not is_sure and not has_graphics_card():
         return CpuEngine(scene)
-    # the CPU needs nothing of OpenGL, which takes a quarter of the memory
+    # loaded here alone, since the CPU needs nothing of OpenGL
     made = opengl.engine.by_device(scene, device) if is_sure else opengl.engine.by_card(scene)
     return made or CpuEngine(scene)

@@ -251,18 +251,7 @@ class Renderer:
         planes: Sequence | None = None,
         keep_last: bool = False,
     ) -> list[ViewSamples]:
-        """Draw all sectors as seen from some poses, world_from_sonar, and read them back.
-
-        The next call, of any renderer that shares the room, overwrites the samples.
-
-        Parameters
-        ----------
-        poses, states : of the sonar, and for each the SceneState, or None for that of the meshes
-        with_bodies : read the bodies' numbers too
-        full : draw the empty water, too, instead of the window that holds bodies
-        planes : clip plane of each pose, before which all lies that is drawn, or None: the water's surface
-        keep_last : the samples of the last call stay valid until the next one
-        """
+        """Draw all sectors as seen from some poses, and read them back; see `raster.engine.Renderer.render`."""
         planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._room.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
