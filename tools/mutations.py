@@ -124,13 +124,12 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/columns into beams",
-        "(w2 * column_sums[c2, k] + w3 * column_sums[c3, k])",
-        "(w2 * column_sums[c2, k] + w3 * column_sums[c2, k])",
+        "rows[1, k] += (a1 * a + b1 * b) + (w1 * c + d1 * d)",
+        "rows[1, k] += (a1 * a + b1 * b) + (w1 * c + d1 * c)",
         (
             *FOOTPRINTS,
             "test_beam_pattern|test_patterns",
         ),
-        (("(w2 * echo_sum[c2, k] + w3 * echo_sum[c3, k])", "(w2 * echo_sum[c2, k] + w3 * echo_sum[c2, k])"),),
     ),
     Mutation(
         "footprints/pattern in elevation",
