@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -41,6 +41,18 @@ class BeamWeights:
 
     first: np.ndarray
     weights: np.ndarray
+
+    @cached_property
+    def tiles(self) -> kernels.BeamTiles:
+        """The weights in tiles of beams."""
+        return kernels.beam_tiles(self.first, self.weights)
+
+    def received(self, n_columns: int) -> np.ndarray:
+        """Return (n_columns,) bool: which columns of the fan any beam receives."""
+        out = np.zeros(n_columns, bool)
+        columns = self.first[:, None] + np.arange(self.weights.shape[1])
+        out[columns[self.weights > 0] % n_columns] = True
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,16 +218,14 @@ class Beamformer:
         sines = np.linspace(-self._top, self._top, ELEVATIONS)
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._tiles = tuple(kernels.beam_tiles(weights.first, weights.weights))
+        self._tiles = tuple(weights.tiles)
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
         self._sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
         self._spans = np.tile([0, fan.sonar.n_bins], (fan.n_columns, 1))  # bins where a row may differ from 0
         self._spread = fan.sampling.reducer == "footprint"
-        received = np.zeros(fan.n_columns, bool)
-        for w in range(weights.weights.shape[1]):
-            received[(weights.first[weights.weights[:, w] > 0] + w) % fan.n_columns] = True
+        received = weights.received(fan.n_columns)
         self._strips = tuple(
             [_strips_within(sector.strips, half, received) for sector in fan.sectors]
             for half in np.array_split(np.arange(fan.n_columns), 2)

@@ -456,14 +456,13 @@ class BeamTiles(NamedTuple):
 
 def beam_tiles(first, weights) -> BeamTiles:
     """Lay the weights of beams side by side, TILE_BEAMS at a time; arguments as `beam_weights` returns them."""
-    (B, W), corners = weights.shape, range(0, len(first), TILE_BEAMS)
-    starts = np.array([first[b : b + TILE_BEAMS].min() for b in corners])
-    stops = np.array([first[b : b + TILE_BEAMS].max() for b in corners])
-    n_columns = W + TILE_BEAMS + (stops - starts).max()
+    (B, W), corners = weights.shape, np.arange(0, len(first), TILE_BEAMS)
+    starts = np.minimum.reduceat(first, corners)
+    n_columns = W + TILE_BEAMS + (np.maximum.reduceat(first, corners) - starts).max()
     out = np.zeros((len(starts), n_columns + -n_columns % 4, TILE_BEAMS), np.float32)
-    for b in range(B):
-        at = first[b] - starts[b // TILE_BEAMS]
-        out[b // TILE_BEAMS, at : at + W, b % TILE_BEAMS] = weights[b]
+    tile, of_tile = np.divmod(np.arange(B), TILE_BEAMS)
+    columns = (first - starts[tile])[:, None] + np.arange(W)
+    out[tile[:, None], columns, of_tile[:, None]] = weights
     return BeamTiles(starts, out)
 
 

@@ -1,10 +1,16 @@
-"""The choice of the cheapest samples that keep a tolerance: for one ping, for planned poses, or as the sonar moves."""
+"""The choice of the cheapest samples that keep a tolerance: for one ping, for planned poses, or as the sonar moves.
+
+As the sonar moves, no ping may take much longer than those before it: a check of the error costs about another ping,
+and what it finds changes the samples of later pings, in steps. Until finer samples have been checked, pings carry the
+error that the coarser ones had.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -20,6 +26,7 @@ from sonar_gl.sonar.sampling import (
     Sampling,
     ToleranceWarning,
     level_of,
+    sampling_at,
     typical_level,
 )
 from sonar_gl.sonar.sonar import Sonar
@@ -29,9 +36,12 @@ MAX_POSES = 24  # of a sequence are tried
 # take less time than the rest of a ping, which another try would repeat.
 FIRST_SAMPLES = 1 << 14
 
-CHECK_EVERY = 24  # pings: a check costs about one and a half
+CHECK_EVERY = 24  # pings: a check costs about one
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
+# A ping may cost so many times the median of so many before it; a check costs so many times a ping; what takes the time
+# of a ping beside its samples costs as much as so many more. By the pings of `tools/bench live`.
+MOST_COST, RECENT, CHECK_COST, FIXED_SAMPLES = 2.4, 100, 1.0, 30_000
 
 
 class LastCheck(NamedTuple):
@@ -61,6 +71,7 @@ class Choice:
     plan : the Plan behind it; None before the first ping
     check : the LastCheck; None before the first ping
     planned_poses : bytes of the poses for which the samples are fixed; None while they are chosen ping by ping
+    is_due : the error is to be estimated as soon as that costs no more than a ping may
     """
 
     resolution: Resolution
@@ -68,6 +79,23 @@ class Choice:
     plan: Plan | None = None
     check: LastCheck | None = None
     planned_poses: frozenset[bytes] | None = None
+    is_due: bool = False
+
+
+class Track(NamedTuple):
+    """The pings that were noticed.
+
+    Attributes
+    ----------
+    number : how many
+    pose, state : of the last one; None before the first
+    costs : of the last RECENT of them, in samples
+    """
+
+    number: int = 0
+    pose: np.ndarray | None = None
+    state: SceneState | None = None
+    costs: tuple[int, ...] = ()
 
 
 class ChosenView(NamedTuple):
@@ -88,20 +116,25 @@ class Sampler(Protocol):
 
     Attributes
     ----------
-    choice : all that changes from ping to ping, to be put back where a plan is broken off
+    choice : all that checks and plans change, to be put back where a plan is broken off
+    track : all that each ping changes, to be put back where a ping is to be made again
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
     """
 
     choice: object
+    track: object
     resolution: Resolution
     tolerance: float | None
 
-    def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
-        """Return the samples of a ping; `check` has their error estimated even if that is not due."""
+    def resolution_for(self, setup: PingSetup) -> Resolution:
+        """Take note of a ping, and return its samples."""
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the samples to draw the ping with once more, or None if it is good."""
+
+    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+        """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
 
     def notice(self, setup: PingSetup) -> bool:
         """Take note of a ping to come; return whether its error is to be estimated."""
@@ -122,17 +155,21 @@ class Sampler(Protocol):
 class FixedSampling:
     """Samples that were given: nothing to choose, nothing promised. A `Sampler`."""
 
-    tolerance = choice = None
+    tolerance = choice = track = None
 
     def __init__(self, stages: StageCache, sampling: Sampling):
         self.resolution = Resolution(stages.stage(sampling))
 
-    def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
+    def resolution_for(self, setup: PingSetup) -> Resolution:
         """Return the samples."""
         return self.resolution
 
     def review(self, received: ReceivedPing) -> None:
         """Return None: there are no others."""
+
+    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+        """Raise the error."""
+        raise error
 
     def notice(self, setup: PingSetup) -> bool:
         """Return False."""
@@ -164,6 +201,7 @@ class AdaptiveSampling:
     Attributes
     ----------
     choice : Choice; whoever takes a step of several that may be broken off keeps it, and puts it back
+    track : Track
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
@@ -171,8 +209,8 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._guess = min(typical_level(self.tolerance), self._model.finest)
         self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
-        self._trigger, self._n_noticed, self._has_warned = ReplanTrigger(self._sonar), 0, False
-        self.choice = Choice(self._resolution_at(self._guess), self._guess)
+        self._trigger, self._has_warned = ReplanTrigger(self._sonar), False
+        self.choice, self.track = Choice(self._resolution_at(self._guess), self._guess), Track()
 
     @property
     def resolution(self) -> Resolution:
@@ -187,33 +225,77 @@ class AdaptiveSampling:
     def _resolution_at(self, level: int) -> Resolution:
         return Resolution(self._model.stage_at(level))
 
-    def resolution_for(self, setup: PingSetup, check: bool = False) -> Resolution:
-        """Return samples that keep the tolerance."""
-        check = self.notice(setup) or check
+    def resolution_for(self, setup: PingSetup) -> Resolution:
+        """Take note of a ping, and return its samples; those of the first ping keep the tolerance."""
+        before, check = self.track, self.notice(setup)
         if check and self.plan is None:
             self.choice = self._search(setup, self.choice.level)
             self._warn_if_unmet(self.plan)
+            return replace(self.resolution, is_final=True)
+        if self.choice.planned_poses is not None:
             return self.resolution
-        return replace(self.resolution, check=check)
+        may_search = check and self._trigger.is_far(before, setup.request.pose, setup.state)
+        return replace(self.resolution, with_bodies=True, check=check, may_search=may_search)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return finer or coarser samples, if these were found to be wrong."""
-        drawn = received.drawn
+        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again."""
+        drawn, total = received.drawn, received.direct.total
         resolution, level = drawn.resolution, self.choice.level
-        if resolution.is_final:
+        if resolution.is_final or not (resolution.check or self.has_changed(total)):
             return None
-        if not resolution.check:  # a check needs samples that know their bodies
-            return replace(resolution, check=True) if self.has_changed(received.direct.total) else None
+        is_first = self.choice.check.total <= 0 < total
+        if not (resolution.check or is_first or self._can_check()):
+            self.choice = self.choice if self.choice.is_due else replace(self.choice, is_due=True)
+            return None
         tried = TriedView(resolution.stage, drawn.view, received.direct)
         judged = self._model.judge(drawn.setup, level, tried)
-        check = self._check_of(drawn.setup, received.direct.total)
-        choice, again = replace(self.choice, plan=judged.plan, check=check), None
-        if (judged.steps > 0 and level < self._model.finest) or judged.steps <= -LEVELS_PER_HALF:
+        choice = replace(
+            self.choice, plan=judged.plan, check=self._check_of(drawn.setup, total), is_due=False
+        )
+        is_wrong = (
+            level < self._model.finest if judged.steps > 0 else level > 0 and judged.steps <= -LEVELS_PER_HALF
+        )
+        if is_wrong and (resolution.may_search or is_first):
             choice = self._search(drawn.setup, level)
-            again = replace(choice.resolution, is_final=True)
+        elif is_wrong:
+            choice = self._followed(choice, level + judged.steps)
         self.choice = choice
-        self._warn_if_unmet(choice.plan)
-        return again
+        if not (is_wrong and choice.is_due):
+            self._warn_if_unmet(choice.plan)
+        if choice.is_due or choice.level == level:
+            return None
+        return replace(choice.resolution, is_final=True)
+
+    def _followed(self, choice: Choice, level: int) -> Choice:
+        """Return a choice of finer or coarser samples for the next pings, which are to be checked.
+
+        Finer by steps that can be checked at once; where a ping may not cost as much, without a check for now. The
+        estimate remains that of the last check: above the tolerance, if it asked for finer samples.
+        """
+        wanted, most = max(0, min(level, self._model.finest)), self._most_cost()
+        finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
+        checkable = [n for n in finer if (1 + CHECK_COST) * self._cost(n) <= most]
+        level = (checkable or finer or [min(wanted, choice.level)])[-1]
+        return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
+
+    def _cost(self, level: int) -> int:
+        return sampling_at(self._sonar, level).count(self._sonar) + FIXED_SAMPLES
+
+    def _most_cost(self) -> float:
+        return MOST_COST * median(self.track.costs)
+
+    def _can_check(self) -> bool:
+        """Return whether a ping with a check costs no more than a ping may."""
+        return (1 + CHECK_COST) * self._cost(self.choice.level) <= self._most_cost()
+
+    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+        """Return samples of the next coarser level: those of a ping were more than fit."""
+        level = self.choice.level - 1
+        if level < 0 or self.choice.planned_poses is not None:
+            raise error
+        self._model.finest = level
+        self.choice = replace(self.choice, resolution=self._resolution_at(level), level=level, is_due=True)
+        return replace(self.resolution, with_bodies=True, check=True)
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
@@ -242,7 +324,7 @@ class AdaptiveSampling:
     def error_estimate(self, pose) -> float | None:
         """Return the estimated error of a ping from `pose`; None where samples were fixed for other poses."""
         planned = self.choice.planned_poses
-        return None if planned is not None and pose.tobytes() not in planned else self.plan.error_estimate
+        return None if planned is not None and pose.tobytes() not in planned else self.plan.bound
 
     def notice(self, setup: PingSetup) -> bool:
         """Take note of a ping to come; return whether its error is to be estimated."""
@@ -250,11 +332,23 @@ class AdaptiveSampling:
             return True
         if self.choice.planned_poses is not None:
             return False
-        self._n_noticed += 1
-        check = self.choice.check
-        return check is None or self._trigger.is_due(
-            check, setup.request.pose, setup.state, self._n_noticed - check.number
+        request, check, before, cost = (
+            setup.request,
+            self.choice.check,
+            self.track,
+            self._cost(self.choice.level),
         )
+        if check is None:
+            self.track = Track(1, request.pose, setup.state, (cost,))
+            return True
+        is_far = self._trigger.is_far(before, setup.request.pose, setup.state)
+        costs = (cost,) if is_far else (*before.costs[1 - RECENT :], cost)  # another place has other costs
+        self.track = Track(before.number + 1, request.pose, setup.state, costs)
+        is_due = is_far or self.choice.is_due
+        is_due = is_due or self._trigger.is_due(
+            check, request.pose, setup.state, self.track.number - check.number
+        )
+        return is_due and self._can_check()
 
     def choose(self, setup: PingSetup) -> ChosenView:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
@@ -280,7 +374,7 @@ class AdaptiveSampling:
         return ChosenView(tried, judged.plan)
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
-        return LastCheck(setup.request.pose, setup.state, total, self._n_noticed)
+        return LastCheck(setup.request.pose, setup.state, total, self.track.number)
 
     def _search(self, setup: PingSetup, level: int) -> Choice:
         """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
@@ -338,16 +432,26 @@ class ReplanTrigger:
 
     def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
         """Return whether sonar or bodies have moved far since the last check, or a little for `n_pings`, long."""
-        moved, turned = _motion(last.pose[None], pose[None])
-        if state is not last.state:
-            before = last.state
-            if len(state.present) != len(before.present) or (state.present != before.present).any():
-                return True
-            bodies_moved, bodies_turned = _motion(before.poses, state.poses)
-            moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
+        moved, turned = self._motion(last, pose, state)
         if moved <= 0.0 and turned < 1e-6:
             return False
         return n_pings >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
+
+    def is_far(self, last: LastCheck | Track, pose, state: SceneState) -> bool:
+        """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
+        moved, turned = self._motion(last, pose, state)
+        return moved > self._far_m or turned > self._far_rad
+
+    def _motion(self, last: LastCheck | Track, pose, state: SceneState) -> tuple[float, float]:
+        """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
+        moved, turned = _motion(last.pose[None], pose[None])
+        before = last.state
+        if state is not before:
+            if len(state.present) != len(before.present) or (state.present != before.present).any():
+                return math.inf, math.inf
+            bodies_moved, bodies_turned = _motion(before.poses, state.poses)
+            moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
+        return moved, turned
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from typing import Protocol
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
@@ -30,12 +31,12 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
     return finish(run.instrument, received, report)
 
 
-def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
+def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Needs the OpenGL context."""
     setup = run.with_later_bodies(setup)
     resolution, received = None, sample_alone(run, setup) if setup.request.alone else None
     if received is None:
-        resolution = run.sampler.resolution_for(setup, check)
+        resolution = run.sampler.resolution_for(setup)
     else:
         resolution = run.review(received)
     while resolution is not None:
@@ -44,7 +45,11 @@ def sample(run: Run, setup: PingSetup, check: bool = False) -> ReceivedPing:
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
-            (drawn,) = draw(run, [setup], resolution)
+            try:
+                (drawn,) = draw(run, [setup], resolution)
+            except SampleLimitError as error:
+                resolution = run.sampler.coarser(resolution, error)
+                continue
             received = receive(drawn)
         resolution = run.review(received)  # a body came into view, or multipath is too coarse
     return received
@@ -84,7 +89,7 @@ def draw(
     views = stage.draw(
         poses + [setup.request.pose for setup in shadowed],
         states + [setup.state.only(setup.background[1:]) for setup in shadowed],
-        with_bodies=resolution.check or any(setup.request.labels for setup in setups),
+        with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
     images = images_by.draw_images(resolution, views[:n], setups)

@@ -170,13 +170,11 @@ class Run:
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
-    def is_outdated(self, received: ReceivedPing) -> bool:
-        """Return whether a ping of a sequence must be sampled again, with a check of its error."""
-        total, sampling = received.direct.total, received.drawn.resolution.stage.sampling
+    def is_outdated(self, received: ReceivedPing, choice) -> bool:
+        """Return whether a ping of a sequence must be made again; `choice` of the sampler when it was made."""
         return (
-            sampling != self.sampler.resolution.stage.sampling  # chosen after this ping was drawn
-            or self.sampler.has_changed(total)
-            or total <= 0
+            choice is not self.sampler.choice  # chosen after this ping was drawn
+            or self.sampler.has_changed(received.direct.total)
             or self._review_images(received)
         )
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import count, repeat
+from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
@@ -97,6 +98,21 @@ def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> 
     images.fix(least)
 
 
+class _Noticed(NamedTuple):
+    """A ping of a sequence, and the sampler's `track` before it."""
+
+    setup: PingSetup
+    track: object
+
+
+class _Started(NamedTuple):
+    """Pings that another thread makes: the job, the pings, and the sampler's `choice` by which they are made."""
+
+    job: Job
+    pings: list[_Noticed]
+    choice: object
+
+
 class _Upcoming:
     """Pings to come.
 
@@ -129,16 +145,30 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
-    def next_batch(self, most: int) -> tuple[list[PingSetup], PingSetup | None]:
-        """Return pings that can be drawn at once, and the one after them if its error is to be estimated."""
-        batch, sectors = [], self._run.sampler.resolution.stage.fan.sectors
+    def next_batch(self, most: int) -> tuple[list[_Noticed], bool]:
+        """Return pings that can be drawn at once, and whether the error of the one after them is to be estimated."""
+        batch, sampler = [], self._run.sampler
+        sectors = sampler.resolution.stage.fan.sectors
         most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
-            setup = self._run.with_later_bodies(self._setups.popleft())
-            if self._run.sampler.notice(setup):
-                return batch, setup
-            batch.append(setup)
-        return batch, None
+            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.track
+            if sampler.notice(setup):
+                sampler.track = before  # it is noticed when it is sampled
+                return batch, True
+            self._setups.popleft()
+            batch.append(_Noticed(setup, before))
+        return batch, False
+
+    def pop(self) -> PingSetup:
+        """Return the next ping."""
+        return self._setups.popleft()
+
+    def put_back(self, pings: Iterable[_Noticed]) -> None:
+        """Have these pings come first, in their order, as if the sampler had not noticed them."""
+        pings = list(pings)
+        self._setups.extendleft(one.setup for one in reversed(pings))
+        if pings:
+            self._run.sampler.track = pings[0].track
 
 
 class _Overlap:
@@ -195,42 +225,66 @@ class _Workers:
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
     """Yield pings, in order: some are made by other threads while the caller has those before."""
-    in_flight: deque[Job] = deque()
+    in_flight: deque[_Started] = deque()
     upcoming = _Upcoming(run, requests)
     with run.drawing():
         threads = _Overlap(run) if run.world.engine.name == "opengl" else _Workers(run)
     try:
-        while upcoming.fill(threads.most):
-            with run.drawing(beside=in_flight):
-                batch, to_check = upcoming.next_batch(threads.most)
-                if batch:
-                    in_flight.append(threads.start(batch))
-            while in_flight and (len(in_flight) > threads.ahead or to_check is not None):
-                yield from _finished(run, in_flight)
-            if to_check is not None:
-                yield _sampled(run, to_check)
-        while in_flight:
-            yield from _finished(run, in_flight)
+        while (is_more := upcoming.fill(threads.most)) or in_flight:
+            with run.drawing(beside=[started.job for started in in_flight]):
+                batch, is_alone = upcoming.next_batch(threads.most)
+                try:
+                    if batch:
+                        job = threads.start([one.setup for one in batch])
+                        in_flight.append(_Started(job, batch, run.sampler.choice))
+                except SampleLimitError:
+                    upcoming.put_back(batch)
+                    is_alone = True
+            if is_alone and not in_flight:
+                yield _sampled(run, upcoming.pop())
+            while in_flight and (len(in_flight) > threads.ahead or is_alone or not is_more):
+                yield from _finished(run, in_flight, upcoming)
     finally:
         threads.close()
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
-def _finished(run: Run, in_flight: deque[Job]) -> Iterator[Ping]:
-    """Yield the pings of the job that was started first."""
-    for received in in_flight.popleft().result():
+def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iterator[Ping]:
+    """Yield the pings of the job that was started first; if one has to be sampled anew, those after it, too."""
+    started = in_flight.popleft()
+    try:
+        received = started.job.result()
+    except SampleLimitError:
+        received = [None] * len(started.pings)
+    for number, one in enumerate(received):
         with run.world.unchanged():
-            report = None if run.is_outdated(received) else run.report(received)
+            is_good = one is not None and not run.is_outdated(one, started.choice)
+            report = run.report(one) if is_good and one.total > 0 else None
+        if not is_good:
+            later = [ping for group in in_flight for ping in group.pings]
+            in_flight.clear()
+            upcoming.put_back([*started.pings[number:], *later])
+            yield _sampled(run, upcoming.pop())
+            return
         if report is None:
-            yield _sampled(run, received.drawn.setup)
+            yield _without_echo(run, one.drawn.setup)
         else:
-            yield finish(run.instrument, received, report)
+            yield finish(run.instrument, one, report)
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:
-    """Return a ping that is sampled alone, with a check of its error."""
+    """Return a ping that is sampled alone, as `Simulator.ping` does."""
     with run.drawing():
-        received = sample(run, setup, check=True)
+        received = sample(run, setup)
+        report = run.report(received)
+    return finish(run.instrument, received, report)
+
+
+def _without_echo(run: Run, setup: PingSetup) -> Ping:
+    """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
+    with run.drawing():
+        (drawn,) = draw(run, [setup], run.sampler.resolution)
+        received = receive(drawn)
         report = run.report(received)
     return finish(run.instrument, received, report)

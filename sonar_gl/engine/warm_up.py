@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
+from sonar_gl.beamform.kernels import view_index
 from sonar_gl.core.compiled import announce_compilation
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.run import Run
 from sonar_gl.sonar.sampling import sampling_of_width
 
 COARSE_DEG = 180.0
-_is_warm = False
+A_BUBBLE = np.array([[2.0, 0.0, 0.0, 0.005]])
+_warm = set()
 
 
 def warm_up(run: Run) -> None:
-    """Draw and sum a few samples in the first run of a process: kernels are compiled when first used."""
-    global _is_warm
-    if not _is_warm:
-        announce_compilation()
-        with run.drawing():
-            stage = run.stages.make(sampling_of_width(run.instrument.sonar, COARSE_DEG))
-            (view,) = stage.renderer.render([check_pose(np.eye(4))], full=True)  # read-only, as in pings
-            stage.beamformer.sum_view(view, run.instrument.gain)
-        _is_warm = True
+    """Draw and sum a few samples in the first run of a process: kernels are compiled, or read, when first used."""
+    has_bubbles = run.instrument.acoustics.bubbles and bool(run.world.scene.plumes)
+    needed = {"surfaces", "bubbles"} if has_bubbles else {"surfaces"}
+    if needed <= _warm:
+        return
+    announce_compilation()
+    with run.drawing():
+        stage, gain = (
+            run.stages.make(sampling_of_width(run.instrument.sonar, COARSE_DEG)),
+            run.instrument.gain,
+        )
+        pose = check_pose(np.eye(4))  # read-only, as in pings
+        (view,) = stage.renderer.render([pose], full=True)
+        if has_bubbles:
+            view = replace(
+                view, bubbles=attenuate_behind_bubbles(view_index(view), A_BUBBLE, pose, stage.fan)
+            )
+        stage.beamformer.sum_view(view, gain)
+    _warm.update(needed)

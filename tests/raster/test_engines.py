@@ -288,9 +288,16 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
-def test_room_for_triangles_grows(monkeypatch):
-    expected = pictures(draw_sectors(small_world(), SONAR, np.eye(4), "cpu"))
-    monkeypatch.setattr(cpu, "FEW_TRIANGLES", 2)
-    found = pictures(draw_sectors(small_world(), SONAR, np.eye(4), "cpu"))
-    np.testing.assert_array_equal(found[0], expected[0])
-    np.testing.assert_array_equal(found[1], expected[1])
+def test_room_for_triangles_follows_what_is_drawn():
+    """Pings share their memory: of no triangles, of many, of few and of many again."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(5, 1.0), sg.pose(6), 0.5)  # 20 480 triangles
+    made_of = sg.Scene([ball]), SONAR, sg.Acoustics.ideal(), sg.Sampling(1, 40)
+    with sg.Simulator(*made_of, engine="cpu") as simulator:
+        expected = simulator.ping(np.eye(4)).intensity
+    with sg.Simulator(*made_of, engine="cpu") as simulator:
+        places = sg.pose(-9), None, sg.pose(19), None
+        images = [
+            simulator.ping(np.eye(4), bodies=None if at is None else {"ball": at}).intensity for at in places
+        ]
+    np.testing.assert_array_equal(images[1], expected)
+    np.testing.assert_array_equal(images[3], expected)

@@ -39,11 +39,11 @@ from sonar_gl.sonar.samples import ViewSamples
 # About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
 # other one takes 10 to 20 us.
 FACE_NS, SAMPLE_NS, FEW_NS = 20, 4, 60_000
-# An array is replaced by a smaller one where it is so many times larger than needed, or else a coarse ping would keep
-# the memory of a fine one; not below MIN_KEPT entries.
-MAX_EXCESS, MIN_KEPT = 2, 1 << 16
+# An array is made so many times larger than needed: the system provides memory only for what is used. It is replaced by
+# a smaller one where it has MAX_EXCESS times what is needed, or else a coarse ping would keep the memory of a fine one;
+# not below MIN_KEPT entries.
+RESERVE, MAX_EXCESS, MIN_KEPT = 2, 4, 1 << 16
 MAX_KEPT_SAMPLES = 1 << 18
-FEW_TRIANGLES = 1024  # initial room
 NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
 
 
@@ -95,8 +95,7 @@ class _Array:
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
         if not count <= len(self._array) <= max(MAX_EXCESS * count, MIN_KEPT):
-            # a little more, so that a window that grows does not need a new one every time
-            self._array = np.empty((count + count // 8, *self._array.shape[1:]), self._array.dtype)
+            self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
         return self._array[:count]
 
     def drop(self, most: int) -> None:
@@ -128,7 +127,11 @@ class _HalfRoom:
 
     def __init__(self):
         self._depth, self._triangle = _Array(np.float32), _Array(np.int32)
-        self._triangles, self._has_normals = None, False
+        self._planes, self._bodies, self._normals = (
+            _Array(np.float32, 4),
+            _Array(np.int32, 2),
+            _Array(float, 9),
+        )
 
     def buffer(self, rows: int, columns: int) -> VisibilityBuffer:
         """Return a visibility buffer."""
@@ -137,19 +140,16 @@ class _HalfRoom:
             self._depth.take(size).reshape(rows, columns), self._triangle.take(size).reshape(rows, columns)
         )
 
-    def triangles(self, has_normals: bool, more: bool = False) -> Triangles:
-        """Return room for triangles; with `more`, for twice as many as before."""
-        if self._triangles is None or more or has_normals != self._has_normals:
-            n = FEW_TRIANGLES if self._triangles is None else (1 + more) * len(self._triangles.planes)
-            self._triangles = Triangles(
-                np.empty((n, 4), np.float32), np.empty((n, 2), np.int32), np.empty((n * has_normals, 9))
-            )
-            self._has_normals = has_normals
-        return self._triangles
+    def triangles(self, count: int, has_normals: bool) -> Triangles:
+        """Return room for so many triangles."""
+        normals = self._normals.take(count * has_normals)
+        return Triangles(self._planes.take(count), self._bodies.take(count), normals)
 
     def drop_large(self) -> None:
         self._depth.drop(MAX_KEPT_SAMPLES)
         self._triangle.drop(MAX_KEPT_SAMPLES)
+        for one in (self._planes, self._bodies, self._normals):
+            one.drop(MAX_KEPT_SAMPLES)
 
 
 class DrawingRoom:
@@ -263,17 +263,17 @@ class CpuRenderer:
         """Draw some columns of each sector's window; placed : tuple of PlacedBodies."""
         contents, half, left = self._engine.contents, self._room.halves[part], 0
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
-        triangles = tuple(half.triangles(has_normals))
+        triangles = tuple(half.triangles(max(one.n_faces for one in patches), has_normals))
         for view, (chosen, _, (i, j, columns, rows)) in zip(self._sectors, patches, strict=True):
             first, last = part * columns // n_parts, (part + 1) * columns // n_parts
             if first < last:
                 extent = i + first, i + last - 1, j, j + rows - 1
                 buffer = tuple(half.buffer(rows, last - first))
                 shared = contents.patches, vertices, placed, view.geometry, extent, self._limits, buffer
-                if not contents.patches:
+                if contents.patches:
+                    rasterize(chosen, *shared, triangles)
+                else:
                     buffer[0][:] = 0.0
-                while contents.patches and rasterize(chosen, *shared, triangles) < 0:
-                    triangles = tuple(half.triangles(has_normals, more=True))
                 shade(buffer, triangles, view.geometry, extent, placed[1], left + first, has_lobes, *samples)
             left += columns
 

@@ -228,15 +228,11 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
 
     Parameters
     ----------
-    chosen : (K, 2) patch and body, of `choose_patches`
+    chosen : (K, 2) patch and body, of `choose_patches`; `triangles` must have room for all of their faces
     patches, vertices, placed, view, buffer, triangles : tuples of PatchFaces, Vertices, PlacedBodies, SectorGeometry,
         VisibilityBuffer and Triangles
     window : first and last column, first and last row of the buffer, in the sector
     limits : (2,) near and far plane, metres
-
-    Returns
-    -------
-    how many triangles have been written; -1 if there is no room for all
     """
     first_vertex, n_vertices, first_face, n_faces, faces, boxes = patches
     points, normals, reflectivity = vertices
@@ -406,8 +402,6 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
             ahead = (
                 q0 - along_u * u0 - along_v * v0
             )  # of the plane p · x = 1, whose other parts are the slopes
-            if n + 1 >= planes.shape[0]:
-                return -1
             planes[n, 0], planes[n, 1] = along_u, along_v
             planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
             planes[n, 3] = body_rows[body, 12]
@@ -418,7 +412,6 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 bodies[n, 1] = n
                 _fit_normals(normals, start, f, faces, points, m, p, q0, q_column, q_row, normal_forms[n])
             n += 1
-    return n
 
 
 @inlined

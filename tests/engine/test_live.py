@@ -1,0 +1,123 @@
+"""A sonar that moves: no ping costs much more than those before it, and each says what its error may be."""
+
+import math
+from statistics import median
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.engine import adaptive
+from sonar_gl.engine.stage import Stage
+from sonar_gl.raster.cpu import engine as cpu
+
+SONAR = sg.Sonar("live", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
+IDEAL = sg.Acoustics.ideal()
+TOLERANCE = 0.02
+N = 240
+
+
+def scene():
+    """A floor with a wall ahead, and behind it a row of rods, which need finer samples."""
+    rods = [
+        sg.Body(f"rod {k}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * k))
+        for k in range(-9, 10)
+    ]
+    floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -2.5), 0.2)
+    return sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), floor, *rods])
+
+
+def poses(n=N):
+    """Turn once round in `n` pings: the wall, the rods, the wall."""
+    return [sg.pose(yaw=2 * math.pi * k / n) for k in range(n)]
+
+
+def record_costs(monkeypatch):
+    """Return a list to which the cost of each drawing is appended, in samples."""
+    costs, draw = [], Stage.draw
+
+    def counted(stage, *arguments, **more):
+        costs.append(stage.sampling.count(SONAR) + adaptive.FIXED_SAMPLES)
+        return draw(stage, *arguments, **more)
+
+    monkeypatch.setattr(Stage, "draw", counted)
+    return costs
+
+
+def swim(monkeypatch):
+    """Return the cost, the error estimate and the rows of each ping."""
+    out, costs = [], record_costs(monkeypatch)
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        for pose in (*poses(), *[np.eye(4)] * 60):  # and stay
+            costs.clear()
+            ping = simulator.ping(pose)
+            out.append((sum(costs), ping.error_estimate, ping.meta["sampling"]["rows"]))
+    return [np.array(column) for column in zip(*out, strict=True)]
+
+
+def worst_of(costs):
+    """Return the most that a ping but the first costs, over the median of up to a hundred before it."""
+    return max(costs[k] / median(costs[max(0, k - 100) : k]) for k in range(1, len(costs)))
+
+
+def test_no_ping_costs_three_times_the_median_of_the_last_hundred(monkeypatch):
+    costs, estimates, rows = swim(monkeypatch)
+    assert rows.max() > 3 * rows.min()
+    assert worst_of(costs[1:]) < 3  # the first one is searched
+    # in both views the samples suffice in the end, and until they do the estimate says so
+    assert estimates[0] <= TOLERANCE and estimates[-1] <= TOLERANCE
+    assert (estimates > TOLERANCE).any() and (estimates[rows == rows.max()] <= TOLERANCE).any()
+
+
+def test_without_that_limit_single_pings_stall(monkeypatch):
+    monkeypatch.setattr(adaptive, "MOST_COST", math.inf)
+    assert worst_of(swim(monkeypatch)[0][1:]) > 5
+
+
+def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping(monkeypatch):
+    """Samples that became finer carry the estimate of the coarser ones, until they are checked themselves."""
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        for pose in poses():
+            ping, plan = simulator.ping(pose), simulator.run.sampler.plan
+            if ping.error_estimate <= TOLERANCE:
+                assert plan.sampling.rows == ping.meta["sampling"]["rows"] and plan.met
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
+    """Pings that were started before a check changed the samples are made again."""
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        single = [simulator.ping(pose, labels=labels) for pose in poses(120)]
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        together = list(simulator.pings(poses(120), labels=labels))
+    assert len({ping.meta["sampling"]["rows"] for ping in single}) > 3
+    for one, other in zip(together, single, strict=True):
+        assert (one.error_estimate, one.meta["sampling"]) == (other.error_estimate, other.meta["sampling"])
+        np.testing.assert_array_equal(one.intensity, other.intensity)
+        np.testing.assert_array_equal(one.body_id, other.body_id)
+
+
+@pytest.mark.parametrize("way", ["ping", "pings"])
+def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
+    """A ball fills more and more of a window of samples as the sonar comes near."""
+    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+    approach, rows = [sg.pose(0.4 * k) for k in range(18)], []
+    for most in (cpu.MAX_SAMPLES, 2000):
+        with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+            simulator.ping(approach[0])
+            monkeypatch.setattr(cpu, "MAX_SAMPLES", most)
+            pings = simulator.pings(approach) if way == "pings" else map(simulator.ping, approach)
+            rows.append([ping.meta["sampling"]["rows"] for ping in pings])
+    assert any(few < many for many, few in zip(*rows, strict=True))
+
+
+def test_given_samples_that_do_not_fit_are_an_error(monkeypatch):
+    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(2))])
+    with sg.Simulator(ball, SONAR, IDEAL, sg.Sampling(4, 400), engine="cpu") as simulator:
+        monkeypatch.setattr(cpu, "MAX_SAMPLES", 600)
+        with pytest.raises(
+            SampleLimitError, match="samples with bodies before them must be no more than 600"
+        ):
+            simulator.ping(np.eye(4))
