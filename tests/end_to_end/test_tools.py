@@ -316,7 +316,8 @@ def pictures_of(echo, bodies):
 def test_differences_of_drivers_are_shares():
     reference = pictures_of([[4.0, 0.0, 4.0]], [[1, 0, 2]])
     assert drivers.differences(reference, reference) == (0, 0)
-    assert drivers.differences(pictures_of([[4.0, 1.0, 4.0]], [[1, 1, 2]]), reference) == (1 / 8, 1 / 2)
+    assert drivers.differences(pictures_of([[4.0, 1.0, 4.0]], [[1, 1, 2]]), reference) == (1 / 8, 0)
+    assert drivers.differences(pictures_of([[4.0, 0.0, 4.0]], [[1, 0, 1]]), reference) == (0, 1 / 2)
 
 
 @pytest.mark.parametrize(
