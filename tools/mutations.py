@@ -150,8 +150,8 @@ MUTATIONS = (
     ),
     Mutation(
         "sums/columns received by side lobes alone",
-        "received[(weights.first[weights.weights[:, w] > 0] + w)",
-        "received[(weights.first[weights.weights[:, w] > 2.0] + w)",
+        "out[columns[self.weights > 0] % n_columns]",
+        "out[columns[self.weights > 2.0] % n_columns]",
         ("test_beam_pattern|test_patterns",),
     ),
     Mutation("sums/share of two columns", "share = (points[n, 0] - middle) / apart", "share = 0.0", BUBBLES),

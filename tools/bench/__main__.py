@@ -8,6 +8,7 @@
 ping      time of a ping by stages and its error, over samplings and tolerances (what runs without a NAME)
 frame     what noise and picture add to a ping, beside a trace of as many rays through Embree
 scaling   how the time grows with triangles, beams, bins, field of view, bodies and tolerance
+engines   both raster engines; what labels, multipath and pictures add
 live      how even the pings of a live loop are
 changes   sequences, two sonars in one world, bodies that come, go and move
 batch     rate of a headless batch, where a worker's time goes, what ten million pings take
@@ -25,7 +26,7 @@ from importlib import import_module
 
 from tools.bench import harness
 
-NAMES = ("ping", "frame", "scaling", "live", "changes", "batch", "embed", "host", "start", "paper")
+NAMES = ("ping", "frame", "scaling", "engines", "live", "changes", "batch", "embed", "host", "start", "paper")
 
 
 def main(arguments=None):

@@ -1,0 +1,150 @@
+"""Time the two raster engines, and what labels, multipath and pictures add to a ping, beside what is aimed at.
+
+python -m tools.bench engines               # pylon, diver, ocean_floor; some minutes
+python -m tools.bench engines --quick
+
+Tolerance 0.01, the chart's sonar (256 beams a degree wide over 45 x 20 degrees, 512 bins to 30 m) and profile `ideal`
+where nothing else is said. OpenGL draws by the driver that is there: by software where there is no graphics card.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+
+import numpy as np
+import trimesh
+
+import sonar_gl as sg
+from tools.bench import harness
+from tools.bench.changes import drop
+from tools.bench.harness import Aim
+from tools.chart.scenes import make_scene, make_sonar
+
+ROUNDS = 60, 3
+SCENES = {
+    "pylon": 2.5,
+    "diver": 2.5,
+    "ocean_floor": 1.5,
+}  # name: OpenGL's time over that of the engine cpu, aimed at
+IDEAL = sg.Acoustics.ideal()
+FEW = 8  # pings of a sequence
+
+
+def one_triangle() -> sg.Scene:
+    """Make a triangle of half a metre, 5 m ahead."""
+    mesh = trimesh.Trimesh([(5, -0.25, -0.25), (5, 0.25, -0.25), (5, 0, 0.25)], [(0, 2, 1)])
+    return sg.Scene([sg.Body("triangle", mesh)], np.eye(4), "one triangle")
+
+
+def turns(stack, scene, rounds: int, contenders: dict) -> dict:
+    """Time pings of several simulators of a scene in turns.
+
+    contenders : {name: (sonar, acoustics, settings, options of a ping, function of the ping or None)}
+    """
+    entered = {}
+    for name, (sonar, acoustics, settings, options, finish) in contenders.items():
+        simulator = stack.enter_context(sg.Simulator(scene, sonar, acoustics, **settings))
+        simulator.plan([scene.sonar_pose])
+
+        def run(number, simulator=simulator, options=options, finish=finish):
+            ping = simulator.ping(harness.creep(scene.sonar_pose, number), **options)
+            if finish is not None:
+                finish(ping)
+
+        entered[name] = run
+    return harness.take_turns(entered, rounds)
+
+
+def engines_of(name: str, rounds: int) -> dict[str, float]:
+    """Return the times of one scene: both engines, labels, sequence; milliseconds and ratios."""
+    scene, sonar = make_scene(name), make_sonar(name, "wide")
+    with ExitStack() as stack:
+        contenders = {
+            "cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None),
+            "labels": (sonar, IDEAL, {"engine": "cpu"}, {"labels": True}, None),
+        }
+        with suppress(sg.Error):
+            with sg.Simulator(scene, sonar, IDEAL, engine="opengl"):
+                pass
+            contenders["opengl"] = (sonar, IDEAL, {"engine": "opengl"}, {}, None)
+        times = turns(stack, scene, rounds, contenders)
+    out = {"ping, ms": float(np.median(times["cpu"]))}
+    if "opengl" in times:
+        out["opengl / cpu"] = harness.ratio(times["opengl"], times["cpu"])
+    out["labels"] = harness.ratio(times["labels"], times["cpu"])
+    poses = [harness.creep(scene.sonar_pose, k) for k in range(FEW)]
+    with sg.Simulator(scene, sonar, IDEAL, engine="cpu") as simulator:
+        simulator.plan([scene.sonar_pose])
+        ways = {
+            "one by one": lambda _: drop(map(simulator.ping, poses)),
+            "sequence": lambda _: drop(simulator.pings(poses)),
+        }
+        times = harness.take_turns(ways, max(2, rounds // FEW))
+    out["one by one / sequence"] = harness.ratio(times["one by one"], times["sequence"])
+    return out
+
+
+def picture(ping: sg.Ping) -> None:
+    """Form the picture that a device shows."""
+    sg.colorize(sg.fan_image(ping))
+
+
+def others(rounds: int) -> dict[str, float]:
+    """Return the times of a triangle, of a strong image source over a ping without it, and of a whole frame."""
+    sonar, p900 = make_sonar("pylon", "wide"), sg.load_sonar("p900-45")
+    out = {}
+    with ExitStack() as stack:
+        one = {"cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None)}
+        out["one triangle, ms"] = float(np.median(turns(stack, one_triangle(), rounds, one)["cpu"]))
+    scene, ideal = sg.load_scene("pylon"), sg.Acoustics(multipath="none")
+    with ExitStack() as stack:
+        times = turns(
+            stack,
+            scene,
+            rounds,
+            {
+                "without": (p900, ideal, {}, {}, None),
+                "with": (p900, sg.Acoustics(multipath="incoherent"), {}, {}, None),
+            },
+        )
+        out["multipath"] = harness.ratio(times["with"], times["without"])
+    with ExitStack() as stack:
+        physical = sg.Acoustics.physical()
+        frame = {"frame": (p900, physical, {}, {"noise": sg.Noise.physical()}, picture)}
+        out["frame, ms"] = float(np.median(turns(stack, scene, rounds, frame)["frame"]))
+    return out
+
+
+def add_options(parser):
+    """Add the scene."""
+    parser.add_argument("--only", choices=SCENES, help="this scene")
+
+
+def run(options) -> dict:
+    """Return the figures beside their aims."""
+    names = [options.only] if options.only else list(SCENES)[: 1 if options.quick else None]
+    scenes = {name: engines_of(name, options.rounds) for name in names}
+    more, aims = others(options.rounds), []
+    for name, one in scenes.items():
+        if "opengl / cpu" in one:
+            aims.append(
+                Aim(f"{name}: opengl / cpu", one["opengl / cpu"], "times", SCENES[name], at_least=True)
+            )
+        aims.append(Aim(f"{name}: with labels / without", one["labels"], "times", 1.6))
+        aims.append(
+            Aim(f"{name}: ping() / pings()", one["one by one / sequence"], "times", 1.6, at_least=True)
+        )
+    aims.append(Aim("one triangle, a ping", more["one triangle, ms"], "ms", 0.2))
+    aims.append(Aim("pylon, p900-45: with multipath / without", more["multipath"], "times", 1.2))
+    aims.append(Aim("pylon, p900-45: colour frame with noise", more["frame, ms"], "ms", 4.0))
+    return {"scenes": scenes, "others": more, "aims": aims}
+
+
+def report(found: dict):
+    """Print a row for each scene, and the aims."""
+    rows = [
+        {"scene": name, **{what: f"{value:.2f}" for what, value in one.items()}}
+        for name, one in found["scenes"].items()
+    ]
+    harness.print_table(rows)
+    harness.print_aims(found["aims"])
