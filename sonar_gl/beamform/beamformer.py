@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.labels import Labeller, Labels
-from sonar_gl.core.array_pool import ArrayPools
+from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
@@ -27,32 +27,6 @@ NO_GAIN = np.empty(0, np.float32)
 # Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at
 # most.
 ELEVATIONS = 2049
-
-
-@dataclass(frozen=True, eq=False)
-class BeamWeights:
-    """Beams as weighted sums of columns.
-
-    Attributes
-    ----------
-    first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
-    weights : (B, W) float32, 1/sr, rows of equal length
-    """
-
-    first: np.ndarray
-    weights: np.ndarray
-
-    @cached_property
-    def tiles(self) -> kernels.BeamTiles:
-        """The weights in tiles of beams."""
-        return kernels.beam_tiles(self.first, self.weights)
-
-    def received(self, n_columns: int) -> np.ndarray:
-        """Return (n_columns,) bool: which columns of the fan any beam receives."""
-        out = np.zeros(n_columns, bool)
-        columns = self.first[:, None] + np.arange(self.weights.shape[1])
-        out[columns[self.weights > 0] % n_columns] = True
-        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +127,14 @@ def make_beamformer(
     thread: SecondThread | None = None,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
-    pools: ArrayPools | None = None,
-    known_weights: dict[bytes, BeamWeights] | None = None,
+    workspace: Workspace | None = None,
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
     Parameters
     ----------
-    thread, pools : of `Beamformer`
+    thread, workspace : of `Beamformer`
     shear, max_column_width : of `make_fan`
-    known_weights : of the same sonar and acoustics by the columns, to which those of the last call are added: coarse
-        samplings have the same columns, and their weights take most of the time
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
@@ -171,18 +142,14 @@ def make_beamformer(
     fan = make_fan(
         true_range, extend_rows(sampling, sonar, true_range), reach, is_box, shear, max_column_width
     )
-    columns = fan.column_edges_rad.tobytes()
-    weights = None if known_weights is None else known_weights.get(columns)
-    if weights is None:
-        weights = beam_weights(fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation)
-    if known_weights is not None:
-        known_weights.clear()  # only the last: those of fine samplings are large
-        known_weights[columns] = weights
-    return Beamformer(fan, weights, elevation, thread, is_box, pools)
+    workspace = workspace or Workspace()
+    made_of = fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation
+    weights = workspace.weights(fan.column_edges_rad, lambda: beam_weights(*made_of))
+    return Beamformer(fan, weights, elevation, thread, is_box, workspace)
 
 
 class Beamformer:
-    """Turns samples of a fan into beams and bins; owns the arrays that every ping uses again.
+    """Turns samples of a fan into beams and bins.
 
     Two halves of the columns are summed separately, in two threads if there is enough to do, so that the sums
     do not depend on which thread is faster.
@@ -193,7 +160,7 @@ class Beamformer:
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     thread : for the second half; None does both halves in the caller's thread
     is_box : beams are boxes, which end where columns end
-    pools : of the arrays that are returned, to share with other beamformers; None for its own
+    workspace : arrays that every ping uses again, to share with other beamformers; None for its own
 
     Attributes
     ----------
@@ -208,12 +175,12 @@ class Beamformer:
         elevation_pattern: Callable | None = None,
         thread: SecondThread | None = None,
         is_box: bool = True,
-        pools: ArrayPools | None = None,
+        workspace: Workspace | None = None,
     ):
+        self._workspace = workspace or Workspace()
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
-        pools = pools or ArrayPools()
-        self._pool = pools.pool(shape)
+        self._pool = self._workspace.pools.pool(shape)
         self._top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
         sines = np.linspace(-self._top, self._top, ELEVATIONS)
         is_even = elevation_pattern is None
@@ -222,8 +189,6 @@ class Beamformer:
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
-        self._sums = np.zeros((fan.n_columns, fan.sonar.n_bins), np.float32)
-        self._spans = np.tile([0, fan.sonar.n_bins], (fan.n_columns, 1))  # bins where a row may differ from 0
         self._spread = fan.sampling.reducer == "footprint"
         received = weights.received(fan.n_columns)
         self._strips = tuple(
@@ -240,14 +205,18 @@ class Beamformer:
             self._parts,
             self._bins,
             (self.elevation_table, weighted_elevation),
-            pools,
+            self._workspace,
         )
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its tables and sums, about."""
-        labeller = 0 if self._labeller is None else self._labeller.n_bytes
-        return self._sums.nbytes + self._tiles[1].nbytes + labeller
+        """Bytes of its tables, about."""
+        return self._tiles[1].nbytes + sum(
+            a.nbytes for half in self._strips for strips in half for a in strips
+        )
+
+    def _column_sums(self) -> ColumnSums:
+        return self._workspace.column_sums(self.fan.n_columns, self.fan.sonar.n_bins)
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
@@ -258,6 +227,7 @@ class Beamformer:
         """Return the echo of surfaces, times the (K,) float32 gain."""
 
         of_sectors = [(whole_rows(one.plane_echo), one.lattice) for one in samples]
+        columns = self._column_sums()
 
         def work(half):
             for one, strips in zip(of_sectors, self._strips[half], strict=True):
@@ -267,8 +237,8 @@ class Beamformer:
                     self._bins,
                     self._spread,
                     self.elevation_table,
-                    self._sums,
-                    self._spans,
+                    columns.sums,
+                    columns.spans,
                 )
 
         self._run(work, self._rows(samples) < FEW_ROWS)
@@ -276,13 +246,14 @@ class Beamformer:
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
-        edges_rad, edges_m = self.fan.column_edges_rad, self._bins[0]
-        arrays = self.elevation_table, self._top, not self.is_box, self._sums, self._spans
+        edges_rad, edges_m, columns = self.fan.column_edges_rad, self._bins[0], self._column_sums()
+        arrays = self.elevation_table, self._top, not self.is_box, columns.sums, columns.spans
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
         return self.weigh(gain)
 
     def sum_image_sources(self, views: Sequence[ImageSourceView], gain=NO_GAIN) -> BeamEcho:
         """Return the multipath echoes of several views, added up."""
+        columns = self._column_sums()
 
         def work(half):
             for number, view in enumerate(views):
@@ -297,8 +268,8 @@ class Beamformer:
                         self.elevation_table,
                         number == 0,
                         tuple(reflection),
-                        self._sums,
-                        self._spans,
+                        columns.sums,
+                        columns.spans,
                     )
 
         self._run(work)
@@ -337,14 +308,14 @@ class Beamformer:
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
-        out, totals = self._pool.empty(), [0.0, 0.0]
+        out, totals, columns = self._pool.empty(), [0.0, 0.0], self._column_sums()
 
         def work(half):
             totals[half] = kernels.weigh_columns(
-                self._sums, self._spans, self._tiles, self._parts[half], gain, out
+                columns.sums, columns.spans, self._tiles, self._parts[half], gain, out
             )
 
-        bins = np.maximum(self._spans[:, 1] - self._spans[:, 0], 0).mean()
+        bins = np.maximum(columns.spans[:, 1] - columns.spans[:, 0], 0).mean()
         self._run(work, self._tiles[1].size * bins < FEW_PRODUCTS)
         return BeamEcho(out, sum(totals))
 

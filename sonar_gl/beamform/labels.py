@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.beamform import kernels
-from sonar_gl.core.array_pool import ArrayPools
+from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -16,7 +16,6 @@ from sonar_gl.sonar.samples import SectorSamples, whole_rows
 # tenths of the beam are covered there, and what side lobes receive from beside a shadow (−13 dB for a uniform
 # line array) is less.
 MAX_SHADOW_ECHO = 0.1
-SLOTS, RUNS, POOL = 4, 1024, 1 << 18  # initial room: bodies in a column, runs of bins, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class Labels:
 
 
 class Labeller:
-    """Finds labels; owns the arrays that every ping uses again.
+    """Finds labels.
 
     Parameters
     ----------
@@ -42,27 +41,16 @@ class Labeller:
     tiles, parts : tuple of kernels.BeamTiles, and which of them each half does
     bins : tuple of kernels.BinTable
     tables : tuple of kernels.ElevationTables
-    pools : of the arrays that are returned
+    workspace : Workspace
     """
 
-    def __init__(self, fan: Fan, shape, tiles, parts, bins, tables, pools: ArrayPools):
+    def __init__(self, fan: Fan, shape, tiles, parts, bins, tables, workspace: Workspace):
         self._fan, self._bins = fan, bins
         self._tables = tables
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
-        self._tiles, self._parts = tiles, parts
+        self._tiles, self._parts, self._workspace, pools = tiles, parts, workspace, workspace.pools
         self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
         self._means = pools.pool((3, *shape))
-        self._cells = [np.zeros((SLOTS, shape[1], kernels.CELL)) for _ in range(2)]
-        self._stores = [
-            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
-            for _ in range(2)
-        ]
-
-    @property
-    def n_bytes(self) -> int:
-        """Bytes of the arrays that it uses again."""
-        runs = sum(store.runs.nbytes + store.pool.nbytes for store in self._stores)
-        return runs + sum(cells.nbytes for cells in self._cells)
 
     def find(
         self,
@@ -85,18 +73,18 @@ class Labeller:
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
-        spread = self._fan.sampling.reducer == "footprint"
+        spread, room = self._fan.sampling.reducer == "footprint", self._workspace.label_sums(len(gain))
 
         def sum_up(half):
-            cells, store = self._cells[half], tuple(self._stores[half]._replace(n_runs=0, n_pool=0))
+            cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
             for one, mine in zip(samples, strips[half], strict=True):
                 arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
                 tables = self._bins, spread, self._tables
                 cells, store = kernels.sum_bodies(*arrays, mine, *tables, cells, store)
-            self._cells[half], self._stores[half] = cells, kernels.RunStore(*store)
+            room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
 
         run(sum_up)
-        runs = self._sorted_runs()
+        runs = _sorted_runs(room.stores)
         strongest = kernels.StrongestEcho(
             echo=self._floats.empty(),
             share=self._floats.empty(),
@@ -135,12 +123,13 @@ class Labeller:
             shadow=shadow,
         )
 
-    def _sorted_runs(self) -> kernels.Runs:
-        """Return the runs of both halves, by body and column."""
-        table = np.concatenate([store.runs[: store.n_runs] for store in self._stores])
-        owner = np.repeat([0, 1], [store.n_runs for store in self._stores])
-        order = np.lexsort((table[:, kernels.COLUMN], table[:, kernels.BODY]))
-        table, owner = table[order], owner[order]
-        bodies, begins = np.unique(table[:, kernels.BODY], return_index=True)
-        pools = tuple(store.pool for store in self._stores)
-        return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)
+
+def _sorted_runs(stores: Sequence[kernels.RunStore]) -> kernels.Runs:
+    """Return the runs of both halves, by body and column."""
+    table = np.concatenate([store.runs[: store.n_runs] for store in stores])
+    owner = np.repeat([0, 1], [store.n_runs for store in stores])
+    order = np.lexsort((table[:, kernels.COLUMN], table[:, kernels.BODY]))
+    table, owner = table[order], owner[order]
+    bodies, begins = np.unique(table[:, kernels.BODY], return_index=True)
+    pools = tuple(store.pool for store in stores)
+    return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)

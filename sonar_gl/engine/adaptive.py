@@ -276,6 +276,8 @@ class AdaptiveSampling:
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         checkable = [n for n in finer if (1 + CHECK_COST) * self._cost(n) <= most]
         level = (checkable or finer or [min(wanted, choice.level)])[-1]
+        if level < choice.level:
+            self._stages.drop_large()
         return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
 
     def _cost(self, level: int) -> int:

@@ -34,14 +34,22 @@ class PingWorker:
     Parameters
     ----------
     engine, sonar, acoustics, scene, tolerance : of the run
+    most_samples : of a view
     """
 
     def __init__(
-        self, engine: RasterEngine, sonar: Sonar, acoustics: Acoustics, scene: Scene, tolerance: float
+        self,
+        engine: RasterEngine,
+        sonar: Sonar,
+        acoustics: Acoustics,
+        scene: Scene,
+        tolerance: float,
+        most_samples: int,
     ):
-        self._stages, self._images = StageCache(engine, sonar, acoustics), None
+        self._stages, self._images = StageCache(engine, sonar, acoustics, most_samples=most_samples), None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, scene, tolerance)
+        self._sampling = None
         self._thread, self._making = JobThread("sonar_gl ping"), Lock()
 
     def job(
@@ -60,7 +68,10 @@ class PingWorker:
                 if self._images is not None:
                     self._images.use_scene(scene)
                     self._images.fix(choice.halvings)
-                own = replace(resolution, stage=self._stages.stage(resolution.stage.sampling))
+                if resolution.stage.sampling != self._sampling:
+                    self._stages.drop_large()  # of finer samples
+                    self._sampling = resolution.stage.sampling
+                own = replace(resolution, stage=self._stages.stage(self._sampling))
                 return [receive(one) for one in draw(self, [setup], own)]
 
         return Job(make)

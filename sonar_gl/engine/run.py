@@ -22,6 +22,7 @@ from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
+from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
 from sonar_gl.scene.extent import air_text
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -60,7 +61,8 @@ class Run:
     def _make_stages(self, sampling: Sampling | None, tolerance: float) -> None:
         world, sonar, acoustics = self.world, self.instrument.sonar, self.instrument.acoustics
         with self.drawing():
-            self.stages = StageCache(world.engine, sonar, acoustics, world.thread)
+            most = MAX_SAMPLES if sampling else MAX_CHOSEN_SAMPLES
+            self.stages = StageCache(world.engine, sonar, acoustics, world.thread, most_samples=most)
             if acoustics.multipath != "none":
                 self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
             if sampling:

@@ -205,7 +205,8 @@ class _Workers:
     def __init__(self, run: Run):
         self._run, self._number = run, 0
         sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
-        made_of = run.world.engine, sonar, acoustics, run.world.scene, run.tolerance
+        world, most_samples = run.world, run.stages.most_samples
+        made_of = world.engine, sonar, acoustics, world.scene, run.tolerance, most_samples
         self._workers = [PingWorker(*made_of) for _ in range(n_threads())]
         self.ahead = 2 * len(self._workers) - 1
 

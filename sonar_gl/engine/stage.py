@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import Beamformer, BeamWeights, make_beamformer
+from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels import view_index
+from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.engine import RasterEngine, Renderer, Room
+from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling
@@ -74,10 +76,11 @@ class StageCache:
     sonar, acoustics, thread : of the run
     max_column_width : of `make_fan`
     pools : of the arrays of pings, to share with other caches
+    most_samples : of a view; more raise a SampleLimitError
 
     Attributes
     ----------
-    pools
+    most_samples
     """
 
     def __init__(
@@ -88,14 +91,19 @@ class StageCache:
         thread: SecondThread | None = None,
         max_column_width: float = 0.5,
         pools: ArrayPools | None = None,
+        most_samples: int = MAX_SAMPLES,
     ):
-        self.engine, self.sonar, self.acoustics = engine, sonar, acoustics
+        self.engine, self.sonar, self.acoustics, self.most_samples = engine, sonar, acoustics, most_samples
         self._thread, self._max_column_width = thread, max_column_width
-        self.pools = ArrayPools() if pools is None else pools
+        self._workspace = Workspace(pools)
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
         self._rooms: dict[float, Room] = {}
         self._stages: dict[tuple, Stage] = {}
-        self._weights: dict[bytes, BeamWeights] = {}
+
+    @property
+    def pools(self) -> ArrayPools:
+        """The pools of arrays that pings return."""
+        return self._workspace.pools
 
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return the stage of a sampling and a shear of the lattice; inside `drawing`.
@@ -129,11 +137,10 @@ class StageCache:
             self._thread,
             shear,
             self._max_column_width,
-            self.pools,
-            self._weights,
+            self._workspace,
         )
         if shear not in self._rooms:
-            self._rooms[shear] = self.engine.make_room()
+            self._rooms[shear] = self.engine.make_room(self.most_samples)
         renderer = self.engine.make_renderer(
             beamformer.fan, self.acoustics.specular, self._rooms[shear], self._thread
         )

@@ -16,6 +16,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster import opengl
 from sonar_gl.raster.cpu.engine import CpuEngine
 from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
@@ -85,8 +86,8 @@ class RasterEngine(Protocol):
     def with_more(self, bodies) -> Any:
         """Return contents with more bodies; inside `drawing`."""
 
-    def make_room(self) -> Room:
-        """Return memory to draw into."""
+    def make_room(self, most_samples: int = MAX_SAMPLES) -> Room:
+        """Return memory to draw into, for views of at most so many samples."""
 
     def make_renderer(
         self, fan: Fan, specular: bool, room: Room, thread: SecondThread | None = None

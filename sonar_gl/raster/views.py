@@ -8,11 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.raster.cull import SectorGeometry
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
-MAX_SAMPLES = 1 << 24  # drawn at a time: 26 bytes each, and with OpenGL 16 in the driver
+# Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
+# choice takes hundreds of megabytes: a tolerance of 0.001 takes 3.7 million in the scene diver.
+MAX_SAMPLES, MAX_CHOSEN_SAMPLES = 1 << 24, 1 << 22
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 
 PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
@@ -111,6 +114,15 @@ class PatchesInView(NamedTuple):
     chosen: np.ndarray
     n_faces: int
     window: Window
+
+
+def check_samples(width: int, height: int, most: int) -> None:
+    """Raise a SampleLimitError if an image of samples has more than `most`."""
+    if width * height > most:
+        raise SampleLimitError(
+            f"samples with bodies before them must be no more than {most} (got {width} columns by {height} rows; ask "
+            "for a larger tolerance or fewer samples)"
+        )
 
 
 def window_about(extent, columns: int, rows: int) -> Window:

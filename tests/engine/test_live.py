@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive
 from sonar_gl.engine.stage import Stage
-from sonar_gl.raster.cpu import engine as cpu
+from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 
 SONAR = sg.Sonar("live", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
@@ -104,20 +104,19 @@ def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
     """A ball fills more and more of a window of samples as the sonar comes near."""
     ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
     approach, rows = [sg.pose(0.4 * k) for k in range(18)], []
-    for most in (cpu.MAX_SAMPLES, 2000):
+    for most in (MAX_CHOSEN_SAMPLES, 2000):
+        monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", most)
         with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
-            simulator.ping(approach[0])
-            monkeypatch.setattr(cpu, "MAX_SAMPLES", most)
             pings = simulator.pings(approach) if way == "pings" else map(simulator.ping, approach)
             rows.append([ping.meta["sampling"]["rows"] for ping in pings])
     assert any(few < many for many, few in zip(*rows, strict=True))
 
 
 def test_given_samples_that_do_not_fit_are_an_error(monkeypatch):
+    monkeypatch.setattr("sonar_gl.engine.run.MAX_SAMPLES", 600)
     ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(2))])
-    with sg.Simulator(ball, SONAR, IDEAL, sg.Sampling(4, 400), engine="cpu") as simulator:
-        monkeypatch.setattr(cpu, "MAX_SAMPLES", 600)
-        with pytest.raises(
-            SampleLimitError, match="samples with bodies before them must be no more than 600"
-        ):
-            simulator.ping(np.eye(4))
+    with (
+        sg.Simulator(ball, SONAR, IDEAL, sg.Sampling(4, 400), engine="cpu") as simulator,
+        pytest.raises(SampleLimitError, match="samples with bodies before them must be no more than 600"),
+    ):
+        simulator.ping(np.eye(4))

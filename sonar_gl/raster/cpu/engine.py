@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
     PatchFaces,
@@ -30,6 +29,7 @@ from sonar_gl.raster.views import (
     PatchesInView,
     SectorView,
     Window,
+    check_samples,
     samples_of,
 )
 from sonar_gl.scene.scene import Scene
@@ -157,11 +157,12 @@ class DrawingRoom:
 
     Attributes
     ----------
+    most_samples : of a view
     halves : _HalfRoom of each thread
     """
 
-    def __init__(self):
-        self.halves = _HalfRoom(), _HalfRoom()
+    def __init__(self, most_samples: int = MAX_SAMPLES):
+        self.most_samples, self.halves = most_samples, (_HalfRoom(), _HalfRoom())
         self._images, self._other_images, self._chosen = [], [], []
 
     def images(self, count: int, keep_last: bool) -> list[_Image]:
@@ -234,7 +235,7 @@ class CpuRenderer:
             patches.append(found._replace(window=whole) if full else found)
         windows = [one.window for one in patches]
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
-        _check_size(width, height)
+        check_samples(width, height, room.most_samples)
         samples = image.take(width, height, with_bodies)
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
@@ -278,14 +279,6 @@ class CpuRenderer:
             left += columns
 
 
-def _check_size(width: int, height: int) -> None:
-    if width * height > MAX_SAMPLES:
-        raise SampleLimitError(
-            f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
-            f"by {height} rows; ask for a larger tolerance or fewer samples)"
-        )
-
-
 class CpuEngine:
     """Draws the bodies of a scene by compiled code. A `RasterEngine`.
 
@@ -317,9 +310,9 @@ class CpuEngine:
         """Return contents with more bodies."""
         return self.contents.with_more(bodies)
 
-    def make_room(self) -> DrawingRoom:
-        """Return memory to draw into."""
-        return DrawingRoom()
+    def make_room(self, most_samples: int = MAX_SAMPLES) -> DrawingRoom:
+        """Return memory to draw into, for views of at most so many samples."""
+        return DrawingRoom(most_samples)
 
     def make_renderer(
         self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None

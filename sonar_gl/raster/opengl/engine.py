@@ -15,6 +15,7 @@ from sonar_gl.gl.host import check_thread, join
 from sonar_gl.raster.opengl.buffers import SceneBuffers, UploadedMeshes
 from sonar_gl.raster.opengl.renderer import DrawingRoom, Renderer
 from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import Fan
 
@@ -59,9 +60,9 @@ class OpenGLEngine:
         """Return contents with more bodies; inside `drawing`."""
         return self._buffers.uploaded.with_more(bodies)
 
-    def make_room(self) -> DrawingRoom:
-        """Return memory to draw into."""
-        return DrawingRoom(self._context)
+    def make_room(self, most_samples: int = MAX_SAMPLES) -> DrawingRoom:
+        """Return memory to draw into, for views of at most so many samples."""
+        return DrawingRoom(self._context, most_samples)
 
     def make_renderer(
         self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None

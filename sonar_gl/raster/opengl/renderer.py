@@ -24,6 +24,7 @@ from sonar_gl.raster.views import (
     BodiesInView,
     SectorView,
     Window,
+    check_samples,
     samples_of,
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
@@ -180,13 +181,16 @@ class DrawingRoom:
     Parameters
     ----------
     context : of these renderers
+    most_samples : of a view
 
     Attributes
     ----------
+    most_samples
     draw_list : DrawList
     """
 
-    def __init__(self, context: moderngl.Context):
+    def __init__(self, context: moderngl.Context, most_samples: int = MAX_SAMPLES):
+        self.most_samples = most_samples
         self.draw_list, self._targets, self._other_targets = DrawList(), [], []
         self._chosen = np.empty((0, 2), np.int32)
         # graphics cards copy samples while the next are drawn
@@ -332,11 +336,7 @@ class Renderer:
     def _check_room(self, width: int, height: int) -> None:
         """Raise an Error if a render target must not have so many pixels."""
         self._check_size(width, height)
-        if width * height > MAX_SAMPLES:
-            raise SampleLimitError(
-                f"samples with bodies before them must be no more than {MAX_SAMPLES} (got {width} columns "
-                f"by {height} rows; ask for a larger tolerance or fewer samples)"
-            )
+        check_samples(width, height, self._room.most_samples)
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""

@@ -1,0 +1,112 @@
+"""What the beamformers of a sonar share, so that another sampling costs neither time nor memory for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sonar_gl.beamform import kernels
+from sonar_gl.core.array_pool import ArrayPools
+
+SLOTS, RUNS, POOL = 4, 1024, 1 << 18  # initial room of labels: bodies in a column, runs of bins, numbers
+
+
+@dataclass(frozen=True, eq=False)
+class BeamWeights:
+    """Beams as weighted sums of columns.
+
+    Attributes
+    ----------
+    first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
+    weights : (B, W) float32, 1/sr, rows of equal length
+    """
+
+    first: np.ndarray
+    weights: np.ndarray
+
+    @cached_property
+    def tiles(self) -> kernels.BeamTiles:
+        """The weights in tiles of beams."""
+        return kernels.beam_tiles(self.first, self.weights)
+
+    def received(self, n_columns: int) -> np.ndarray:
+        """Return (n_columns,) bool: which columns of the fan any beam receives."""
+        out = np.zeros(n_columns, bool)
+        columns = self.first[:, None] + np.arange(self.weights.shape[1])
+        out[columns[self.weights > 0] % n_columns] = True
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnSums:
+    """Sums of samples in columns and bins.
+
+    Attributes
+    ----------
+    sums : (columns, K) float32
+    spans : (columns, 2) first and past last bin that may differ from 0
+    """
+
+    sums: np.ndarray
+    spans: np.ndarray
+
+
+class LabelSums:
+    """Sums of samples by body, of two halves of the columns; the arrays are replaced by larger ones as needed.
+
+    Attributes
+    ----------
+    cells : (bodies, K, kernels.CELL) float64 of each half
+    stores : kernels.RunStore of each half
+    """
+
+    def __init__(self, n_bins: int):
+        self.cells = [np.zeros((SLOTS, n_bins, kernels.CELL)) for _ in range(2)]
+        self.stores = [
+            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
+            for _ in range(2)
+        ]
+
+
+class Workspace:
+    """What beamformers of one sonar and its acoustics share. They must sum one at a time.
+
+    Parameters
+    ----------
+    pools : of the arrays that are returned; None for its own
+
+    Attributes
+    ----------
+    pools
+    """
+
+    def __init__(self, pools: ArrayPools | None = None):
+        self.pools = ArrayPools() if pools is None else pools
+        self._weights = self._sums = self._label_sums = None, None
+
+    def weights(self, column_edges_rad: np.ndarray, make: Callable[[], BeamWeights]) -> BeamWeights:
+        """Return the weights of beams over some columns.
+
+        Those of the last columns are kept: coarse samplings have the same columns. The weights of fine ones are large.
+        """
+        key = column_edges_rad.tobytes()
+        if self._weights[0] != key:
+            self._weights = key, make()
+        return self._weights[1]
+
+    def column_sums(self, n_columns: int, n_bins: int) -> ColumnSums:
+        """Return room for sums; what was summed before may be there still, within its spans."""
+        key = n_columns, n_bins
+        if self._sums[0] != key:
+            spans = np.tile([0, n_bins], (n_columns, 1))
+            self._sums = key, ColumnSums(np.zeros(key, np.float32), spans)
+        return self._sums[1]
+
+    def label_sums(self, n_bins: int) -> LabelSums:
+        """Return room for labels."""
+        if self._label_sums[0] != n_bins:
+            self._label_sums = n_bins, LabelSums(n_bins)
+        return self._label_sums[1]
