@@ -90,13 +90,13 @@ MUTATIONS = (
         "footprints/edges of noise",
         "abs((meet - border_here) * turn) > noise",
         "abs((meet - border_here) * turn) < noise",
-        FOOTPRINTS,
+        STRIPS,
     ),
     Mutation(
         "footprints/plane beyond a silhouette",
         "rest[below] if met_low else rest[m]",
         "rest[m] if met_low else rest[below]",
-        FOOTPRINTS,
+        STRIPS,
     ),
     Mutation(
         "footprints/slope across",
@@ -333,9 +333,15 @@ MUTATIONS = (
     ),
     Mutation(
         "culling/inside a body",
+        "sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])",
+        "sonar = -m[j, 3]",
+        CULLING,
+    ),
+    Mutation(
+        "culling/at the face of a body",
         "bounds[n, 0, j] - 2 * near_m < sonar < bounds[n, 1, j] + 2 * near_m",
-        "bounds[n, 0, j] < -sonar < bounds[n, 1, j]",
-        (*CULLING, "test_renderer|test_render"),
+        "bounds[n, 0, j] < sonar < bounds[n, 1, j]",
+        CULLING,
     ),
     # the planner: adaptive sampling
     Mutation(

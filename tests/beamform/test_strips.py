@@ -93,28 +93,34 @@ def test_a_body_before_another_ends_half_way():
         np.testing.assert_allclose(found[1:ROWS], HALF_WAY, atol=1e-12)
 
 
+@pytest.mark.parametrize("horizon", [0.0021, 0.0721, -0.1279], ids=["level", "nose up", "nose down"])
 @pytest.mark.parametrize("flipped", [False, True])
-def test_a_floor_extends_to_its_horizon(flipped):
+def test_a_floor_extends_to_its_horizon(flipped, horizon):
     """The last row that meets a grazing floor stands for all of it up to where it leaves the range."""
     sign = -1.0 if flipped else 1.0  # a ceiling
-    horizon = 0.0021 * sign  # between rays 19 and 20, beside the middle
-    floor = Plane(2 * horizon * sign, -2.0 * sign)  # half a metre below, so that ray 19 meets it in range
+    horizon *= sign  # between two rays, and not half way
+    # half a metre below, so that the last ray meets it in range
+    floor = Plane(2 * horizon * sign, -2.0 * sign)
     assert floor.sample(horizon)[0] == pytest.approx(0.0, abs=1e-12)
     seen = [plane if (plane := floor.sample(v))[0] > 0 else (0.0, 0.0, 0.0, 0.0) for v in V]
     strip, found = borders(seen)
     row = int(np.searchsorted(V, horizon))
     assert V[row - 1] < horizon < V[row]
+    # float32 keeps 1/x below 0.7 to 3e-8, and the horizon to that over the slope of 2
     assert found[row] == pytest.approx(horizon, abs=1e-7)
     assert (strip.first, strip.last) == ((row, ROWS) if flipped else (0, row))
+    inner = slice(strip.first + 1, strip.last)
+    np.testing.assert_allclose(found[inner], HALF_WAY[strip.first : strip.last - 1], atol=1e-12)
 
 
+@pytest.mark.parametrize("v_edge", [0.0031, 0.0731, -0.1269])
 @pytest.mark.parametrize("flipped", [False, True])
-def test_a_plate_before_open_water_ends_half_way(flipped):
+def test_a_plate_before_open_water_ends_half_way(flipped, v_edge):
     """Its plane would go on in range: it ends at an edge, anywhere between the two rays."""
-    plate = Plane(0.2, 0.1)
-    strip, found = borders(scene_of(0.0031, *((None, plate) if flipped else (plate, None))))
-    assert found[20] == pytest.approx(HALF_WAY[19], abs=1e-12)
-    assert (strip.first, strip.last) == ((20, ROWS) if flipped else (0, 20))
+    plate, row = Plane(0.2, 0.1), int(np.searchsorted(V, v_edge))
+    strip, found = borders(scene_of(v_edge, *((None, plate) if flipped else (plate, None))))
+    assert found[row] == pytest.approx(HALF_WAY[row - 1], abs=1e-12)
+    assert (strip.first, strip.last) == ((row, ROWS) if flipped else (0, row))
 
 
 def test_planes_are_taken_to_the_middle_of_the_strip():

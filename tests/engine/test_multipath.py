@@ -16,6 +16,7 @@ from sonar_gl.scene.reflectors import (
     tabulate_reflection,
 )
 from tests.support.two_bounces import TwoBounces
+from tests.support.worlds import random_rotation
 
 IDEAL = sg.Acoustics.ideal()
 MULTIPATH = replace(IDEAL, multipath="incoherent")
@@ -102,6 +103,39 @@ def test_a_small_target_has_multipath_echoes_at_the_ranges_and_levels_of_its_ima
     )
     assert around(coherent, single)[0] == pytest.approx(2 * once, rel=1e-4)
     assert around(coherent, double)[0] == pytest.approx(twice, rel=1e-4)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["port", "starboard"])
+def test_a_single_bounce_echo_arrives_alike_straight_and_by_way_of_the_reflector(perfect, side):
+    """Both ways have the same path, by reciprocity, though the receiving beams see the target at other distances."""
+    perfect("wall")
+    wall, target_m = 3.0, 4.0  # beside and ahead
+    slab_beside = slab("wall", sg.pose(0, side * (wall + 0.5), 0, np.pi / 2), mu=1e-6)
+    scene = sg.Scene([slab_beside, ball(target_m, 0, 0, 0.03)])
+    sonar = sg.Sonar("test", 900e3, 130, 800, 130.0, 3.0, 1.0, 0.5, 8.5)
+    sampling = sg.Sampling(32, 300)
+    with sg.Simulator(scene, sonar, IDEAL, sampling) as simulator:
+        straight = simulator.ping(sg.pose()).intensity.astype(np.float64)
+    found = multipath_echo(scene, sg.pose(), sonar=sonar, sampling=sampling)
+    image_m = np.hypot(target_m, 2 * wall)  # from the sonar's image to the target
+    mean_m, between = (target_m + image_m) / 2, np.arctan2(2 * wall, target_m)
+
+    def around(values, azimuth_rad, range_m):
+        beams = np.abs(sonar.azimuth_rad - azimuth_rad) < np.radians(4)
+        return values[np.ix_(beams, np.abs(sonar.range_m - range_m) < 0.1)].sum()
+
+    level = around(straight, 0.0, target_m)
+    ahead, beside = around(found, 0.0, mean_m), around(found, side * between, mean_m)
+    twice = around(found, side * between, image_m)
+    # radiometry: cos cos / (r_d r_b)^2 of each face of the sphere for either way, times the G of the mean range
+    lit = (np.sin(between) + (np.pi - between) * np.cos(between)) / np.pi  # bistatic echo of a Lambert sphere
+    once = lit * (mean_m / image_m) ** 2
+    # the sphere's radius is 0.8 % of its range, and 15 columns see it from the image; measured: 0.8 %
+    assert ahead / level == pytest.approx(once, rel=0.02)
+    assert beside / level == pytest.approx(once, rel=0.02)
+    assert twice / level == pytest.approx((target_m / image_m) ** 2, rel=0.02)
+    # there is no other multipath; the sums are float32
+    assert found.sum() == pytest.approx(ahead + beside + twice, rel=1e-6)
 
 
 SCENES = {
@@ -270,6 +304,65 @@ def test_a_tank_has_its_walls_as_planar_reflectors():
     assert sizes == [2, 2, 2, 4]
     normals = [normal @ [0, 0, 1] for normal, _ in find_planes(tank.bodies[0].surface)[:2]]
     assert sorted(normals) == [-1, 1]
+
+
+def test_planes_turn_with_their_body():
+    """Each of a box's planes holds four of its corners in the world, and the others lie below."""
+    rng = np.random.default_rng(5)
+    mesh = trimesh.creation.box((2, 3, 4))
+    mesh.apply_translation((1.0, -2.0, 0.5))
+    still, turned = np.eye(4), random_rotation(rng)
+    turned[:3, 3] = 20, -5, 3
+    scene = sg.Scene([sg.Body("still", mesh, still), sg.Body("turned", mesh, turned)])
+    poses = np.array([random_rotation(rng), turned])  # a scene's bodies may move
+    reflectors = planar_reflectors(scene, 3770.0)
+    assert [one.body for one in reflectors] == 6 * [0] + 6 * [1]
+    for one in reflectors:
+        pose = poses[one.body]
+        corners = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+        normal, offset_m = one.in_world(poses)
+        height_m = np.sort(corners @ normal - offset_m)
+        # float64 keeps 20 m to 4e-15
+        np.testing.assert_allclose(height_m[4:], 0, atol=1e-12)
+        assert (height_m[:4] < -1.99).all()
+
+
+def test_multipath_does_not_depend_on_where_north_is(perfect):
+    """The reflector turns with its body, and with the sonar and all other bodies."""
+    perfect("wall")
+    scene, pose, _ = SCENES["wall beside"]
+    turn = random_rotation(np.random.default_rng(6))
+    turn[:3, 3] = 20, -5, 3
+    turned = sg.Scene([replace(body, pose=turn @ body.pose) for body in scene.bodies])
+    sampling = sg.Sampling(4, 150)
+    expected, found = (
+        multipath_echo(scene, pose, sampling=sampling),
+        multipath_echo(turned, turn @ pose, sampling=sampling),
+    )
+    assert expected.any()
+    # poses are float64 until they are relative to the sonar; then few differ by a bit, which may move a sample that
+    # lies on an edge
+    assert np.abs(found - expected).sum() < 1e-4 * expected.sum()
+
+
+def test_parallel_planes_are_apart_and_parts_of_one_plane_are_not():
+    """Treads of stairs reflect at their own heights; tiles of one floor reflect together."""
+    treads = [trimesh.creation.box((1.0, 1.5, 0.2)) for _ in range(3)]
+    for number, tread in enumerate(treads):
+        tread.apply_translation((number, 0, 0.3 * number))
+    normals, offsets = zip(*find_planes(trimesh.util.concatenate(treads)), strict=True)
+    assert all(abs(normal[2]) == 1 for normal in normals)
+    # tops at 0.1, 0.4 and 0.7 m; the normals of the undersides point down. Coordinates are float64
+    np.testing.assert_allclose(sorted(offsets), [-0.5, -0.2, 0.1, 0.1, 0.4, 0.7], atol=1e-12)
+
+    # of three tiles each is too small for a reflector; on one level they are large enough together
+    side = 0.9 * np.sqrt(MIN_AREA_M2)
+    corners = side * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.concatenate([[(k, k + 1, k + 2), (k, k + 2, k + 3)] for k in (0, 4, 8)])
+    for step_m, expected in ((0.0, [2.0]), (0.01, [])):
+        tiles = [corners + np.array([2 * k, 0, 2.0 + step_m * k]) for k in range(3)]
+        planes = find_planes(trimesh.Trimesh(np.concatenate(tiles), faces, process=False))
+        np.testing.assert_allclose([offset for _, offset in planes], expected, atol=1e-12)
 
 
 def test_curved_bodies_and_terrain_are_not_reflectors():

@@ -18,7 +18,7 @@ from sonar_gl.raster.cull import BEYOND, SectorGeometry
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.raster.views import SectorView
 from sonar_gl.sonar.fan import FAR_FACTOR
-from tests.support.worlds import terrain
+from tests.support.worlds import random_rotation, terrain
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 100.0, 20.0, 1.5, 0.5, 30.0)
 SAMPLING = sg.Sampling(1, 60)
@@ -151,6 +151,68 @@ def test_back_faces_of_open_bodies_and_from_inside_are_drawn(views, keep_points)
         n[name] = int(some.levels["n_faces"][[patch for patch, _ in chosen]].sum())
     assert n["closed"] < 0.75 * n["open"]
     assert n["inside"] > 0
+
+
+def before_face(rng, mesh, pose, distance_m):
+    """Return a sonar's pose, turned at random, so far before the middle of a random face of a body."""
+    face = rng.integers(len(mesh.faces))
+    out = random_rotation(rng)
+    place = mesh.triangles_center[face] + distance_m * mesh.face_normals[face]
+    out[:3, 3] = pose[:3, :3] @ place + pose[:3, 3]
+    return out
+
+
+def test_back_faces_are_culled_unless_the_near_plane_may_cut_a_closed_body():
+    """In distances of the near plane: half of one behind a face, one and a half before it, and twenty before it.
+
+    From twenty on no fan's near plane reaches the face, not even that of 170 degrees with its corners.
+    """
+    rng = np.random.default_rng(7)
+    box = trimesh.creation.box((1.0, 2.0, 4.0))
+    box.apply_translation((3.0, -1.0, 0.5))  # the mesh is not about its own origin
+    lid = trimesh.Trimesh(box.vertices, box.faces[:-1], process=False)
+    for _ in range(50):
+        pose = random_rotation(rng)
+        pose[:3, 3] = rng.uniform(-20, 20, 3)
+        for mesh, distances in ((box, {-0.5: False, 1.5: False, 20.0: True}), (lid, {-0.5: True})):
+            some = scene_meshes.SceneMeshes()
+            some.add([sg.Body("body", mesh, pose)])
+            for distance, is_outside in distances.items():
+                sonar = before_face(rng, mesh, pose, distance * scene_meshes.NEAR_M)
+                assert some.view_from(sonar).outside == is_outside, distance
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("distance, is_oblique", [(0.5, False), (0.5, True), (1.1, True)])
+def test_a_sonar_that_touches_a_closed_body_sees_its_far_side(monkeypatch, engine, distance, is_oblique):
+    """It does not look through the body where the near plane cuts the face that it touches.
+
+    Rays hit that face, or else the one opposite. A wall at right angles to the corner of the fan is cut there, although
+    it is further away than the near plane.
+    """
+    monkeypatch.setenv("SONAR_GL_ENGINE", engine)
+    sonar = sg.Sonar("test", 900e3, 60, 200, 60.0, 40.0, 1.0, 0.5, 20.0)
+    near_m, thickness_m = distance * scene_meshes.NEAR_M, 0.2
+    # the corner: 30 degrees to port, 20 degrees up
+    corner = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), np.tan(np.pi / 9)]) if is_oblique else [1, 0, 0]
+    normal = corner / np.linalg.norm(corner)
+    pose = trimesh.geometry.align_vectors([1, 0, 0], normal)
+    pose[:3, 3] = (near_m + thickness_m / 2) * normal
+    slab = sg.Body("slab", trimesh.creation.box((thickness_m, 4, 4)), pose)
+    wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(5))
+    scene = sg.Scene([slab, wall])
+    with sg.Simulator(scene, sonar, sg.Acoustics.ideal(), sg.Sampling(2, 60)) as it:
+        (buffer,), (sector,) = it.gbuffers(np.eye(4)), it.fan.sectors
+    assert (buffer.body_id == 1).all()
+    u, v = sector.sample_coordinates()
+    rays = np.stack([np.ones_like(u), -u, v], axis=-1)
+    along = rays @ normal  # how far a ray comes along the normal while x rises by 1
+    depth = near_m / along / scene_meshes.NEAR_M  # x where it meets the face, in distances of the near plane
+    is_clear = np.abs(depth - 1) > 1e-3  # at the edge of the cut, rounding decides
+    exact = np.where(depth < 1, near_m + thickness_m, near_m) / along * np.linalg.norm(rays, axis=-1)
+    assert ((depth < 1) & is_clear).sum() > 100
+    # float32 keeps corners 3 m away to 1e-7 m, some 1e-4 of the face's distance
+    np.testing.assert_allclose(buffer.range_m[is_clear], exact[is_clear], rtol=1e-3)
 
 
 def test_bodies_behind_or_beyond_the_fan_draw_nothing(views, hills):
