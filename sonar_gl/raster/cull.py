@@ -88,6 +88,11 @@ class DetailLimits(NamedTuple):
     echo_errors: np.ndarray
 
 
+# Distance of the near plane's furthest corner over that of the plane: at most 13.2, tan 85 deg / cos 30 deg up at the
+# side of the widest sector.
+CORNER = 14
+
+
 @compiled
 def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     """Compute the poses of bodies relative to the sonar, in float64 before they are rounded.
@@ -127,7 +132,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
             inside = True
             for j in range(3):
                 sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
-                inside &= bounds[n, 0, j] - 2 * near_m < sonar < bounds[n, 1, j] + 2 * near_m
+                inside &= bounds[n, 0, j] - CORNER * near_m < sonar < bounds[n, 1, j] + CORNER * near_m
             if inside:
                 outside = False
     return outside

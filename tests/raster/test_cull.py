@@ -215,6 +215,18 @@ def test_a_sonar_that_touches_a_closed_body_sees_its_far_side(monkeypatch, engin
     np.testing.assert_allclose(buffer.range_m[is_clear], exact[is_clear], rtol=1e-3)
 
 
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_high_fan_does_not_look_through_a_slab_above_it(monkeypatch, engine):
+    """The near plane of a fan of 160 degrees reaches 5.7 times as high as it is far, here into the slab."""
+    monkeypatch.setenv("SONAR_GL_ENGINE", engine)
+    sonar = sg.Sonar("test", 900e3, 20, 200, 20.0, 160.0, 1.0, 0.5, 20.0)
+    slab = sg.Body("slab", trimesh.creation.box((4, 4, 0.2)), sg.pose(z=0.1 + 4 * scene_meshes.NEAR_M))
+    with sg.Simulator(sg.Scene([slab]), sonar, sg.Acoustics.ideal(), sg.Sampling(2, 200)) as it:
+        (buffer,), (sector,) = it.gbuffers(np.eye(4)), it.fan.sectors
+    _, v = sector.sample_coordinates()
+    assert (buffer.body_id[v > np.tan(np.radians(10))] == 1).all()  # the slab's far edge is 6 degrees up
+
+
 def test_bodies_behind_or_beyond_the_fan_draw_nothing(views, hills):
     for pose in (sg.pose(-2000), sg.pose(200), sg.pose(z=200), sg.pose(z=-200)):
         for view in views:
