@@ -19,6 +19,7 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_WORKERS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
+NAME = "sonar_gl ping"  # of the threads
 
 
 def n_threads() -> int:
@@ -50,7 +51,7 @@ class PingWorker:
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, scene, tolerance)
         self._sampling = None
-        self._thread, self._making = JobThread("sonar_gl ping"), Lock()
+        self._thread, self._making = JobThread(NAME), Lock()
 
     def job(
         self, setup: PingSetup, resolution: Resolution, choice: HalvingChoice | None, scene: Scene
@@ -88,5 +89,6 @@ class PingWorker:
         return self._images.draw(resolution.stage, views, poses, states)
 
     def close(self) -> None:
-        """End the thread after the jobs that it has."""
+        """End the thread after the jobs that it has; a later job starts another."""
         self._thread.close()
+        self._thread = JobThread(NAME)

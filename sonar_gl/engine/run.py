@@ -42,6 +42,7 @@ class Run:
     sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
     tolerance : as given, whether or not the sampler keeps it
+    idle_workers : those of past sequences, for the next one
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Run:
     ):
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
-        self._in_flight, self._summing, self._is_closed = [], Lock(), False
+        self._in_flight, self._summing, self._is_closed, self.idle_workers = [], Lock(), False, []
         self.image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -231,7 +232,7 @@ class Run:
         for job in self._in_flight:
             job.settle()
         self.stages = self.sampler = self.image_sources = None
-        self._in_flight = []
+        self._in_flight, self.idle_workers = [], []
 
     def forget(self) -> None:
         """Count this run as unused without closing it, since finalisers must not call OpenGL."""

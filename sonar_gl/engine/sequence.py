@@ -207,7 +207,8 @@ class _Workers:
         sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
         world, most_samples = run.world, run.stages.most_samples
         made_of = world.engine, sonar, acoustics, world.scene, run.tolerance, most_samples
-        self._workers = [PingWorker(*made_of) for _ in range(n_threads())]
+        idle = run.idle_workers
+        self._workers = [idle.pop() if idle else PingWorker(*made_of) for _ in range(n_threads())]
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
@@ -219,9 +220,10 @@ class _Workers:
         return job
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads; the next sequence goes on with their stages."""
         for worker in self._workers:
             worker.close()
+        self._run.idle_workers[:] = [*self._run.idle_workers, *self._workers][-n_threads() :]
 
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
