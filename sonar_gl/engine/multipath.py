@@ -126,7 +126,7 @@ class ImageSources:
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
         self._image_stages = StageCache(engine, sonar, acoustics, *shared)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
-        self._scene, self._reflectors = None, []
+        self._scene, self._reflectors, self._rows = None, [], 0
         self.choice = HalvingChoice(self.COARSEST)
         self.use_scene(scene)
 
@@ -192,6 +192,10 @@ class ImageSources:
         sampling = stage.sampling
         for _ in range(self.halvings):
             sampling = half_of(sampling)
+        if sampling.rows < self._rows:
+            self._own_stages.drop_large()
+            self._image_stages.drop_large()
+        self._rows = sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
         if self.halvings or self._is_specular or any(view.bubbles is not None for view in views):
             own_views = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
