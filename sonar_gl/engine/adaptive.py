@@ -277,6 +277,7 @@ class AdaptiveSampling:
         checkable = [n for n in finer if (1 + CHECK_COST) * self._cost(n) <= most]
         level = (checkable or finer or [min(wanted, choice.level)])[-1]
         if level < choice.level:
+            self._model.forget_limit()
             self._stages.drop_large()
         return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
 
@@ -334,22 +335,16 @@ class AdaptiveSampling:
             return True
         if self.choice.planned_poses is not None:
             return False
-        request, check, before, cost = (
-            setup.request,
-            self.choice.check,
-            self.track,
-            self._cost(self.choice.level),
-        )
+        pose, state, before, check = setup.request.pose, setup.state, self.track, self.choice.check
+        cost, number = self._cost(self.choice.level), before.number + 1
         if check is None:
-            self.track = Track(1, request.pose, setup.state, (cost,))
+            self.track = Track(number, pose, state, (cost,))
             return True
-        is_far = self._trigger.is_far(before, setup.request.pose, setup.state)
+        is_far = self._trigger.is_far(before, pose, state)
         costs = (cost,) if is_far else (*before.costs[1 - RECENT :], cost)  # another place has other costs
-        self.track = Track(before.number + 1, request.pose, setup.state, costs)
+        self.track = Track(number, pose, state, costs)
         is_due = is_far or self.choice.is_due
-        is_due = is_due or self._trigger.is_due(
-            check, request.pose, setup.state, self.track.number - check.number
-        )
+        is_due = is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
 
     def choose(self, setup: PingSetup) -> ChosenView:
@@ -358,6 +353,7 @@ class AdaptiveSampling:
         The choice depends on this ping alone, and is not followed by others.
         """
         level, model = self._first, self._model
+        model.forget_limit()
         while True:
             level = min(level, model.finest)
             try:
@@ -381,6 +377,7 @@ class AdaptiveSampling:
     def _search(self, setup: PingSetup, level: int) -> Choice:
         """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
         model = self._model
+        model.forget_limit()
         failed, kept, found, total = -1, model.finest + 1, {}, 0.0
         level = min(level, model.finest)
         while level not in found:

@@ -114,7 +114,7 @@ class ErrorModel:
     Attributes
     ----------
     tolerance
-    finest : the finest sampling level that the driver's limits are known to allow
+    finest : the finest sampling level that is known to fit, where the sonar is; see `forget_limit`
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
@@ -124,6 +124,10 @@ class ErrorModel:
         self._true_range_sonar = stages.acoustics.true_range_sonar(self._sonar)
         self._extents = BodyExtents(self.bodies, self._specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
+
+    def forget_limit(self) -> None:
+        """Take all sampling levels as possible: how many samples fit depends on how much of the fan bodies fill."""
+        self.finest = FINEST_LEVEL
 
     @property
     def bodies(self) -> list:

@@ -1,5 +1,7 @@
 """Pings whose samples are chosen from each ping alone: any order gives the same bytes."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -112,3 +114,18 @@ def test_a_level_that_does_not_fit_takes_the_finest_that_does(monkeypatch):
     with pytest.warns(ToleranceWarning):
         forward, backward = level_of((0, 2)), level_of((2, 0))
     assert forward == backward[::-1]
+
+
+def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
+    """How many samples fit depends on how much of the fan a body fills: a ball at 0.5 m all of it, at 8 m little."""
+    monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
+    scene = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+    near, far = (PingRequest(sg.pose(x), alone=True) for x in (8.2, 1.0))
+
+    def rows_of(*order):
+        with sg.Simulator(scene, SONAR, tolerance=0.002) as simulator, warnings.catch_warnings():
+            warnings.simplefilter("ignore", ToleranceWarning)  # of the near view
+            return [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in order]
+
+    assert rows_of(near, far) == rows_of(far, near)[::-1]
+    assert rows_of(near) < rows_of(far)
