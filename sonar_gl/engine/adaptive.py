@@ -431,17 +431,17 @@ class ReplanTrigger:
 
     def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
         """Return whether sonar or bodies have moved far since the last check, or a little for `n_pings`, long."""
-        moved, turned = self._motion(last, pose, state)
+        moved, turned = self._change_since(last, pose, state)
         if moved <= 0.0 and turned < 1e-6:
             return False
         return n_pings >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
 
     def is_far(self, last: LastCheck | Track, pose, state: SceneState) -> bool:
         """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
-        moved, turned = self._motion(last, pose, state)
+        moved, turned = self._change_since(last, pose, state)
         return moved > self._far_m or turned > self._far_rad
 
-    def _motion(self, last: LastCheck | Track, pose, state: SceneState) -> tuple[float, float]:
+    def _change_since(self, last: LastCheck | Track, pose, state: SceneState) -> tuple[float, float]:
         """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
         moved, turned = _motion(last.pose[None], pose[None])
         before = last.state

@@ -6,8 +6,7 @@ python -m tools.bench live --only diver --tolerance 0.01
 A sonar swims through each scene in steps of a 10 Hz loop, past bodies and close to some, so that the samples that
 keep the tolerance change. Of each ping after the first hundred: its time over the median of the hundred before it, by
 the clock and by the time of the processors, which other programs disturb less. "verified" is the share of pings whose
-`error_estimate` is within the tolerance, "kept" that of pings whose error is, judged by pings with four times the
-samples of the finest.
+`error_estimate` is within the tolerance.
 """
 
 from __future__ import annotations
