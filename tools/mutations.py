@@ -339,7 +339,7 @@ MUTATIONS = (
     ),
     Mutation(
         "culling/at the face of a body",
-        "bounds[n, 0, j] - 2 * near_m < sonar < bounds[n, 1, j] + 2 * near_m",
+        "bounds[n, 0, j] - CORNER * near_m < sonar < bounds[n, 1, j] + CORNER * near_m",
         "bounds[n, 0, j] < sonar < bounds[n, 1, j]",
         CULLING,
     ),
