@@ -395,14 +395,16 @@ MUTATIONS = (
         ADAPTIVE,
     ),
     Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", PROMISE),
-    Mutation("planner/bodies in two lattices", "DIFFERENCE_FACTOR = 0.7", "DIFFERENCE_FACTOR = 0.0", PROMISE),
+    Mutation(
+        "planner/bodies in two lattices", "DIFFERENCE_FACTOR = 1.37", "DIFFERENCE_FACTOR = 0.0", PROMISE
+    ),
     Mutation(
         "planner/mirrored lattice",
-        "half_of(tried.stage.sampling), -SHEAR)",
-        "half_of(tried.stage.sampling), SHEAR)",
+        "self._stages.stage(fewer, -SHEAR)",
+        "self._stages.stage(fewer, SHEAR)",
         PROMISE,
     ),
-    Mutation("planner/difference of two pings", "ERROR_FACTOR = 1.0", "ERROR_FACTOR = 0.5", PROMISE),
+    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.7", "\nERROR_FACTOR = 0.85", PROMISE),
     Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
     Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
     # noise

@@ -1,6 +1,6 @@
 """The choice of the cheapest samples that keep a tolerance: for one ping, for planned poses, or as the sonar moves.
 
-As the sonar moves, no ping may take much longer than those before it: a check of the error costs about another ping,
+As the sonar moves, no ping may take much longer than those before it: a check of the error costs nearly another ping,
 and what it finds changes the samples of later pings, in steps. Until finer samples have been checked, pings carry the
 error that the coarser ones had.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.engine.error_model import ErrorModel, Plan, TriedView
+from sonar_gl.engine.error_model import COARSER, ErrorModel, Plan, TriedView
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.scene.state import SceneState
@@ -36,12 +36,12 @@ MAX_POSES = 24  # of a sequence are tried
 # take less time than the rest of a ping, which another try would repeat.
 FIRST_SAMPLES = 1 << 14
 
-CHECK_EVERY = 24  # pings: a check costs about one
+CHECK_EVERY = 24  # pings: a check costs nearly another one
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
-# A ping may cost so many times the median of so many before it; a check costs so many times a ping; what takes the time
-# of a ping beside its samples costs as much as so many more. By the pings of `tools/bench live`.
-MOST_COST, RECENT, CHECK_COST, FIXED_SAMPLES = 2.4, 100, 1.0, 30_000
+# A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
+# as much as so many more, also in a check. By the pings of `tools/bench live`.
+MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 30_000
 
 
 class LastCheck(NamedTuple):
@@ -95,7 +95,7 @@ class Track(NamedTuple):
     number: int = 0
     pose: np.ndarray | None = None
     state: SceneState | None = None
-    costs: tuple[int, ...] = ()
+    costs: tuple[float, ...] = ()
 
 
 class ChosenView(NamedTuple):
@@ -247,7 +247,7 @@ class AdaptiveSampling:
         if not (resolution.check or is_first or self._can_check()):
             self.choice = self.choice if self.choice.is_due else replace(self.choice, is_due=True)
             return None
-        tried = TriedView(resolution.stage, drawn.view, received.direct)
+        tried = self._model.tried(resolution.stage, drawn.view, received.direct)
         judged = self._model.judge(drawn.setup, level, tried)
         choice = replace(
             self.choice, plan=judged.plan, check=self._check_of(drawn.setup, total), is_due=False
@@ -274,22 +274,25 @@ class AdaptiveSampling:
         """
         wanted, most = max(0, min(level, self._model.finest)), self._most_cost()
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
-        checkable = [n for n in finer if (1 + CHECK_COST) * self._cost(n) <= most]
+        checkable = [n for n in finer if self._cost(n, check=True) <= most]
         level = (checkable or finer or [min(wanted, choice.level)])[-1]
         if level < choice.level:
             self._model.forget_limit()
             self._stages.drop_large()
         return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
 
-    def _cost(self, level: int) -> int:
-        return sampling_at(self._sonar, level).count(self._sonar) + FIXED_SAMPLES
+    def _cost(self, level: int, check: bool = False) -> float:
+        """Return what a ping costs, with a check of its error or without, in samples."""
+        n_samples = sampling_at(self._sonar, level).count(self._sonar)
+        cost = n_samples + FIXED_SAMPLES
+        return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 
     def _most_cost(self) -> float:
         return MOST_COST * median(self.track.costs)
 
     def _can_check(self) -> bool:
         """Return whether a ping with a check costs no more than a ping may."""
-        return (1 + CHECK_COST) * self._cost(self.choice.level) <= self._most_cost()
+        return self._cost(self.choice.level, check=True) <= self._most_cost()
 
     def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
@@ -352,22 +355,23 @@ class AdaptiveSampling:
 
         The choice depends on this ping alone, and is not followed by others.
         """
-        level, model = self._first, self._model
+        level, model, before = self._first, self._model, None
         model.forget_limit()
         while True:
             level = min(level, model.finest)
             try:
                 tried = model.draw(setup, level)
-                judged = model.judge(setup, level, tried)
+                judged = model.judge(setup, level, tried, before)
             except SampleLimitError:
                 if level == 0:
                     raise
-                model.finest = level - 1
+                model.finest, before = level - 1, None
                 continue
             if judged.steps <= 0 or level == model.finest:
                 break
-            level += judged.steps
-        self._stages.drop_large()
+            level, before = level + judged.steps, tried
+        if level > self._first:  # other pings need fewer samples
+            self._stages.drop_large()
         self._warn_if_unmet(judged.plan)
         return ChosenView(tried, judged.plan)
 

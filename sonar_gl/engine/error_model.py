@@ -1,9 +1,9 @@
 """The sampling error model: what error the samples of a ping leave, and how many more or fewer would do.
 
-A ping is compared with one of half the samples. The difference of the two decreases as the error does, and
-ERROR_FACTOR times the difference nearly always exceeds the error. The relative error of a small body's echo is
+A ping is compared with one of COARSER times fewer samples. The difference of the two decreases as the error does, and
+ERROR_FACTOR times the error that it shows nearly always exceeds the error. The relative error of a small body's echo is
 modelled as BODY_ERROR_FACTOR / n^0.75 for n samples, the law of stratified sampling in two dimensions. It is larger
-where samples are few, and at least the difference of that body's echo between the two pings.
+where samples are few, and at least what the difference of that body's echo between the two pings shows.
 These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
 """
 
@@ -19,7 +19,7 @@ from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import BodyExtents, count_bodies, is_unobstructed
+from sonar_gl.engine.visibility import BodyCounts, BodyExtents, count_bodies, is_unobstructed
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
     ERROR_RATE,
@@ -28,16 +28,17 @@ from sonar_gl.sonar.sampling import (
     WORST_BODY,
     Sampling,
     check_tolerance,
-    half_of,
+    part_of,
     sampling_at,
 )
 from sonar_gl.sonar.sector import SHEAR
 
-ERROR_FACTOR = 1.0  # of the difference between a ping and one of half the samples
+COARSER = 4  # times fewer samples cost least in all: even fewer ask for finer samples than are needed
+ERROR_FACTOR = 1.7  # of the error that the difference shows
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
+DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
-DIFFERENCE_FACTOR = 0.7  # of the difference between two lattices in a body's own echo
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 300
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
@@ -88,18 +89,20 @@ class Judgement(NamedTuple):
 
 
 class TriedView(NamedTuple):
-    """A view that was drawn and summed with some sampling level, with the numbers of bodies.
+    """A view that was drawn and summed with some sampling level.
 
     Attributes
     ----------
     stage : Stage of that level
-    view : ViewSamples, valid until something else is drawn
+    view : ViewSamples with the numbers of bodies, valid until something else is drawn
     echo : BeamEcho
+    counts : BodyCounts
     """
 
     stage: Stage
     view: ViewSamples
     echo: BeamEcho
+    counts: BodyCounts
 
 
 class ErrorModel:
@@ -140,23 +143,43 @@ class ErrorModel:
 
     def draw(self, setup: PingSetup, level: int) -> TriedView:
         """Draw and sum the view of a ping with a sampling level."""
-        return _drawn(self.stage_at(level), setup)
+        return self._drawn(self.stage_at(level), setup)
 
-    def judge(self, setup: PingSetup, level: int, tried: TriedView) -> Judgement:
-        """Estimate the error of a level in a ping; `tried` has samples of that level."""
-        # in the mirror image of the lattice a rod that runs along its rows does not
-        coarse = self._stages.stage(half_of(tried.stage.sampling), -SHEAR)
+    def _drawn(self, stage: Stage, setup: PingSetup) -> TriedView:
+        (view,) = stage.draw([setup.request.pose], [setup.state], with_bodies=True)
+        return self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain))
+
+    def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
+        """Return a view that was drawn and summed already, with what was met of each body."""
+        if self._extents.n_bodies < len(self.bodies):  # some were added
+            self._extents = BodyExtents(self.bodies, self._specular)
+        elevation_table = stage.beamformer.elevation_table
+        counts = count_bodies(
+            view.sectors, len(self.bodies), self._true_range_sonar, self._gain, elevation_table
+        )
+        return TriedView(stage, view, echo, counts)
+
+    def judge(
+        self, setup: PingSetup, level: int, tried: TriedView, before: TriedView | None = None
+    ) -> Judgement:
+        """Estimate the error of a level in a ping.
+
+        Parameters
+        ----------
+        tried : with samples of that level
+        before : of the same ping with fewer samples, to compare with; None to draw one
+        """
         bodies, state, pose = self.bodies, setup.state, setup.request.pose
-        if self._extents.n_bodies < len(bodies):  # some were added
-            self._extents = BodyExtents(bodies, self._specular)
-        sectors = tried.view.sectors
-        counted = len(bodies), self._true_range_sonar, self._gain, tried.stage.beamformer.elevation_table
-        hits, echo = count_bodies(sectors, *counted)
-        other = _drawn(coarse, setup)
-        _, other_echo = count_bodies(other.view.sectors, *counted)
+        sectors, (hits, echo) = tried.view.sectors, tried.counts
+        if before is None:
+            fewer = part_of(tried.stage.sampling, 1 / COARSER)
+            # in the mirror image of the lattice a rod that runs along its rows does not
+            before = self._drawn(self._stages.stage(fewer, -SHEAR), setup)
+        coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole, total = tried.echo.total, echo.sum()
-        difference = _sum_of_differences(tried.echo.intensity, other.echo.intensity)
-        error = ERROR_FACTOR * float(difference / whole) if whole > 0 else 0.0
+        difference = _sum_of_differences(tried.echo.intensity, before.echo.intensity)
+        factor = ERROR_FACTOR * _share_of_difference(coarser, ERROR_RATE / 2)
+        error = factor * float(difference / whole) if whole > 0 else 0.0
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         if whole <= 0:
             steps = 0.0  # nothing to judge by, and coarser samples would tell no more
@@ -170,11 +193,9 @@ class ErrorModel:
         ):
             one = bodies[body - 1], state.poses[body - 1]
             counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar)
-        apart = np.where(
-            hits < MAX_COMPARED_SAMPLES,
-            DIFFERENCE_FACTOR * np.abs(echo - other_echo) / np.maximum(echo, 1e-30),
-            0.0,
-        )
+        factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
+        apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
+        apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
         errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
         worst = int(errors.argmax())
         if counts.any():
@@ -186,9 +207,12 @@ class ErrorModel:
         return Judgement(plan, steps)
 
 
-def _drawn(stage: Stage, setup: PingSetup) -> TriedView:
-    (view,) = stage.draw([setup.request.pose], [setup.state], with_bodies=True)
-    return TriedView(stage, view, stage.beamformer.sum_view(view, setup.gain))
+def _share_of_difference(coarser: float, rate: float) -> float:
+    """Return the error of n samples over their difference from n / coarser samples.
+
+    The two err independently, and errors decrease as n^-rate.
+    """
+    return 1 / math.sqrt(1 + coarser ** (2 * rate))
 
 
 @compiled

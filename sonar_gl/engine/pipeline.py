@@ -60,16 +60,17 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     chosen = run.sampler.choose(setup)
     if chosen is None:
         return None
-    (stage, view, direct), plan = chosen
+    tried, plan = chosen
+    stage = tried.stage
     resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
     background = None
     if setup.background is not None:
         state = setup.state.only(setup.background[1:])
         (background,) = stage.draw([setup.request.pose], [state], keep_last=True)
-    (images,) = run.draw_images(resolution, [view], [setup])
-    drawn = DrawnPing(setup, resolution, view, images, background)
+    (images,) = run.draw_images(resolution, [tried.view], [setup])
+    drawn = DrawnPing(setup, resolution, tried.view, images, background)
     labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels)
 
 
 class ImageDrawer(Protocol):

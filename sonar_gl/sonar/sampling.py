@@ -100,11 +100,13 @@ def typical_level(tolerance: float) -> int:
 
 def half_of(sampling: Sampling) -> Sampling:
     """Return half the samples."""
-    return Sampling(
-        sampling.columns_per_beam / math.sqrt(2),
-        max(1, round(sampling.rows / math.sqrt(2))),
-        sampling.reducer,
-    )
+    return part_of(sampling, 0.5)
+
+
+def part_of(sampling: Sampling, share: float) -> Sampling:
+    """Return a share of the samples, fewer in both directions alike."""
+    root = math.sqrt(share)
+    return Sampling(sampling.columns_per_beam * root, max(1, round(sampling.rows * root)), sampling.reducer)
 
 
 def extend_rows(sampling: Sampling, sonar: Sonar, true_range_sonar: Sonar) -> Sampling:

@@ -8,6 +8,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.engine import error_model
 from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
@@ -87,6 +88,21 @@ def test_a_hard_view_makes_no_other_ping_finer():
         wall, _, rods, *_ = requests()
         rows = [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in (wall, rods, wall)]
     assert rows[0] == rows[2] < rows[1]
+
+
+def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
+    """Views: of the rods two tries, and one coarser than the first; of the wall one, and one coarser."""
+    real, views = error_model.count_bodies, []
+    monkeypatch.setattr(
+        error_model, "count_bodies", lambda samples, *args: views.append(samples) or real(samples, *args)
+    )
+    with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator:
+        counts = []
+        for one in (requests()[2], requests()[0]):
+            views.clear()
+            make_ping(simulator.run, one)
+            counts.append(len(views))
+    assert counts == [3, 2]
 
 
 def test_the_samples_of_a_ping_keep_the_tolerance_or_its_estimate_says_so(monkeypatch):

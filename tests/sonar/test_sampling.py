@@ -22,7 +22,7 @@ def test_sampling_of_a_width():
 
 def test_half_the_samples():
     half = half_of(sg.Sampling(2.0, 100, "point"))
-    assert half == sg.Sampling(2.0 / math.sqrt(2), 71, "point")
+    assert half == sg.Sampling(2.0 * math.sqrt(0.5), 71, "point")
     assert half_of(sg.Sampling(2.0, 1)).rows == 1
 
 
