@@ -19,9 +19,10 @@ from time import perf_counter
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
+from sonar_gl.core.errors import MachineError
 from tools.bench import harness
 from tools.bench.harness import Contender
-from tools.chart.front import OURS, false_change, table, violations
+from tools.chart.front import OUR_OPENGL, OURS, false_change, table, violations
 from tools.chart.rivals.methods import METHODS, best_factor
 from tools.chart.scenes import BEAMS, CACHE, SCENES, make_scene, make_sonar, make_truth
 from tools.chart.shimmer import shimmer
@@ -49,7 +50,7 @@ def judge(rival, method, truth) -> tuple[float, str]:
     if method == "raster_mean":
         rival.factor = best_factor(rival.ping(pose), truth.intensity)
     echo = sg.Ping(rival.ping(pose), truth.azimuth_rad, truth.range_m)
-    if method != OURS:
+    if method not in (OURS, OUR_OPENGL):
         return ping_error(echo, truth), ""
     labelled = rival.simulator.ping(pose, labels=True)
     return ping_error(echo, truth), f"{worst_body(labelled, truth)[0]:.5f}"
@@ -69,13 +70,23 @@ def contender_of(rival, pose) -> Contender:
     )
 
 
-def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool) -> list[dict]:
-    """Return one row a method and resolution; see POINTS."""
+def has_opengl() -> bool:
+    """Return whether OpenGL can draw here; print why not."""
+    try:
+        sg.Simulator(sg.Scene([]), make_sonar("pylon", "wide"), engine="opengl").close()
+    except MachineError as error:
+        print(f"without {OUR_OPENGL}: {error}")
+        return False
+    return True
+
+
+def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out=()) -> list[dict]:
+    """Return one row a method and resolution, but for methods that are left out; see POINTS."""
     acoustics, pose = sg.Acoustics.ideal(), scene.sonar_pose
     rows, contenders = [], {}
     with ExitStack() as stack:
         for name, method in METHODS.items():
-            if method.scenes and scene.name not in method.scenes:
+            if name in left_out or (method.scenes and scene.name not in method.scenes):
                 continue
             for resolution in method.resolutions(beams, quick):
                 rival = stack.enter_context(closing(method.make(scene, sonar, acoustics, pose, resolution)))
@@ -90,6 +101,7 @@ def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool) -> list[d
                         "samples": rival.samples,
                         "error": error,
                         "worst_body": worst,
+                        "renderer": rival.renderer,
                     }
                 )
         times = harness.take_turns(contenders, rounds, warm_up=0)
@@ -144,14 +156,14 @@ def main():
         from tools.chart import draw  # needs matplotlib, which the numbers alone do not
 
         (options.out / "pictures").mkdir(parents=True, exist_ok=True)
-    rows = []
+    rows, left_out = [], () if has_opengl() else (OUR_OPENGL,)
     for name in [n for n in only if n != "shimmer"]:
         scene, uncertainties = make_scene(name), {}
         for beams in BEAMS:
             sonar = make_sonar(name, beams)
             truth_ms, truth = harness.timed(make_truth, scene, sonar, options.quick, options.cache)
             uncertainties[beams] = truth.meta["difference"] / 2
-            ms, found = harness.timed(measure, scene, sonar, beams, truth, rounds, options.quick)
+            ms, found = harness.timed(measure, scene, sonar, beams, truth, rounds, options.quick, left_out)
             rows += found
             print(
                 f"{name}, {beams}: truth {truth_ms / 1e3:.0f} s, uncertain by "
@@ -167,7 +179,7 @@ def main():
         times = table(charts)
         harness.print_table(times, indent=0)
         for row in rows:
-            row |= {"renderer": machine["gl_renderer"], "date": date}
+            row["date"] = date
         if options.out:
             harness.write_csv(options.out / "chart_points.csv", rows, POINTS)
             harness.write_csv(options.out / "chart_times.csv", times)

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib import pyplot
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from tools.chart.front import envelope
+from tools.chart.front import OUR_OPENGL, OURS, envelope
 from tools.chart.rivals.methods import METHODS
 from tools.chart.scenes import BEAMS
 from tools.pictures import write_figure
@@ -39,7 +39,7 @@ def _draw_panel(axes, methods: dict, title: str, uncertainty: float, across: str
     for name, points in methods.items():
         ms, error = np.array(points).T
         look = METHODS[name]
-        ours = name == "ours"
+        ours = name in (OURS, OUR_OPENGL)
         axes.loglog(
             ms,
             100 * error,

@@ -25,7 +25,10 @@ class Rival:
     sums : (columns, K) float32, which the rivals fill; all of it counts
     bins : kernels.BinTable
     gain : (K,) float32
+    renderer : what draws, as in `Simulator.gl_info`
     """
+
+    renderer = "CPU"
 
     def __init__(self, scene, sonar, acoustics, sampling=None, n_columns=None):
         reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)

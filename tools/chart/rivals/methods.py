@@ -45,7 +45,10 @@ RASTER_WIDE = ((1, 64), (1, 128), (1.5, 192), (2, 384), (3, 512), (4, 768), (5, 
 RASTER_NARROW = ((1, 64), (1, 128), (1, 256), (1.5, 384), (2, 768), (2.5, 1200), (3, 1600), (4, 2000))
 
 METHODS = {
-    "ours": Method("raster, footprints (ours)", Raster, LATTICE, LATTICE, "#c00000", "o"),
+    "ours": Method("ours: footprints, engine cpu", Raster, LATTICE, LATTICE, "#c00000", "o"),
+    "ours_opengl": Method(
+        "ours: footprints, OpenGL", partial(Raster, engine="opengl"), LATTICE, LATTICE, "#f08080", "p"
+    ),
     "rays_footprints": Method("rays, our footprints", Lattice, LATTICE, LATTICE, "#e08000", "D"),
     "tubes": Method("tubes of four rays", Tubes, TUBES_WIDE, TUBES_NARROW, "#208030", "s"),
     "rays_regular": Method("rays, point bins, regular", PointRays, POINT_WIDE, POINT_NARROW, "#2060c0", "^"),

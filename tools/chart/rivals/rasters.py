@@ -13,8 +13,10 @@ from tools.chart.rivals.sums import mean_bins
 class Raster:
     """Ours, as users have it, with footprints or with point bins."""
 
-    def __init__(self, scene, sonar, acoustics, pose, resolution, reducer="footprint"):
-        self.simulator = sg.Simulator(scene, sonar, acoustics, sg.Sampling(*resolution, reducer))
+    def __init__(self, scene, sonar, acoustics, pose, resolution, reducer="footprint", engine="cpu"):
+        sampling = sg.Sampling(*resolution, reducer)
+        self.simulator = sg.Simulator(scene, sonar, acoustics, sampling, engine=engine)
+        self.renderer = self.simulator.gl_info["renderer"]
         self.samples = sum(sector.rows * sector.columns for sector in self.simulator.fan.sectors)
         self.close = self.simulator.close
 
@@ -35,7 +37,7 @@ class MeanRaster(Rival):
 
     def __init__(self, scene, sonar, acoustics, pose, resolution):
         super().__init__(scene, sonar, acoustics, sampling=sg.Sampling(*resolution))
-        self.simulator = sg.Simulator(scene, sonar, acoustics, sg.Sampling(*resolution))
+        self.simulator = sg.Simulator(scene, sonar, acoustics, sg.Sampling(*resolution), engine="cpu")
         self.samples = sum(sector.rows * sector.columns for sector in self.simulator.fan.sectors)
         self.work = np.zeros((2, 2, sonar.n_bins), np.float32)
 
