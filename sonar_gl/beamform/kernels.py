@@ -1069,10 +1069,10 @@ SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 MIN_REFLECTED = 1e-4  # of the intensity: what reflects less is no reflector
 GRID = 24  # directions to each side of a sector that are tried
 HORIZON = 1e-9  # 1/x of a plane past its horizon
-# Rows of `other_leg`: position of each sample for the other of S and S', its range from there, whether that
-# is before the surface; sine of the grazing angle at the reflector; reflected intensity; the bistatic echo.
-X, Y, Z, RANGE, SIDE, SINE, REFLECTED, BISTATIC = range(8)
-OTHER_LEG_ROWS = 8
+# Rows of `other_leg`: position of each sample for the other of S and S', and whether that is before the
+# surface; reflected intensity; the bistatic echo.
+X, Y, Z, SIDE, REFLECTED, BISTATIC = range(6)
+OTHER_LEG_ROWS = 6
 
 
 # One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of half the aperture.
@@ -1182,6 +1182,15 @@ def reflected_intensity(sine, loss):
 
 
 @compiled
+def _is_first(nearness, is_body):
+    """Return whether sound meets a reflector before anything else.
+
+    nearness : distance of the reflector over that of the surface seen in that direction; is_body : of `Reflection`
+    """
+    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
+
+
+@compiled
 def reflector_is_seen(x, y, z, view, plane, is_body):
     """Return whether sound from the sonar in the direction (x, y, z) meets the reflector, with nothing before
     it.
@@ -1191,26 +1200,27 @@ def reflector_is_seen(x, y, z, view, plane, is_body):
     seen, ahead = find_surface(x, y, z, view)
     if seen < 0.0:
         return False
-    # distance of the reflector over that of the surface seen there
-    nearness = seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z)
-    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
+    return _is_first(seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z), is_body)
 
 
 @compiled
-def estimate_reflection(view, plane, is_body, loss, range_max_m):
-    """Estimate, on a coarse grid of directions, how much intensity a reflector returns, and the direct echo.
+def estimate_reflection(view, planes, are_bodies, losses, range_max_m, reflected):
+    """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
 
     Parameters
     ----------
-    view : tuple of ViewIndex; plane, is_body, loss : of `Reflection`
+    view : tuple of ViewIndex
+    planes, are_bodies, losses : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
+    reflected : (n,) float64, overwritten; in the unit of the direct echo
 
     Returns
     -------
-    reflected, echo : in the same unit
+    the direct echo
     """
     view = ViewIndex(*view)
     plane_echo, sectors = view
-    reflected = echo = 0.0
+    echo = 0.0
+    reflected[:] = 0.0
     for k in range(sectors.shape[0]):
         t = sectors[k]
         for row in range(GRID):
@@ -1218,7 +1228,7 @@ def estimate_reflection(view, plane, is_body, loss, range_max_m):
                 u = t.tan_half_width * ((2 * column + 1) / GRID - 1)
                 v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
                 x, y, z = t.cos + t.sin * u, t.sin - t.cos * u, v
-                seen, _ = find_surface(x, y, z, view)
+                seen, ahead = find_surface(x, y, z, view)
                 length = math.sqrt(1.0 + u * u + v * v)
                 weight = 1.0 / length**3
                 if seen > 0.0 and length / seen < range_max_m:
@@ -1226,11 +1236,15 @@ def estimate_reflection(view, plane, is_body, loss, range_max_m):
                     i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
                     at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5))]
                     echo += weight * at[3] * seen / length
-                along = plane[0] * x + plane[1] * y + plane[2] * z
-                near = along > 0.0 and plane[3] * length / along < range_max_m
-                if near and reflector_is_seen(x, y, z, view, plane, is_body):
-                    reflected += weight * reflected_intensity(along / length, loss)
-    return reflected, echo
+                if seen < 0.0:
+                    continue
+                for n in range(planes.shape[0]):
+                    along = planes[n, 0] * x + planes[n, 1] * y + planes[n, 2] * z
+                    if along <= 0.0 or planes[n, 3] * length >= range_max_m * along:
+                        continue
+                    if _is_first(seen * ahead * planes[n, 3] / along, are_bodies[n]):
+                        reflected[n] += weight * reflected_intensity(along / length, losses[n])
+    return echo
 
 
 @compiled
@@ -1243,10 +1257,9 @@ def _pattern_at(elevation_pattern, top, sine):
 
 @inlined
 def _find_other_leg(work, other_leg, strip, reflection):
-    """Find where a strip's samples lie for the other of S and S', their range, side and grazing angle."""
+    """Find where a strip's samples lie for the other of S and S', and whether that is before their surface."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
-    first, last, uc = strip.first, strip.last, strip.u
-    own, other, plane = reflection.own, reflection.other, reflection.plane
+    first, last, uc, other = strip.first, strip.last, strip.u, reflection.other
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     # position of the other one, in the frame of this sector
     ox = -(a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
@@ -1255,90 +1268,104 @@ def _find_other_leg(work, other_leg, strip, reflection):
     for m in range(uint64(first), uint64(last)):
         vc = (border[m] + border[uint64(m + 1)]) / 2
         depth = 1.0 / max(rest[m] + along_v[m] * vc, HORIZON)
-        x = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
-        y = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
-        z = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
-        other_leg[X, m], other_leg[Y, m], other_leg[Z, m] = x, y, z
-        other_leg[RANGE, m] = math.sqrt(x * x + y * y + z * z)
+        other_leg[X, m] = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
+        other_leg[Y, m] = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
+        other_leg[Z, m] = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
         other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
-        other_leg[SINE, m] = (plane[0] * x - plane[1] * y + plane[2] * z) / other_leg[RANGE, m]
-    if reflection.from_image:  # normal of the reflector in this sector's frame; the image's port is starboard
-        nx = plane[0] * own[0, 0] - plane[1] * own[1, 0] + plane[2] * own[2, 0]
-        ny = plane[0] * own[0, 1] - plane[1] * own[1, 1] + plane[2] * own[2, 1]
-        nz = plane[0] * own[0, 2] - plane[1] * own[1, 2] + plane[2] * own[2, 2]
-        for m in range(uint64(first), uint64(last)):
-            vc = (border[m] + border[uint64(m + 1)]) / 2
-            other_leg[SINE, m] = (nx - ny * uc + nz * vc) / math.sqrt(1.0 + uc * uc + vc * vc)
 
 
 @inlined
 def _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view):
-    """Find the reflected intensity of a strip's samples, and their bistatic echo per steradian."""
+    """Find the reflected intensity of a strip's samples, and their bistatic echo per steradian.
+
+    Returns
+    -------
+    reflected_first, reflected_last, first, last : samples that are reflected, and those with a bistatic echo, from
+        the first to before the last
+    """
     own, plane, ceiling = reflection.own, reflection.plane, reflection.ceiling
     from_image, is_body, loss, uc = reflection.from_image, reflection.is_body, reflection.loss, strip.u
+    reflected_first, reflected_last, first, last = strip.last, strip.first, strip.last, strip.first
     for m in range(strip.first, strip.last):
         other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
         side = other_leg[SIDE, m]
         if side <= 0.0 and not from_image:  # the other one looks at the surface from behind
             continue
-        reflected = reflected_intensity(other_leg[SINE, m], loss)
-        if work[ECHO, m] <= 0.0 or reflected < MIN_REFLECTED or other_leg[SINE, m] <= 1e-6:
+        if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m]:
             continue
         vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
         q = work[REST, m] + work[ALONG_V, m] * vc
-        if work[BORDER, m + 1] <= work[BORDER, m] or q <= HORIZON:
+        if q <= HORIZON or ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
-        if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
-            continue
-        if not from_image:  # what lies behind the reflector's plane meets no sound that comes by way of it
-            behind = plane[0] * (own[0, 0] - own[0, 1] * uc + own[0, 2] * vc)
-            behind += plane[1] * (own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
-            behind += plane[2] * (own[2, 0] - own[2, 1] * uc + own[2, 2] * vc)
+        own_x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
+        own_y = own[1, 0] - own[1, 1] * uc + own[1, 2] * vc
+        own_z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
+        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        range_there = math.sqrt(x * x + y * y + z * z)
+        is_seen = False
+        if not from_image:
+            # what lies behind the reflector's plane meets no sound that comes by way of it
+            behind = plane[0] * own_x + plane[1] * own_y + plane[2] * own_z
             if behind > plane[3] * q:
                 continue
-        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+            seen, ahead = find_surface(x, y, z, other_view)
+            is_seen = seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE
+            if not is_seen:
+                continue
         # directions of the image are the sonar's with port and starboard exchanged
-        leg_x, leg_y, leg_z = x, -y, z
+        leg_x, leg_y, leg_z, leg = x, -y, z, range_there
         if from_image:
-            leg_x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
-            leg_y = -(own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
-            leg_z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
+            leg_x, leg_y, leg_z, leg = own_x, -own_y, own_z, math.sqrt(1.0 + uc * uc + vc * vc)
+        sine = (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z) / leg
+        reflected = reflected_intensity(sine, loss)
+        if reflected < MIN_REFLECTED or sine <= 1e-6:
+            continue
         if not reflector_is_seen(leg_x, leg_y, leg_z, view, plane, is_body):
             continue
         other_leg[REFLECTED, m] = reflected
+        reflected_first, reflected_last = min(reflected_first, m), m + 1
         if side <= 0.0:
             continue
-        seen, ahead = find_surface(x, y, z, other_view)
-        if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
-            bistatic = min(work[ECHO, m] * side / other_leg[RANGE, m], 1.0)
+        if from_image:
+            seen, ahead = find_surface(x, y, z, other_view)
+            is_seen = seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE
+        if is_seen:
+            bistatic = min(work[ECHO, m] * side / range_there, 1.0)
             if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
                 here = _pattern_at(elevation_pattern, top, vc / math.sqrt(1.0 + uc * uc + vc * vc))
-                there = _pattern_at(elevation_pattern, top, z / other_leg[RANGE, m])
+                there = _pattern_at(elevation_pattern, top, z / range_there)
                 bistatic *= math.sqrt(here * there)
             other_leg[BISTATIC, m] = bistatic
+            first, last = min(first, m), m + 1
+    return reflected_first, reflected_last, first, last
 
 
 @inlined
-def _find_single_bounce(work, other_leg, strip, reflection):
-    """Find the footprints of echoes that go one way straight and the other by way of the reflector."""
+def _find_single_bounce(work, other_leg, strip, first, last, reflection):
+    """Find the footprints of echoes that go one way straight and the other by way of the reflector.
+
+    first, last : samples of the strip, from the first to before the last
+    """
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
     other, single_bounce, uc, width = reflection.other, reflection.single_bounce, strip.u, strip.width
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
     u2 = 1.0 + uc * uc
-    for m in range(uint64(strip.first), uint64(strip.last)):
+    for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
         q = max(rest[m] + along_v[m] * vc, HORIZON)
         length2 = u2 + vc * vc
-        length, range_there = math.sqrt(length2), other_leg[RANGE, m]
+        there_x, there_y, there_z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        length = math.sqrt(length2)
+        range_there = math.sqrt(there_x * there_x + there_y * there_y + there_z * there_z)
         s = 2.0 / (length / q + range_there)
         # across, where strips are narrow: by how both ranges change with u
         x, x_u = 1.0 / q, -along_u[m] / (q * q)
         r_u = (uc * x + length2 * x_u) / length
-        r_u += other_leg[X, m] / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
-        r_u += other_leg[Y, m] / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
-        r_u += other_leg[Z, m] / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
+        r_u += there_x / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
+        r_u += there_y / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
+        r_u += there_z / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
         # up and down, where planes may extend far: at both ends
         low_x, high_x = (
             1.0 / max(rest[m] + along_v[m] * low, HORIZON),
@@ -1364,36 +1391,51 @@ def _find_single_bounce(work, other_leg, strip, reflection):
 
 
 @compiled
-def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, is_first, reflection, sums, spans):
-    """Sum some of one sector's samples into columns and bins, as a planar reflector returns them.
+def clear_columns(first, last, sums, spans):
+    """Set rows of sums to zero, from `first` to before `last`; `sums` and `spans` as in `sum_footprints`."""
+    for c in range(first, last):
+        _clear_row(c, sums, spans)
+
+
+@compiled
+def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, reflection, sums, spans):
+    """Add some of one sector's samples to columns and bins, as a planar reflector returns them.
 
     Parameters
     ----------
     plane_echo .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
-    is_first : overwrite the rows of these strips, instead of adding to them
     reflection : tuple of Reflection
-    sums, spans : as in `sum_footprints`
+    sums, spans : as in `sum_footprints`; the rows of these strips are added to
+
+    Returns
+    -------
+    whether any of the samples is seen in the reflector
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     reflection = Reflection(*reflection)
     view, other_view = ViewIndex(*reflection.index), ViewIndex(*reflection.other_index)
     tan_elevation = lattice.tan_elevation
-    if is_first:
-        _clear_rows(strips.column, sums, spans)
     R = plane_echo.shape[0]
     work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
     top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
+    is_reflected = False
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
-        c, first, last = strip.column, strip.first, strip.last
-        if first == last:
+        if strip.first == strip.last:
             continue
         _find_other_leg(work, other_leg, strip, reflection)
-        _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view)
+        reflected_first, reflected_last, first, last = _find_reflected(
+            work, other_leg, strip, elevation_pattern, top, reflection, view, other_view
+        )
+        if reflected_first >= reflected_last:
+            continue
+        is_reflected = True
         if reflection.from_image:
             _find_footprints(work, strip, elevation_pattern)
-            for m in range(first, last):
+            for m in range(reflected_first, reflected_last):
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
-            spread_footprints(work, first, last, sums, spans, c, bins)
-        _find_single_bounce(work, other_leg, strip, reflection)
-        spread_footprints(work, first, last, sums, spans, c, bins)
+            spread_footprints(work, reflected_first, reflected_last, sums, spans, strip.column, bins)
+        if first < last:
+            _find_single_bounce(work, other_leg, strip, first, last, reflection)
+            spread_footprints(work, first, last, sums, spans, strip.column, bins)
+    return is_reflected
