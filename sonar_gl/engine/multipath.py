@@ -35,17 +35,29 @@ WIDEST_COLUMN = 2.0  # in spacings of beams
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
 
 
-def image_pose(plane) -> tuple[np.ndarray, np.ndarray]:
-    """Return (4, 4) sonar_from_image of the sonar's image behind a plane, and a clip plane in its frame.
+class ImagePose(NamedTuple):
+    """The sonar's image behind a plane.
 
-    plane : (4,) normal and offset in the sonar's frame; clip plane : of `Renderer.render`
+    Attributes
+    ----------
+    sonar_from_image, image_from_sonar : (4, 4)
+    clip_plane : (4,) of `Renderer.render`, in the frame of the image
     """
-    turned = np.eye(4)
-    turned[:3, :3] -= 2 * np.outer(plane[:3], plane[:3])
-    turned[:3, 3] = 2 * plane[3] * plane[:3]
-    out = turned @ SWAPPED
-    offset = plane[3] - BIAS_M - plane[:3] @ out[:3, 3]
-    return out, np.append(-out[:3, :3].T @ plane[:3], offset)
+
+    sonar_from_image: np.ndarray
+    image_from_sonar: np.ndarray
+    clip_plane: np.ndarray
+
+
+def image_pose(plane) -> ImagePose:
+    """Return the sonar's image behind a plane, (4,) normal and offset in the sonar's frame."""
+    normal, offset = plane[:3], float(plane[3])
+    mirror = np.eye(4)  # its own inverse
+    mirror[:3, :3] -= 2 * np.outer(normal, normal)
+    mirror[:3, 3] = 2 * offset * normal
+    # seen from the image, the plane lies as far behind it as before the sonar, with port and starboard exchanged
+    clip_plane = np.array([normal[0], -normal[1], normal[2], -offset - BIAS_M])
+    return ImagePose(mirror @ SWAPPED, SWAPPED @ mirror, clip_plane)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +69,7 @@ class ImageSource:
     reflector : PlanarReflector
     plane : (4,) normal and offset of it, in the sonar's frame
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
-    sonar_from_image : (4, 4)
+    pose : ImagePose
     own_view, image_view : SectorSamples of each sector, of the sonar and of its image
     own_index, image_index : kernels.ViewIndex of both; that of the sonar has all samples of its direct view
     """
@@ -65,7 +77,7 @@ class ImageSource:
     reflector: PlanarReflector
     plane: np.ndarray
     ceiling: np.ndarray
-    sonar_from_image: np.ndarray
+    pose: ImagePose
     own_view: Sequence[SectorSamples]
     image_view: Sequence[SectorSamples]
     own_index: kernels.ViewIndex
@@ -180,11 +192,11 @@ class ImageSources:
         found, image_poses, image_states, clip_planes = [], [], [], []
         for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True)):
             for reflector, plane in self._reflecting(pose, state, index, stage):
-                sonar_from_image, clip_plane = image_pose(plane)
-                found.append((number, (reflector, plane, self._ceiling(pose), sonar_from_image)))
-                image_poses.append(pose @ sonar_from_image)
+                image = image_pose(plane)
+                found.append((number, (reflector, plane, self._ceiling(pose), image)))
+                image_poses.append(pose @ image.sonar_from_image)
                 image_states.append(state)
-                clip_planes.append(clip_plane)
+                clip_planes.append(image.clip_plane)
         out: list[ImageSourceSamples | None] = [None] * len(poses)
         if not found:
             return out
@@ -219,32 +231,29 @@ class ImageSources:
         return out
 
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
-        """Return the reflectors that may return more than the tolerance, each with its plane, `_plane`."""
-        found = [(one, self._plane(one, pose, state)) for one in self._reflectors]
-        found = [(one, plane) for one, plane in found if plane is not None]
+        """Return the reflectors that may return more than the tolerance, each with its plane.
+
+        A plane is (4,) normal and offset in the sonar's frame, the offset positive.
+        """
+        found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
         if not found:
             return []
+        normals, offsets_m = zip(*(one.in_world(state.poses) for one in found), strict=True)
+        rotated = np.column_stack([np.array(normals) @ pose[:3, :4], offsets_m])
+        distances_m = rotated[:, 4] - rotated[:, 3]
+        planes = np.column_stack([rotated[:, :3], distances_m]) * np.sign(distances_m)[:, None]
         reflected = np.empty(len(found))
         echo = kernels.estimate_reflection(
             tuple(index),
-            np.array([plane for _, plane in found]),
-            np.array([one.body is not None for one, _ in found]),
-            np.array([one.reflection_coefficient for one, _ in found]),
+            planes,
+            np.array([one.body is not None for one in found]),
+            np.array([one.reflection_coefficient for one in found]),
             stage.fan.sonar.range_max_m,
             reflected,
         )
         counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
-        return [one for one, is_strong in zip(found, counts, strict=True) if is_strong]
-
-    def _plane(self, reflector: PlanarReflector, pose, state: SceneState):
-        """Return (4,) the reflector in the sonar's frame, its offset positive; None if it is absent."""
-        if reflector.body is not None and not state.present[reflector.body]:
-            return None
-        normal, offset = reflector.in_world(state.poses)
-        plane = np.append(normal @ pose[:3, :3], offset - normal @ pose[:3, 3])
-        if abs(plane[3]) <= BIAS_M:
-            return None
-        return plane if plane[3] > 0 else -plane
+        counts &= np.abs(distances_m) > BIAS_M
+        return [(found[n], planes[n]) for n in np.flatnonzero(counts)]
 
     def _ceiling(self, pose) -> np.ndarray:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
@@ -271,29 +280,21 @@ def receive_images(images: ImageSourceSamples, gain) -> BeamEcho:
 
 def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips) -> ImageSourceView:
     """Return the samples of the sonar, or of its image, with the geometry of each sector."""
-    to_sonar = source.sonar_from_image
-    to_other = to_sonar if from_image else np.linalg.inv(to_sonar)
     own_index = tuple(source.own_index)
-    other_index = own_index if from_image else tuple(source.image_index)
     sectors = source.image_view if from_image else source.own_view
-    reflections = []
-    for sector, _, _ in sectors:
-        own = np.eye(4)
-        own[:3, :3] = sector.rotation().T
-        into = own if not from_image else to_sonar @ own
-        up = source.ceiling[:3]
-        reflections.append(
-            kernels.Reflection(
-                own=own[:3],
-                other=(to_other @ own)[:3],
-                ceiling=np.append(up @ into[:3, :3], source.ceiling[3] - up @ into[:3, 3]),
-                from_image=from_image,
-                single_bounce=single_bounce,
-                index=own_index,
-                other_index=other_index,
-                plane=source.plane,
-                is_body=source.reflector.body is not None,
-                loss=source.reflector.reflection_coefficient,
-            )
+    reflections = tuple(
+        kernels.Reflection(
+            azimuth_rad=sector.azimuth_rad,
+            to_other=source.pose.sonar_from_image if from_image else source.pose.image_from_sonar,
+            ceiling=source.ceiling,
+            from_image=from_image,
+            single_bounce=single_bounce,
+            index=own_index,
+            other_index=own_index if from_image else tuple(source.image_index),
+            plane=source.plane,
+            is_body=source.reflector.body is not None,
+            loss=source.reflector.reflection_coefficient,
         )
-    return ImageSourceView(sectors, tuple(reflections), strips)
+        for sector, _, _ in sectors
+    )
+    return ImageSourceView(sectors, reflections, strips)
