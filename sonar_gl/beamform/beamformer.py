@@ -278,23 +278,19 @@ class Beamformer:
         columns, is_seen = self._column_sums(), np.zeros((2, len(images)), bool)
 
         def add(half: int, view: ImageSourceView) -> bool:
-            return any(
-                [
-                    kernels.sum_image_source(
-                        whole_rows(one.plane_echo),
-                        one.lattice,
-                        strips,
-                        self._bins,
-                        self.elevation_table,
-                        tuple(reflection),
-                        columns.sums,
-                        columns.spans,
-                    )
-                    for one, reflection, strips in zip(
-                        view.samples, view.reflections, view.strips[half], strict=True
-                    )
-                ]
-            )
+            of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
+            for one, reflection, strips in of_sectors:
+                counts |= kernels.sum_image_source(
+                    whole_rows(one.plane_echo),
+                    one.lattice,
+                    strips,
+                    self._bins,
+                    self.elevation_table,
+                    tuple(reflection),
+                    columns.sums,
+                    columns.spans,
+                )
+            return counts
 
         def add_images(half):
             kernels.clear_columns(*self._halves[half], columns.sums, columns.spans)
@@ -302,9 +298,8 @@ class Beamformer:
                 is_seen[half, number] = add(half, view)
 
         def add_own(half):
-            for view, counts in zip(own, is_seen.any(axis=0), strict=True):
-                if counts:
-                    add(half, view)
+            for number in np.flatnonzero(is_seen.any(axis=0)):
+                add(half, own[number])
 
         self._run(add_images)
         if is_seen.any():

@@ -1189,8 +1189,7 @@ def find_surfaces(x, y, z, first, last, view, out):
             ahead, beside = t.cos * x[n] + t.sin * y[n], t.cos * y[n] - t.sin * x[n]
             if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
                 continue
-            inverse = 1.0 / ahead
-            u, v = -beside * inverse, z[n] * inverse
+            u, v = -beside / ahead, z[n] / ahead
             if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
                 break
             out[n] = 0.0
@@ -1487,8 +1486,6 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
             spread_footprints(work, reflected_first, reflected_last, sums, spans, strip.column, bins)
         if first < last:
-            _find_single_bounce(
-                work, other_leg, strip, first, last, frame.other, reflection.single_bounce
-            )
+            _find_single_bounce(work, other_leg, strip, first, last, frame.other, reflection.single_bounce)
             spread_footprints(work, first, last, sums, spans, strip.column, bins)
     return is_reflected

@@ -131,7 +131,7 @@ class ImageSources:
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
-        self._tolerance = tolerance
+        self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         shared = thread, WIDEST_COLUMN, stages.pools
         self._own_stages = StageCache(engine, sonar, acoustics, *shared)
@@ -148,7 +148,7 @@ class ImageSources:
         """Find the planar reflectors of a scene, once."""
         if scene is not self._scene:
             self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m)
-            self._is_specular = any(body.specular > 0 for body in scene.bodies)
+            self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
             self._scene = scene
 
@@ -213,7 +213,7 @@ class ImageSources:
             self._image_stages.drop_large()
         self._rows = sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
-        if self._is_specular or any(view.bubbles is not None for view in views):
+        if self._has_lobes or any(view.bubbles is not None for view in views):
             drawn = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
             own_views = [view.sectors for view in drawn]
         else:  # the direct views will do
@@ -222,7 +222,12 @@ class ImageSources:
         image_views = image.draw(image_poses, image_states, planes=clip_planes, keep_last=True)
         sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
         for (number, about), image_view in zip(found, image_views, strict=True):
-            views_of_both = own_of[number], image_view.sectors, indices[number], kernels.view_index(image_view)
+            views_of_both = (
+                own_of[number],
+                image_view.sectors,
+                indices[number],
+                kernels.view_index(image_view),
+            )
             sources[number].append(ImageSource(*about, *views_of_both))
         for number in numbers:
             out[number] = ImageSourceSamples(
