@@ -29,7 +29,8 @@ SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's star
 # echo, twice where it is less than SHARES[1], and so on; not at all where it is more than the last.
 SHARES = 0.05, 0.1, 0.3
 # Samples of the direct view for one sample after so many halvings: columns, and rows, which are whole so that the
-# direct view serves. Faces are planes, which few columns resolve, while most edges that matter are level.
+# direct view serves, and no more than its margin. Faces are planes, which few columns resolve, while most edges that
+# matter are level.
 THINNINGS = (1, 1), (1, 2), (2, 2), (4, 2)
 WIDEST_COLUMN = 2.0  # in spacings of beams
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
