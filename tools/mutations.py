@@ -203,10 +203,13 @@ MUTATIONS = (
     Mutation("multipath/mean range", "2.0 / (length / q + range_there)", "1.0 / (length / q)", MULTIPATH),
     Mutation(
         "multipath/cosine of the other way",
-        "work[ECHO, m] * side / other_leg[RANGE, m]",
-        "work[ECHO, m] / other_leg[RANGE, m]",
+        "work[ECHO, m] * other_leg[SIDE, m] / range_there",
+        "work[ECHO, m] / range_there",
         MULTIPATH,
-        (("work[ECHO, m] * side / there[RANGE, m]", "work[ECHO, m] / there[RANGE, m]"),),
+        (
+            ("work[ECHO, m] * side / other_leg[RANGE, m]", "work[ECHO, m] / other_leg[RANGE, m]"),
+            ("work[ECHO, m] * side / there[RANGE, m]", "work[ECHO, m] / there[RANGE, m]"),
+        ),
     ),
     Mutation(
         "multipath/handedness", "leg_x, leg_y, leg_z = x, -y, z", "leg_x, leg_y, leg_z = x, y, z", MULTIPATH

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -59,10 +59,12 @@ class ImageSourceView:
     ----------
     samples : of each sector
     reflections : kernels.Reflection of each sector
+    strips : of each half of the columns, kernels.StripTable of each sector
     """
 
     samples: Sequence[SectorSamples]
     reflections: Sequence[kernels.Reflection]
+    strips: Sequence[Sequence[tuple]]
 
 
 def beam_weights(
@@ -164,6 +166,7 @@ class Beamformer:
 
     Attributes
     ----------
+    strips : kernels.StripTable of each sector, for each half of the columns
     elevation_table : (ELEVATIONS,) two-way power pattern at even sines over the aperture; of no length for a
         box
     """
@@ -191,9 +194,10 @@ class Beamformer:
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
         self._spread = fan.sampling.reducer == "footprint"
         received = weights.received(fan.n_columns)
-        self._strips = tuple(
-            [_strips_within(sector.strips, half, received) for sector in fan.sectors]
-            for half in np.array_split(np.arange(fan.n_columns), 2)
+        middle = (fan.n_columns + 1) // 2
+        self._halves = (0, middle), (middle, fan.n_columns)
+        self.strips = tuple(
+            [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
         weighted_elevation = np.arcsin(sines) * (1.0 if is_even else self.elevation_table)
         self._labeller = None
@@ -208,11 +212,21 @@ class Beamformer:
             self._workspace,
         )
 
+    @cached_property
+    def mirrored_strips(self) -> tuple:
+        """The strips, in the columns of a fan that is the mirror image of this one, port for starboard."""
+        last, strips = self.fan.n_columns - 1, zip(*self.strips, strict=True)
+        of_sectors = [[np.concatenate(arrays) for arrays in zip(*halves, strict=True)] for halves in strips]
+        return tuple(
+            [_within(last - column, u, width, half) for column, u, width in of_sectors]
+            for half in self._halves
+        )
+
     @property
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""
         return self._tiles[1].nbytes + sum(
-            a.nbytes for half in self._strips for strips in half for a in strips
+            a.nbytes for half in self.strips for strips in half for a in strips
         )
 
     def _column_sums(self) -> ColumnSums:
@@ -230,7 +244,7 @@ class Beamformer:
         columns = self._column_sums()
 
         def work(half):
-            for one, strips in zip(of_sectors, self._strips[half], strict=True):
+            for one, strips in zip(of_sectors, self.strips[half], strict=True):
                 kernels.sum_footprints(
                     *one,
                     strips,
@@ -251,28 +265,45 @@ class Beamformer:
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
         return self.weigh(gain)
 
-    def sum_image_sources(self, views: Sequence[ImageSourceView], gain=NO_GAIN) -> BeamEcho:
-        """Return the multipath echoes of several views, added up."""
-        columns = self._column_sums()
+    def sum_image_sources(
+        self, images: Sequence[ImageSourceView], own: Sequence[ImageSourceView], gain=NO_GAIN
+    ) -> BeamEcho:
+        """Return the multipath echoes of several views, added up.
 
-        def work(half):
-            for number, view in enumerate(views):
-                for one, reflection, strips in zip(
-                    view.samples, view.reflections, self._strips[half], strict=True
-                ):
-                    kernels.sum_image_source(
-                        whole_rows(one.plane_echo),
-                        one.lattice,
-                        strips,
-                        self._bins,
-                        self.elevation_table,
-                        number == 0,
-                        tuple(reflection),
-                        columns.sums,
-                        columns.spans,
-                    )
+        Parameters
+        ----------
+        images : of the sonar's images, with `mirrored_strips`
+        own : of the sonar itself, one for each image; only those are summed whose image is seen in its reflector
+        """
+        columns, is_seen = self._column_sums(), np.zeros((2, len(images)), bool)
 
-        self._run(work)
+        def add(half: int, view: ImageSourceView) -> bool:
+            of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
+            for one, reflection, strips in of_sectors:
+                counts |= kernels.sum_image_source(
+                    whole_rows(one.plane_echo),
+                    one.lattice,
+                    strips,
+                    self._bins,
+                    self.elevation_table,
+                    tuple(reflection),
+                    columns.sums,
+                    columns.spans,
+                )
+            return counts
+
+        def add_images(half):
+            kernels.clear_columns(*self._halves[half], columns.sums, columns.spans)
+            for number, view in enumerate(images):
+                is_seen[half, number] = add(half, view)
+
+        def add_own(half):
+            for number in np.flatnonzero(is_seen.any(axis=0)):
+                add(half, own[number])
+
+        self._run(add_images)
+        if is_seen.any():
+            self._run(add_own)
         return self.weigh(gain)
 
     def label(self, samples: Sequence[SectorSamples], gain, n_bodies: int, background=None) -> Labels:
@@ -288,10 +319,10 @@ class Beamformer:
             self._labeller = self._make_labeller()
         run = partial(self._run, serial=self._rows(samples) < FEW_ROWS)
         if background is None:
-            return self._labeller.find(samples, self._strips, run, gain, n_bodies)
+            return self._labeller.find(samples, self.strips, run, gain, n_bodies)
         mask, alone = background
         unshadowed = self.sum_footprints(alone).intensity
-        return self._labeller.find(samples, self._strips, run, gain, n_bodies, mask, unshadowed)
+        return self._labeller.find(samples, self.strips, run, gain, n_bodies, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Do work(0) and work(1)."""
@@ -320,7 +351,13 @@ class Beamformer:
         return BeamEcho(out, sum(totals))
 
 
-def _strips_within(strips, columns, received) -> tuple:
-    """Return a plain kernels.StripTable of the strips in these columns, as far as a beam receives them."""
-    mine = np.isin(strips.column, columns) & received[strips.column]
-    return strips.column[mine], strips.u[mine], strips.width[mine]
+def _strips_within(strips, half: tuple[int, int], received) -> tuple:
+    """Return a plain kernels.StripTable of the strips in half of the columns, as far as a beam receives them."""
+    mine = received[strips.column]
+    return _within(strips.column[mine], strips.u[mine], strips.width[mine], half)
+
+
+def _within(column, u, width, half: tuple[int, int]) -> tuple:
+    """Return a plain kernels.StripTable of the strips in columns from the first to before the last."""
+    mine = (half[0] <= column) & (column < half[1])
+    return column[mine], u[mine], width[mine]

@@ -109,11 +109,11 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
 
 @compiled
 def _find_directions(points, middle, out):
-    """Fill (n, 3) `out` with unit vectors to the bubbles in the sonar's frame."""
+    """Fill (3, n) `out` with unit vectors to the bubbles in the sonar's frame."""
     for n in range(points.shape[0]):
         azimuth, sine = points[n, 0], points[n, 1]
         level, true = math.sqrt(max(1.0 - sine * sine, 0.0)), azimuth + middle
-        out[n, 0], out[n, 1], out[n, 2] = level * math.cos(true), level * math.sin(true), sine
+        out[0, n], out[1, n], out[2, n] = level * math.cos(true), level * math.sin(true), sine
 
 
 @compiled
@@ -190,9 +190,9 @@ def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose,
     grid, tau = np.concatenate([low, steps]), np.zeros((*cells, LAYERS + 1))
     points = np.column_stack([points, bubble_backscattering(radii), bubble_extinction(radii)])
     _add_depth(points, grid, tau)
-    directions, surfaces, out = np.empty((len(points), 3)), np.empty(len(points)), np.empty((len(points), 4))
+    directions, surfaces, out = np.empty((3, len(points))), np.empty(len(points)), np.empty((len(points), 4))
     _find_directions(points, middle, directions)
-    kernels.find_surfaces(directions, tuple(view), surfaces)
+    kernels.find_surfaces(*directions, 0, len(points), tuple(view), surfaces)
     count = _find_echoes(points, middle, grid, tau, surfaces, out)
     _attenuate(view.plane_echo, view.sectors, middle, grid, tau)
     return out[:count]

@@ -1069,10 +1069,11 @@ SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 MIN_REFLECTED = 1e-4  # of the intensity: what reflects less is no reflector
 GRID = 24  # directions to each side of a sector that are tried
 HORIZON = 1e-9  # 1/x of a plane past its horizon
-# Rows of `other_leg`: position of each sample for the other of S and S', its range from there, whether that
-# is before the surface; sine of the grazing angle at the reflector; reflected intensity; the bistatic echo.
-X, Y, Z, RANGE, SIDE, SINE, REFLECTED, BISTATIC = range(8)
-OTHER_LEG_ROWS = 8
+# Rows of `other_leg`: position of each sample for the other of S and S', and whether that is before the
+# surface; a direction to look into, zeros for none, and what is seen there, as `find_surfaces` returns it; reflected
+# intensity; the bistatic echo.
+X, Y, Z, SIDE, LEG_X, LEG_Y, LEG_Z, SEEN, REFLECTED, BISTATIC = range(10)
+OTHER_LEG_ROWS = 10
 
 
 # One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of half the aperture.
@@ -1101,19 +1102,21 @@ def view_index(view: ViewSamples) -> ViewIndex:
     """Return the index of a view, of its own arrays."""
     rows = []
     for (sector, _, _), left in zip(view.sectors, view.left, strict=True):
-        u, v = sector.u, sector.v
-        inverse = np.linalg.inv(np.array([[u[1], u[2]], [v[1], v[2]]]))
+        u, v = sector.u.tolist(), sector.v.tolist()
+        scale = 1.0 / (u[1] * v[2] - u[2] * v[1])
+        inverse = scale * v[2], -scale * u[2], -scale * v[1], scale * u[1]
         azimuth = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
         limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_elevation
-        rows.append((*azimuth, *limits, *u, *v, *inverse.ravel(), left, sector.columns, sector.rows))
+        rows.append((*azimuth, *limits, *u, *v, *inverse, left, sector.columns, sector.rows))
     return ViewIndex(view.plane_echo, np.array(rows, SECTOR))
 
 
 class Reflection(NamedTuple):
     """Geometry of the image source behind one planar reflector, for the samples of one sector.
 
-    own, other : (3, 4) from this sector's frame to that of its own sonar (S or S'), and to the other's
-    ceiling : (4,) a · x > offset of what lies above the water's surface, in this sector's frame
+    azimuth_rad : of the sector's middle
+    to_other : (4, 4) from the frame of these samples' own sonar (S or S') to that of the other one
+    ceiling : (4,) a · x > offset of what lies above the water's surface, in the frame of S
     from_image : these are samples of S': echoes by way of the reflector both ways are summed, too
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
     index, other_index : plain tuples of ViewIndex of S, and of the other one
@@ -1122,8 +1125,8 @@ class Reflection(NamedTuple):
     loss : (n,) reflected intensity by the sine of the grazing angle, 0 to 1
     """
 
-    own: np.ndarray
-    other: np.ndarray
+    azimuth_rad: float
+    to_other: np.ndarray
     ceiling: np.ndarray
     from_image: bool
     single_bounce: float
@@ -1134,119 +1137,147 @@ class Reflection(NamedTuple):
     loss: np.ndarray
 
 
-@compiled
-def find_surface(x, y, z, view):
-    """Return 1/x of the surface that a ViewIndex shows in the direction (x, y, z), and the direction's own x.
+class SectorFrame(NamedTuple):
+    """The geometry of a `Reflection` in the frame of its sector.
 
-    The result is −1, 0 outside the fan. All are in the frame of a sector.
+    own, other : (3, 4) from the sector's frame to that of its own sonar (S or S'), and to the other's
+    ceiling : (4,) of `Reflection`
     """
-    plane_echo, sectors = view
-    for k in range(sectors.shape[0]):
-        t = sectors[k]
-        ahead, beside = t.cos * x + t.sin * y, t.cos * y - t.sin * x
-        if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
-            continue
-        u, v = -beside / ahead, z / ahead
-        if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
-            return -1.0, 0.0
-        du, dv = u - t.u0, v - t.v0
-        i = math.floor(t.iu * du + t.iv * dv + 0.5)
-        j = math.floor(t.ju * du + t.jv * dv + 0.5)
-        if not (0 <= i < t.columns and 0 <= j < t.rows):
-            return 0.0, ahead  # no body is near
-        row, column = int(j), int(t.left + i)
-        q = float(plane_echo[row, column, 0])
-        if q <= 0.0:
-            return 0.0, ahead
-        # from the sample's own ray to this direction, in the plane that it met
-        off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
-        return max(q + plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v, 0.0), ahead
-    return -1.0, 0.0
+
+    own: np.ndarray
+    other: np.ndarray
+    ceiling: np.ndarray
+
+
+@inlined
+def _sector_frame(reflection):
+    """Return the SectorFrame of a Reflection."""
+    own, other, ceiling = np.zeros((3, 4)), np.empty((3, 4)), np.empty(4)
+    cos, sin, to = math.cos(reflection.azimuth_rad), math.sin(reflection.azimuth_rad), reflection.to_other
+    own[0, 0] = own[1, 1] = cos
+    own[0, 1], own[1, 0], own[2, 2] = -sin, sin, 1.0
+    for k in range(3):
+        other[k, 0], other[k, 1] = to[k, 0] * cos + to[k, 1] * sin, to[k, 1] * cos - to[k, 0] * sin
+        other[k, 2], other[k, 3] = to[k, 2], to[k, 3]
+    from_sector, up = other if reflection.from_image else own, reflection.ceiling
+    for k in range(4):
+        ceiling[k] = up[0] * from_sector[0, k] + up[1] * from_sector[1, k] + up[2] * from_sector[2, k]
+    ceiling[3] = up[3] - ceiling[3]
+    return SectorFrame(own, other, ceiling)
 
 
 @compiled
-def find_surfaces(directions, view, out):
-    """Fill (n,) `out` with the inverse distance of what a view shows in (n, 3) unit directions; −1 outside."""
+def find_surfaces(x, y, z, first, last, view, out):
+    """Find what a view shows in some directions, all in the frame of its sonar.
+
+    One call finds all of them: it takes as long to count the references to a view's arrays as to look into it, longer
+    where two threads do.
+
+    Parameters
+    ----------
+    x, y, z : (n,) directions, of which those from `first` to before `last` are read
+    view : tuple of ViewIndex
+    out : (n,) 1 over the distance of the surface, in lengths of the direction; 0 where there is none, −1 outside
+        the fan, where all zeros lie
+    """
     view = ViewIndex(*view)
-    for n in range(directions.shape[0]):
-        seen, ahead = find_surface(directions[n, 0], directions[n, 1], directions[n, 2], view)
-        out[n] = -1.0 if seen < 0.0 else seen * ahead
+    plane_echo, sectors = view
+    for n in range(first, last):
+        out[n] = -1.0
+        for k in range(sectors.shape[0]):
+            t = sectors[k]
+            ahead, beside = t.cos * x[n] + t.sin * y[n], t.cos * y[n] - t.sin * x[n]
+            if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
+                continue
+            u, v = -beside / ahead, z[n] / ahead
+            if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
+                break
+            out[n] = 0.0
+            du, dv = u - t.u0, v - t.v0
+            i = math.floor(t.iu * du + t.iv * dv + 0.5)
+            j = math.floor(t.ju * du + t.jv * dv + 0.5)
+            if not (0 <= i < t.columns and 0 <= j < t.rows):
+                break  # no body is near
+            row, column = int(j), int(t.left + i)
+            q = float(plane_echo[row, column, 0])
+            if q > 0.0:
+                # from the sample's own ray to this direction, in the plane that it met
+                off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
+                q += plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v
+                out[n] = max(q, 0.0) * ahead
+            break
 
 
 @compiled
-def reflected_intensity(sine, loss):
-    """Return the reflected intensity at a grazing angle of this sine, by the table of a planar reflector."""
-    at = min(max(sine, 0.0), 1.0) * (loss.shape[0] - 1)
-    k = min(int(at), loss.shape[0] - 2)
-    return loss[k] + (at - k) * (loss[k + 1] - loss[k])
+def _is_first(nearness, is_body):
+    """Return whether sound meets a reflector before anything else.
 
-
-@compiled
-def reflector_is_seen(x, y, z, view, plane, is_body):
-    """Return whether sound from the sonar in the direction (x, y, z) meets the reflector, with nothing before
-    it.
-
-    view : ViewIndex of S; plane, is_body : of `Reflection`
+    nearness : distance of the reflector over that of the surface seen in that direction; is_body : of `Reflection`
     """
-    seen, ahead = find_surface(x, y, z, view)
-    if seen < 0.0:
-        return False
-    # distance of the reflector over that of the surface seen there
-    nearness = seen * ahead * plane[3] / (plane[0] * x + plane[1] * y + plane[2] * z)
     return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
 
 
 @compiled
-def estimate_reflection(view, plane, is_body, loss, range_max_m):
-    """Estimate, on a coarse grid of directions, how much intensity a reflector returns, and the direct echo.
-
-    Parameters
-    ----------
-    view : tuple of ViewIndex; plane, is_body, loss : of `Reflection`
-
-    Returns
-    -------
-    reflected, echo : in the same unit
-    """
-    view = ViewIndex(*view)
-    plane_echo, sectors = view
-    reflected = echo = 0.0
-    for k in range(sectors.shape[0]):
-        t = sectors[k]
-        for row in range(GRID):
-            for column in range(GRID):
-                u = t.tan_half_width * ((2 * column + 1) / GRID - 1)
-                v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * row + 1) / GRID - 1)
-                x, y, z = t.cos + t.sin * u, t.sin - t.cos * u, v
-                seen, _ = find_surface(x, y, z, view)
-                length = math.sqrt(1.0 + u * u + v * v)
-                weight = 1.0 / length**3
-                if seen > 0.0 and length / seen < range_max_m:
-                    du, dv = u - t.u0, v - t.v0
-                    i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
-                    at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5))]
-                    echo += weight * at[3] * seen / length
-                along = plane[0] * x + plane[1] * y + plane[2] * z
-                near = along > 0.0 and plane[3] * length / along < range_max_m
-                if near and reflector_is_seen(x, y, z, view, plane, is_body):
-                    reflected += weight * reflected_intensity(along / length, loss)
-    return reflected, echo
+def _place_in_table(share, n):
+    """Return the entry of a table of n below a share of its length, and how far beyond it that lies, 0 to 1."""
+    at = min(max(share, 0.0), 1.0) * (n - 1)
+    k = min(int(at), n - 2)
+    return k, at - k
 
 
 @compiled
-def _pattern_at(elevation_pattern, top, sine):
-    """Return the two-way beam pattern at a sine of elevation, from a table at even sines up to `top`."""
-    place = (sine / top + 1.0) * (elevation_pattern.shape[0] - 1) / 2
-    k = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
-    return max(elevation_pattern[k] + (place - k) * (elevation_pattern[k + 1] - elevation_pattern[k]), 0.0)
+def estimate_reflection(view, planes, are_bodies, losses, range_max_m, reflected):
+    """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
+
+    Parameters
+    ----------
+    view : tuple of ViewIndex
+    planes, are_bodies, losses : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
+    reflected : (n,) float64, overwritten; in the unit of the direct echo
+
+    Returns
+    -------
+    the direct echo
+    """
+    view = ViewIndex(*view)
+    plane_echo, sectors = view
+    work = np.empty((4, GRID * GRID))
+    x, y, z, seen = work[0], work[1], work[2], work[3]
+    echo = 0.0
+    reflected[:] = 0.0
+    for k in range(sectors.shape[0]):
+        t = sectors[k]
+        for g in range(GRID * GRID):
+            u = t.tan_half_width * ((2 * (g % GRID) + 1) / GRID - 1)
+            v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * (g // GRID) + 1) / GRID - 1)
+            x[g], y[g], z[g] = t.cos + t.sin * u, t.sin - t.cos * u, v
+        find_surfaces(x, y, z, 0, GRID * GRID, view, seen)
+        for g in range(GRID * GRID):
+            if seen[g] < 0.0:
+                continue
+            u, v = t.sin * x[g] - t.cos * y[g], z[g]
+            length = math.sqrt(1.0 + u * u + v * v)
+            weight = 1.0 / length**3
+            if seen[g] > 0.0 and length / seen[g] < range_max_m:
+                du, dv = u - t.u0, v - t.v0
+                i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
+                at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5)), 3]
+                echo += weight * at * seen[g] / length
+            for n in range(planes.shape[0]):
+                along = planes[n, 0] * x[g] + planes[n, 1] * y[g] + planes[n, 2] * z[g]
+                if along <= 0.0 or planes[n, 3] * length >= range_max_m * along:
+                    continue
+                if _is_first(seen[g] * planes[n, 3] / along, are_bodies[n]):
+                    m, rest = _place_in_table(along / length, losses.shape[1])
+                    reflected[n] += weight * (losses[n, m] + rest * (losses[n, m + 1] - losses[n, m]))
+    return echo
 
 
 @inlined
-def _find_other_leg(work, other_leg, strip, reflection):
-    """Find where a strip's samples lie for the other of S and S', their range, side and grazing angle."""
+def _find_other_leg(work, other_leg, strip, other):
+    """Find where a strip's samples lie for the other of S and S', and whether that is before their surface."""
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
     first, last, uc = strip.first, strip.last, strip.u
-    own, other, plane = reflection.own, reflection.other, reflection.plane
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     # position of the other one, in the frame of this sector
     ox = -(a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
@@ -1255,90 +1286,130 @@ def _find_other_leg(work, other_leg, strip, reflection):
     for m in range(uint64(first), uint64(last)):
         vc = (border[m] + border[uint64(m + 1)]) / 2
         depth = 1.0 / max(rest[m] + along_v[m] * vc, HORIZON)
-        x = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
-        y = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
-        z = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
-        other_leg[X, m], other_leg[Y, m], other_leg[Z, m] = x, y, z
-        other_leg[RANGE, m] = math.sqrt(x * x + y * y + z * z)
+        other_leg[X, m] = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
+        other_leg[Y, m] = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
+        other_leg[Z, m] = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
         other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
-        other_leg[SINE, m] = (plane[0] * x - plane[1] * y + plane[2] * z) / other_leg[RANGE, m]
-    if reflection.from_image:  # normal of the reflector in this sector's frame; the image's port is starboard
-        nx = plane[0] * own[0, 0] - plane[1] * own[1, 0] + plane[2] * own[2, 0]
-        ny = plane[0] * own[0, 1] - plane[1] * own[1, 1] + plane[2] * own[2, 1]
-        nz = plane[0] * own[0, 2] - plane[1] * own[1, 2] + plane[2] * own[2, 2]
-        for m in range(uint64(first), uint64(last)):
-            vc = (border[m] + border[uint64(m + 1)]) / 2
-            other_leg[SINE, m] = (nx - ny * uc + nz * vc) / math.sqrt(1.0 + uc * uc + vc * vc)
 
 
 @inlined
-def _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view):
-    """Find the reflected intensity of a strip's samples, and their bistatic echo per steradian."""
-    own, plane, ceiling = reflection.own, reflection.plane, reflection.ceiling
-    from_image, is_body, loss, uc = reflection.from_image, reflection.is_body, reflection.loss, strip.u
+def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
+    """Find for a strip's samples what a reflector reflects there, and the direction in which the sonar sees it.
+
+    Samples that cannot return anything have no direction, and a reflected intensity of 0.
+    """
+    own, ceiling, plane, loss = frame.own, frame.ceiling, reflection.plane, reflection.loss
+    from_image, uc = reflection.from_image, strip.u
     for m in range(strip.first, strip.last):
         other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
-        side = other_leg[SIDE, m]
-        if side <= 0.0 and not from_image:  # the other one looks at the surface from behind
+        other_leg[LEG_X, m] = other_leg[LEG_Y, m] = other_leg[LEG_Z, m] = 0.0
+        if other_leg[SIDE, m] <= 0.0 and not from_image:  # the other one looks at the surface from behind
             continue
-        reflected = reflected_intensity(other_leg[SINE, m], loss)
-        if work[ECHO, m] <= 0.0 or reflected < MIN_REFLECTED or other_leg[SINE, m] <= 1e-6:
+        if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m]:
             continue
         vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
         q = work[REST, m] + work[ALONG_V, m] * vc
-        if work[BORDER, m + 1] <= work[BORDER, m] or q <= HORIZON:
+        if q <= HORIZON or ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
-        if ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
-            continue
-        if not from_image:  # what lies behind the reflector's plane meets no sound that comes by way of it
-            behind = plane[0] * (own[0, 0] - own[0, 1] * uc + own[0, 2] * vc)
-            behind += plane[1] * (own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
-            behind += plane[2] * (own[2, 0] - own[2, 1] * uc + own[2, 2] * vc)
+        x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
+        y = own[1, 0] - own[1, 1] * uc + own[1, 2] * vc
+        z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
+        if not from_image:
+            # what lies behind the reflector's plane meets no sound that comes by way of it
+            behind = plane[0] * x + plane[1] * y + plane[2] * z
             if behind > plane[3] * q:
                 continue
-        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+            x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
         # directions of the image are the sonar's with port and starboard exchanged
         leg_x, leg_y, leg_z = x, -y, z
-        if from_image:
-            leg_x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
-            leg_y = -(own[1, 0] - own[1, 1] * uc + own[1, 2] * vc)
-            leg_z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
-        if not reflector_is_seen(leg_x, leg_y, leg_z, view, plane, is_body):
-            continue
-        other_leg[REFLECTED, m] = reflected
-        if side <= 0.0:
-            continue
-        seen, ahead = find_surface(x, y, z, other_view)
-        if seen >= 0.0 and seen * ahead <= 1.0 + SAME_PLACE:
-            bistatic = min(work[ECHO, m] * side / other_leg[RANGE, m], 1.0)
-            if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
-                here = _pattern_at(elevation_pattern, top, vc / math.sqrt(1.0 + uc * uc + vc * vc))
-                there = _pattern_at(elevation_pattern, top, z / other_leg[RANGE, m])
-                bistatic *= math.sqrt(here * there)
-            other_leg[BISTATIC, m] = bistatic
+        sine = (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z) / math.sqrt(x * x + y * y + z * z)
+        k, rest = _place_in_table(sine, loss.shape[0])
+        reflected = loss[k] + rest * (loss[k + 1] - loss[k])
+        if reflected >= MIN_REFLECTED and sine > 1e-6:
+            other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m] = leg_x, leg_y, leg_z
+            other_leg[REFLECTED, m] = reflected
 
 
 @inlined
-def _find_single_bounce(work, other_leg, strip, reflection):
-    """Find the footprints of echoes that go one way straight and the other by way of the reflector."""
+def _keep_seen(other_leg, strip, reflection):
+    """Set the reflected intensity to 0 where the sonar does not see the reflector; turn to the other one.
+
+    Returns
+    -------
+    first, last : samples that are reflected, from the first to before the last
+    """
+    plane, is_body, first, last = reflection.plane, reflection.is_body, strip.last, strip.first
+    for m in range(strip.first, strip.last):
+        if other_leg[REFLECTED, m] == 0.0:
+            continue
+        leg_x, leg_y, leg_z = other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m]
+        other_leg[LEG_X, m] = other_leg[LEG_Y, m] = other_leg[LEG_Z, m] = 0.0
+        seen = other_leg[SEEN, m]
+        nearness = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
+        if seen < 0.0 or not _is_first(nearness, is_body):
+            other_leg[REFLECTED, m] = 0.0
+            continue
+        first, last = min(first, m), m + 1
+        if other_leg[SIDE, m] > 0.0:
+            x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+            other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m] = x, y, z
+    return first, last
+
+
+@inlined
+def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern, top):
+    """Find the bistatic echo per steradian of a strip's samples that the other one sees, from `begin` to before `end`.
+
+    Returns
+    -------
+    first, last : samples with such an echo, from the first to before the last
+    """
+    uc, first, last, n = strip.u, end, begin, elevation_pattern.shape[0]
+    for m in range(begin, end):
+        if not 0.0 <= other_leg[SEEN, m] <= 1.0 + SAME_PLACE:
+            continue
+        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        range_there = math.sqrt(x * x + y * y + z * z)
+        bistatic = min(work[ECHO, m] * other_leg[SIDE, m] / range_there, 1.0)
+        if n:  # insonified in one direction, received in the other
+            vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
+            here, there = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
+            i, i_rest = _place_in_table((here / top + 1.0) / 2, n)
+            j, j_rest = _place_in_table((there / top + 1.0) / 2, n)
+            here = elevation_pattern[i] + i_rest * (elevation_pattern[i + 1] - elevation_pattern[i])
+            there = elevation_pattern[j] + j_rest * (elevation_pattern[j + 1] - elevation_pattern[j])
+            bistatic *= math.sqrt(max(here, 0.0) * max(there, 0.0))
+        other_leg[BISTATIC, m] = bistatic
+        first, last = min(first, m), m + 1
+    return first, last
+
+
+@inlined
+def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounce):
+    """Find the footprints of echoes that go one way straight and the other by way of the reflector.
+
+    first, last : samples of the strip, from the first to before the last
+    """
     rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
-    other, single_bounce, uc, width = reflection.other, reflection.single_bounce, strip.u, strip.width
+    uc, width = strip.u, strip.width
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
     u2 = 1.0 + uc * uc
-    for m in range(uint64(strip.first), uint64(strip.last)):
+    for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
         q = max(rest[m] + along_v[m] * vc, HORIZON)
         length2 = u2 + vc * vc
-        length, range_there = math.sqrt(length2), other_leg[RANGE, m]
+        there_x, there_y, there_z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        length = math.sqrt(length2)
+        range_there = math.sqrt(there_x * there_x + there_y * there_y + there_z * there_z)
         s = 2.0 / (length / q + range_there)
         # across, where strips are narrow: by how both ranges change with u
         x, x_u = 1.0 / q, -along_u[m] / (q * q)
         r_u = (uc * x + length2 * x_u) / length
-        r_u += other_leg[X, m] / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
-        r_u += other_leg[Y, m] / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
-        r_u += other_leg[Z, m] / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
+        r_u += there_x / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
+        r_u += there_y / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
+        r_u += there_z / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
         # up and down, where planes may extend far: at both ends
         low_x, high_x = (
             1.0 / max(rest[m] + along_v[m] * low, HORIZON),
@@ -1364,36 +1435,57 @@ def _find_single_bounce(work, other_leg, strip, reflection):
 
 
 @compiled
-def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, is_first, reflection, sums, spans):
-    """Sum some of one sector's samples into columns and bins, as a planar reflector returns them.
+def clear_columns(first, last, sums, spans):
+    """Set rows of sums to zero, from `first` to before `last`; `sums` and `spans` as in `sum_footprints`."""
+    for c in range(first, last):
+        _clear_row(c, sums, spans)
+
+
+@compiled
+def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, reflection, sums, spans):
+    """Add some of one sector's samples to columns and bins, as a planar reflector returns them.
 
     Parameters
     ----------
     plane_echo .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
-    is_first : overwrite the rows of these strips, instead of adding to them
     reflection : tuple of Reflection
-    sums, spans : as in `sum_footprints`
+    sums, spans : as in `sum_footprints`; the rows of these strips are added to
+
+    Returns
+    -------
+    whether any of the samples is seen in the reflector
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     reflection = Reflection(*reflection)
-    view, other_view = ViewIndex(*reflection.index), ViewIndex(*reflection.other_index)
+    frame = _sector_frame(reflection)
+    view, other_view = reflection.index, reflection.other_index
     tan_elevation = lattice.tan_elevation
-    if is_first:
-        _clear_rows(strips.column, sums, spans)
     R = plane_echo.shape[0]
     work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
+    leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
     top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
+    is_reflected = False
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
-        c, first, last = strip.column, strip.first, strip.last
-        if first == last:
+        if strip.first == strip.last:
             continue
-        _find_other_leg(work, other_leg, strip, reflection)
-        _find_reflected(work, other_leg, strip, elevation_pattern, top, reflection, view, other_view)
+        _find_other_leg(work, other_leg, strip, frame.other)
+        _find_rays_by_reflector(work, other_leg, strip, frame, reflection)
+        find_surfaces(leg_x, leg_y, leg_z, strip.first, strip.last, view, seen)
+        reflected_first, reflected_last = _keep_seen(other_leg, strip, reflection)
+        if reflected_first >= reflected_last:
+            continue
+        find_surfaces(leg_x, leg_y, leg_z, reflected_first, reflected_last, other_view, seen)
+        first, last = _find_bistatic(
+            work, other_leg, strip, reflected_first, reflected_last, elevation_pattern, top
+        )
+        is_reflected = True
         if reflection.from_image:
             _find_footprints(work, strip, elevation_pattern)
-            for m in range(first, last):
+            for m in range(reflected_first, reflected_last):
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
-            spread_footprints(work, first, last, sums, spans, c, bins)
-        _find_single_bounce(work, other_leg, strip, reflection)
-        spread_footprints(work, first, last, sums, spans, c, bins)
+            spread_footprints(work, reflected_first, reflected_last, sums, spans, strip.column, bins)
+        if first < last:
+            _find_single_bounce(work, other_leg, strip, first, last, frame.other, reflection.single_bounce)
+            spread_footprints(work, first, last, sums, spans, strip.column, bins)
+    return is_reflected

@@ -255,14 +255,16 @@ class AdaptiveSampling:
         is_wrong = (
             level < self._model.finest if judged.steps > 0 else level > 0 and judged.steps <= -LEVELS_PER_HALF
         )
-        if is_wrong and (resolution.may_search or is_first):
+        is_searched = is_wrong and (resolution.may_search or is_first)
+        if is_searched:
             choice = self._search(drawn.setup, level)
         elif is_wrong:
             choice = self._followed(choice, level + judged.steps)
         self.choice = choice
         if not (is_wrong and choice.is_due):
             self._warn_if_unmet(choice.plan)
-        if choice.is_due or choice.level == level:
+        # a search has drawn other samples over those of this ping, of which image sources may still be in need
+        if choice.is_due or (choice.level == level and not is_searched):
             return None
         return replace(choice.resolution, is_final=True)
 

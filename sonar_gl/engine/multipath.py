@@ -21,29 +21,44 @@ from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.samples import ViewSamples
-from sonar_gl.sonar.sampling import half_of
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# Multipath errs by its share of the echo. Samples are halved twice where it is less than SHARES[0] of the direct
-# echo, once where it is less than SHARES[1], and not at all where it is more.
-SHARES = 0.1, 0.3
-WIDEST_COLUMN = 1.0  # in spacings of beams
+# Multipath errs by its share of the echo. Samples are halved three times where it is less than SHARES[0] of the direct
+# echo, twice where it is less than SHARES[1], and so on; not at all where it is more than the last.
+SHARES = 0.05, 0.1, 0.3
+# Samples of the direct view for one sample after so many halvings: columns, and rows, which are whole so that the
+# direct view serves, and no more than its margin. Faces are planes, which few columns resolve, while most edges that
+# matter are level.
+THINNINGS = (1, 1), (1, 2), (2, 2), (4, 2)
+WIDEST_COLUMN = 2.0  # in spacings of beams
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
 
 
-def image_pose(plane) -> tuple[np.ndarray, np.ndarray]:
-    """Return (4, 4) sonar_from_image of the sonar's image behind a plane, and a clip plane in its frame.
+class ImagePose(NamedTuple):
+    """The sonar's image behind a plane.
 
-    plane : (4,) normal and offset in the sonar's frame; clip plane : of `Renderer.render`
+    Attributes
+    ----------
+    sonar_from_image, image_from_sonar : (4, 4)
+    clip_plane : (4,) of `Renderer.render`, in the frame of the image
     """
-    turned = np.eye(4)
-    turned[:3, :3] -= 2 * np.outer(plane[:3], plane[:3])
-    turned[:3, 3] = 2 * plane[3] * plane[:3]
-    out = turned @ SWAPPED
-    offset = plane[3] - BIAS_M - plane[:3] @ out[:3, 3]
-    return out, np.append(-out[:3, :3].T @ plane[:3], offset)
+
+    sonar_from_image: np.ndarray
+    image_from_sonar: np.ndarray
+    clip_plane: np.ndarray
+
+
+def image_pose(plane) -> ImagePose:
+    """Return the sonar's image behind a plane, (4,) normal and offset in the sonar's frame."""
+    normal, offset = plane[:3], float(plane[3])
+    mirror = np.eye(4)  # its own inverse
+    mirror[:3, :3] -= 2 * np.outer(normal, normal)
+    mirror[:3, 3] = 2 * offset * normal
+    # seen from the image, the plane lies as far behind it as before the sonar, with port and starboard exchanged
+    clip_plane = np.array([normal[0], -normal[1], normal[2], -offset - BIAS_M])
+    return ImagePose(mirror @ SWAPPED, SWAPPED @ mirror, clip_plane)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,17 +70,17 @@ class ImageSource:
     reflector : PlanarReflector
     plane : (4,) normal and offset of it, in the sonar's frame
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
-    sonar_from_image : (4, 4)
-    own_view, image_view : ViewSamples of the sonar and of its image
-    own_index, image_index : kernels.ViewIndex of both
+    pose : ImagePose
+    own_view, image_view : SectorSamples of each sector, of the sonar and of its image
+    own_index, image_index : kernels.ViewIndex of both; that of the sonar has all samples of its direct view
     """
 
     reflector: PlanarReflector
     plane: np.ndarray
     ceiling: np.ndarray
-    sonar_from_image: np.ndarray
-    own_view: ViewSamples
-    image_view: ViewSamples
+    pose: ImagePose
+    own_view: Sequence[SectorSamples]
+    image_view: Sequence[SectorSamples]
     own_index: kernels.ViewIndex
     image_index: kernels.ViewIndex
 
@@ -117,7 +132,7 @@ class ImageSources:
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
-        self._tolerance = tolerance
+        self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         shared = thread, WIDEST_COLUMN, stages.pools
         self._own_stages = StageCache(engine, sonar, acoustics, *shared)
@@ -134,7 +149,7 @@ class ImageSources:
         """Find the planar reflectors of a scene, once."""
         if scene is not self._scene:
             self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m)
-            self._is_specular = any(body.specular > 0 for body in scene.bodies)
+            self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
             self._scene = scene
 
@@ -177,37 +192,43 @@ class ImageSources:
         indices = [kernels.view_index(view) for view in views]
         found, image_poses, image_states, clip_planes = [], [], [], []
         for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True)):
-            for reflector in self._reflectors:
-                plane = self._plane(reflector, pose, state)
-                if plane is not None and self._counts(reflector, plane, index, stage):
-                    sonar_from_image, clip_plane = image_pose(plane)
-                    found.append((number, (reflector, plane, self._ceiling(pose), sonar_from_image)))
-                    image_poses.append(pose @ sonar_from_image)
-                    image_states.append(state)
-                    clip_planes.append(clip_plane)
+            for reflector, plane in self._reflecting(pose, state, index, stage):
+                image = image_pose(plane)
+                found.append((number, (reflector, plane, self._ceiling(pose), image)))
+                image_poses.append(pose @ image.sonar_from_image)
+                image_states.append(state)
+                clip_planes.append(image.clip_plane)
         out: list[ImageSourceSamples | None] = [None] * len(poses)
         if not found:
             return out
         numbers = sorted({number for number, _ in found})
+        columns, rows = THINNINGS[self.halvings]
         sampling = stage.sampling
-        for _ in range(self.halvings):
-            sampling = half_of(sampling)
+        sampling = replace(
+            sampling,
+            columns_per_beam=sampling.columns_per_beam / columns,
+            rows=math.ceil(sampling.rows / rows),
+        )
         if sampling.rows < self._rows:
             self._own_stages.drop_large()
             self._image_stages.drop_large()
         self._rows = sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
-        if self.halvings or self._is_specular or any(view.bubbles is not None for view in views):
-            own_views = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
-            own_indices = [kernels.view_index(view) for view in own_views]
+        if self._has_lobes or any(view.bubbles is not None for view in views):
+            drawn = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
+            own_views = [view.sectors for view in drawn]
         else:  # the direct views will do
-            own_views, own_indices = [views[n] for n in numbers], [indices[n] for n in numbers]
-        own_of = dict(zip(numbers, zip(own_views, own_indices, strict=True), strict=True))
+            own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
+        own_of = dict(zip(numbers, own_views, strict=True))
         image_views = image.draw(image_poses, image_states, planes=clip_planes, keep_last=True)
         sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
         for (number, about), image_view in zip(found, image_views, strict=True):
-            own_view, own_index = own_of[number]
-            views_of_both = own_view, image_view, own_index, kernels.view_index(image_view)
+            views_of_both = (
+                own_of[number],
+                image_view.sectors,
+                indices[number],
+                kernels.view_index(image_view),
+            )
             sources[number].append(ImageSource(*about, *views_of_both))
         for number in numbers:
             out[number] = ImageSourceSamples(
@@ -215,68 +236,71 @@ class ImageSources:
             )
         return out
 
-    def _plane(self, reflector: PlanarReflector, pose, state: SceneState):
-        """Return (4,) the reflector in the sonar's frame, its offset positive; None if it is absent."""
-        if reflector.body is not None and not state.present[reflector.body]:
-            return None
-        normal, offset = reflector.in_world(state.poses)
-        plane = np.append(normal @ pose[:3, :3], offset - normal @ pose[:3, 3])
-        if abs(plane[3]) <= BIAS_M:
-            return None
-        return plane if plane[3] > 0 else -plane
+    def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
+        """Return the reflectors that may return more than the tolerance, each with its plane.
+
+        A plane is (4,) normal and offset in the sonar's frame, the offset positive.
+        """
+        found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
+        if not found:
+            return []
+        normals, offsets_m = zip(*(one.in_world(state.poses) for one in found), strict=True)
+        rotated = np.column_stack([np.array(normals) @ pose[:3, :4], offsets_m])
+        distances_m = rotated[:, 4] - rotated[:, 3]
+        planes = np.column_stack([rotated[:, :3], distances_m]) * np.sign(distances_m)[:, None]
+        reflected = np.empty(len(found))
+        echo = kernels.estimate_reflection(
+            tuple(index),
+            planes,
+            np.array([one.body is not None for one in found]),
+            np.array([one.reflection_coefficient for one in found]),
+            stage.fan.sonar.range_max_m,
+            reflected,
+        )
+        counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
+        counts &= np.abs(distances_m) > BIAS_M
+        return [(found[n], planes[n]) for n in np.flatnonzero(counts)]
 
     def _ceiling(self, pose) -> np.ndarray:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
         z = self._scene.surface_z_m
         return np.zeros(4) if z is None else np.append(pose[2, :3], z - pose[2, 3])
 
-    def _counts(self, reflector: PlanarReflector, plane, index: kernels.ViewIndex, stage: Stage) -> bool:
-        """Return whether a reflector may return more than the tolerance."""
-        reflected, echo = kernels.estimate_reflection(
-            tuple(index),
-            plane,
-            reflector.body is not None,
-            reflector.reflection_coefficient,
-            stage.fan.sonar.range_max_m,
-        )
-        return MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
+
+def every_row(samples: SectorSamples, step: int) -> SectorSamples:
+    """Return every so-manieth row of samples."""
+    sector = samples.sector
+    of_step = np.array([1, 1, step])
+    plane_echo = samples.plane_echo[::step]
+    sector = replace(sector, rows=len(plane_echo), u=sector.u * of_step, v=sector.v * of_step)
+    return SectorSamples(sector, plane_echo, samples.body_id[::step])
 
 
 def receive_images(images: ImageSourceSamples, gain) -> BeamEcho:
     """Return the multipath echoes of a ping."""
-    own = [_view_of(source, images.single_bounce, False) for source in images.sources]
-    image = [_view_of(source, images.single_bounce, True) for source in images.sources]
-    out = images.own.beamformer.sum_image_sources(own, gain)
-    mirrored = images.image.beamformer.sum_image_sources(image, gain)
-    np.add(out.intensity, mirrored.intensity[::-1], out=out.intensity)
-    return BeamEcho(out.intensity, out.total + mirrored.total)
+    beamformer, strips = images.own.beamformer, images.image.beamformer.mirrored_strips
+    own = [_view_of(source, images.single_bounce, False, beamformer.strips) for source in images.sources]
+    image = [_view_of(source, images.single_bounce, True, strips) for source in images.sources]
+    return beamformer.sum_image_sources(image, own, gain)
 
 
-def _view_of(source: ImageSource, single_bounce: float, from_image: bool) -> ImageSourceView:
+def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips) -> ImageSourceView:
     """Return the samples of the sonar, or of its image, with the geometry of each sector."""
-    to_sonar = source.sonar_from_image
-    to_other = to_sonar if from_image else np.linalg.inv(to_sonar)
     own_index = tuple(source.own_index)
-    other_index = own_index if from_image else tuple(source.image_index)
-    sectors = (source.image_view if from_image else source.own_view).sectors
-    reflections = []
-    for sector, _, _ in sectors:
-        own = np.eye(4)
-        own[:3, :3] = sector.rotation().T
-        into = own if not from_image else to_sonar @ own
-        up = source.ceiling[:3]
-        reflections.append(
-            kernels.Reflection(
-                own=own[:3],
-                other=(to_other @ own)[:3],
-                ceiling=np.append(up @ into[:3, :3], source.ceiling[3] - up @ into[:3, 3]),
-                from_image=from_image,
-                single_bounce=single_bounce,
-                index=own_index,
-                other_index=other_index,
-                plane=source.plane,
-                is_body=source.reflector.body is not None,
-                loss=source.reflector.reflection_coefficient,
-            )
+    sectors = source.image_view if from_image else source.own_view
+    reflections = tuple(
+        kernels.Reflection(
+            azimuth_rad=sector.azimuth_rad,
+            to_other=source.pose.sonar_from_image if from_image else source.pose.image_from_sonar,
+            ceiling=source.ceiling,
+            from_image=from_image,
+            single_bounce=single_bounce,
+            index=own_index,
+            other_index=own_index if from_image else tuple(source.image_index),
+            plane=source.plane,
+            is_body=source.reflector.body is not None,
+            loss=source.reflector.reflection_coefficient,
         )
-    return ImageSourceView(sectors, tuple(reflections))
+        for sector, _, _ in sectors
+    )
+    return ImageSourceView(sectors, reflections, strips)

@@ -138,7 +138,7 @@ def window_about(extent, columns: int, rows: int) -> Window:
 
 def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest distance of boxes before a plane; (n, 3, 4) and (n, 2, 3)."""
-    middles, halves = bounds.mean(axis=1), np.ptp(bounds, axis=1) / 2
+    middles, halves = (bounds[:, 1] + bounds[:, 0]) / 2, (bounds[:, 1] - bounds[:, 0]) / 2
     along = plane[:3] @ matrices[:, :, :3]
     middle = (along * middles).sum(axis=1) + matrices[:, :, 3] @ plane[:3] + plane[3]
     half = (np.abs(along) * halves).sum(axis=1)

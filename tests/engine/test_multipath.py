@@ -8,6 +8,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.engine import multipath
+from sonar_gl.raster.views import MARGIN
 from sonar_gl.scene.reflectors import (
     MIN_AREA_M2,
     N_SINES,
@@ -15,6 +16,8 @@ from sonar_gl.scene.reflectors import (
     planar_reflectors,
     tabulate_reflection,
 )
+from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.sector import make_sector
 from tests.support.two_bounces import TwoBounces
 from tests.support.worlds import random_rotation
 
@@ -452,6 +455,27 @@ def test_multipath_has_no_specular_lobes(perfect):
         )
     np.testing.assert_allclose(*out, rtol=1e-5, atol=1e-7)
     assert out[0].sum() > 0
+
+
+def test_rows_of_a_view_look_where_they_did():
+    whole = make_sector(0.2, 0.4, 30, 21, 0.3, 0.25)
+    plane_echo = np.arange(whole.rows * whole.columns * 4, dtype=np.float32).reshape(whole.rows, -1, 4)
+    some = multipath.every_row(SectorSamples(whole, plane_echo, np.empty((0, 0), np.uint16)), 2)
+    for found, expected in zip(some.sector.sample_coordinates(), whole.sample_coordinates(), strict=True):
+        np.testing.assert_allclose(found, expected[::2], atol=1e-15)
+    np.testing.assert_array_equal(some.plane_echo, plane_echo[::2])
+    # the outermost of the rows that are left must meet nothing, as those of a window do
+    assert max(rows for _, rows in multipath.THINNINGS) <= MARGIN
+
+
+def test_a_face_that_only_the_image_sees_has_a_double_bounce(perfect):
+    """The sonar's own samples are summed only if the image's are, but not the other way round."""
+    perfect("floor")
+    floor = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6)
+    plate = sg.Body("plate", trimesh.creation.box((2.0, 4.0, 0.05)), sg.pose(6, 0, 0.8), 0.8)
+    scene, pose = sg.Scene([floor, plate]), sg.pose(0, 0, 1.0)
+    # the sonar is above the plate, and sees the lower face in the floor alone
+    assert multipath_echo(scene, pose).sum() > 0
 
 
 def test_with_fixed_samples_a_ping_does_not_depend_on_earlier_ones(perfect):

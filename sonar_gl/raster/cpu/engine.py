@@ -132,6 +132,7 @@ class _HalfRoom:
             _Array(np.int32, 2),
             _Array(float, 9),
         )
+        self._chosen: list[np.ndarray] = []
 
     def buffer(self, rows: int, columns: int) -> VisibilityBuffer:
         """Return a visibility buffer."""
@@ -144,6 +145,14 @@ class _HalfRoom:
         """Return room for so many triangles."""
         normals = self._normals.take(count * has_normals)
         return Triangles(self._planes.take(count), self._bodies.take(count), normals)
+
+    def chosen(self, sector: int, most_patches: int) -> np.ndarray:
+        """Return room for the chosen patches of a sector, (n, 2) int32."""
+        while len(self._chosen) <= sector:
+            self._chosen.append(np.empty((0, 2), np.int32))
+        if len(self._chosen[sector]) < most_patches:
+            self._chosen[sector] = np.empty((most_patches, 2), np.int32)
+        return self._chosen[sector]
 
     def drop_large(self) -> None:
         self._depth.drop(MAX_KEPT_SAMPLES)
@@ -163,7 +172,7 @@ class DrawingRoom:
 
     def __init__(self, most_samples: int = MAX_SAMPLES):
         self.most_samples, self.halves = most_samples, (_HalfRoom(), _HalfRoom())
-        self._images, self._other_images, self._chosen = [], [], []
+        self._images, self._other_images = [], []
 
     def images(self, count: int, keep_last: bool) -> list[_Image]:
         """Return as many images; with `keep_last` not those of the last call."""
@@ -171,14 +180,6 @@ class DrawingRoom:
             self._images, self._other_images = self._other_images, self._images
         self._images += [_Image() for _ in range(count - len(self._images))]
         return self._images[:count]
-
-    def chosen(self, sector: int, most_patches: int) -> np.ndarray:
-        """Return room for the chosen patches of a sector, (n, 2) int32."""
-        while len(self._chosen) <= sector:
-            self._chosen.append(np.empty((0, 2), np.int32))
-        if len(self._chosen[sector]) < most_patches:
-            self._chosen[sector] = np.empty((most_patches, 2), np.int32)
-        return self._chosen[sector]
 
     def drop_large(self) -> None:
         """Drop arrays of more than MAX_KEPT_SAMPLES; samples that were drawn stay valid."""
@@ -220,17 +221,32 @@ class CpuRenderer:
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses; see `Renderer.render`."""
         planes = planes or [None] * len(poses)
-        images = self._room.images(len(poses), keep_last)
-        return [
-            self._draw(image, self._engine.meshes.view_from(*view, self._specular), with_bodies, full)
-            for image, *view in zip(images, poses, states, planes, strict=True)
-        ]
+        n = len(poses)
+        images, out = self._room.images(n, keep_last), [None] * n
+        views = list(zip(images, poses, states, planes, strict=True))
 
-    def _draw(self, image: _Image, bodies: BodiesInView, with_bodies: bool, full: bool) -> ViewSamples:
+        def draw(k: int, half: int | None = None):
+            image, *view = views[k]
+            bodies = self._engine.meshes.view_from(*view, self._specular)
+            out[k] = self._draw(image, bodies, with_bodies, full, half)
+
+        # a thread draws a whole view in less time than two halves: each half has to place all bodies
+        pairs = 0 if self._thread is None else n // 2
+        for k in range(pairs):
+            self._thread.run_halves(lambda half, k=k: draw(2 * k + half, half))
+        for k in range(2 * pairs, n):
+            draw(k)
+        return out
+
+    def _draw(
+        self, image: _Image, bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
+    ) -> ViewSamples:
+        """Draw a view, in the memory of one half alone if that is given."""
         meshes, room, patches = self._engine.meshes, self._room, []
         ranges = self._far_m, self._fan.sonar.range_max_m
         for number, view in enumerate(self._sectors):
-            found = meshes.choose(view, bodies, *ranges, room.chosen(number, meshes.most_patches))
+            chosen = room.halves[half or 0].chosen(number, meshes.most_patches)
+            found = meshes.choose(view, bodies, *ranges, chosen)
             whole = Window(0, 0, view.sector.columns, view.sector.rows)
             patches.append(found._replace(window=whole) if full else found)
         windows = [one.window for one in patches]
@@ -244,16 +260,16 @@ class CpuRenderer:
         )
         has_lobes = self._specular and bool((bodies.rows[:, LOBE] > 0).any())
         work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height
-        if self._thread is None or work_ns < FEW_NS:
-            self._draw_part(0, 1, placed, has_lobes, patches, samples)
+        drawn = placed, has_lobes, patches, samples
+        if half is not None or self._thread is None or work_ns < FEW_NS:
+            self._draw_part(room.halves[half or 0], 0, 1, *drawn)
         else:
-            self._thread.run_halves(
-                lambda half: self._draw_part(half, 2, placed, has_lobes, patches, samples)
-            )
+            self._thread.run_halves(lambda part: self._draw_part(room.halves[part], part, 2, *drawn))
         return samples_of(self._sectors, windows, *samples)
 
     def _draw_part(
         self,
+        half: _HalfRoom,
         part: int,
         n_parts: int,
         placed: tuple,
@@ -262,7 +278,7 @@ class CpuRenderer:
         samples,
     ) -> None:
         """Draw some columns of each sector's window; placed : tuple of PlacedBodies."""
-        contents, half, left = self._engine.contents, self._room.halves[part], 0
+        contents, left = self._engine.contents, 0
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
         triangles = tuple(half.triangles(max(one.n_faces for one in patches), has_normals))
         for view, (chosen, _, (i, j, columns, rows)) in zip(self._sectors, patches, strict=True):
