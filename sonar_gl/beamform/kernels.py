@@ -944,9 +944,11 @@ def _weigh_runs(panel, first, past, start, weights, w, rows):
     for k in range(uint64(rows.shape[0])):
         rows[k] = 0.0
     for n in range(first, past, 4):  # four at a time: beams are read and written less often
-        for i in range(4):
-            for r in range(TILE_BEAMS):
-                w[4 * i + r] = weights[panel.column[n + i] - start, r] if n + i < past else np.float32(0.0)
+        for i in range(uint64(4)):
+            x = uint64(panel.column[min(n + i, past - 1)] - start)
+            is_one = np.float32(n + i < past)
+            for r in range(uint64(TILE_BEAMS)):
+                w[uint64(TILE_BEAMS) * i + r] = weights[x, r] * is_one
         at = uint64(n * TILE_ROW)
         a0, a1, a2, a3 = w[0], w[1], w[2], w[3]
         b0, b1, b2, b3 = w[4], w[5], w[6], w[7]
@@ -962,22 +964,40 @@ def _weigh_runs(panel, first, past, start, weights, w, rows):
 
 
 @inlined
-def _compare(rows, body, best, total, body_id):
-    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all.
-
-    rows, best : (TILE_BEAMS * TILE_ROW,); total, body_id : (TILE_BEAMS * TILE_BINS,)
-    """
+def _begin_comparison(rows, body, best, total, body_id):
+    """Begin with the first body in a tile's beams; arguments as of `_compare`."""
+    for k in range(uint64(rows.shape[0])):
+        best[k] = rows[k]
     for r in range(TILE_BEAMS):
         at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
         for k in range(uint64(TILE_BINS)):
-            body_id[bins + k] = body if rows[at + k] > best[at + k] else body_id[bins + k]
-        for moment in range(1, MOMENTS):
-            mine = at + uint64(moment * TILE_BINS)
-            for k in range(uint64(TILE_BINS)):
-                best[mine + k] = rows[mine + k] if rows[at + k] > best[at + k] else best[mine + k]
+            total[bins + k] = rows[at + k]
+            body_id[bins + k] = body if rows[at + k] > np.float32(0.0) else np.int32(0)
+
+
+@inlined
+def _compare(rows, body, best, total, body_id, stronger):
+    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all.
+
+    rows, best : (TILE_BEAMS * TILE_ROW,)
+    total, body_id : (TILE_BEAMS * TILE_BINS,); numbers of bodies are as wide as floats, to select both alike
+    stronger : (TILE_BINS,) int32, overwritten
+    """
+    for r in range(TILE_BEAMS):
+        at, bins, n_stronger = uint64(r * TILE_ROW), uint64(r * TILE_BINS), np.int32(0)
         for k in range(uint64(TILE_BINS)):
             total[bins + k] += rows[at + k]
-            best[at + k] = max(rows[at + k], best[at + k])
+            is_stronger = np.int32(rows[at + k] > best[at + k])
+            stronger[k] = is_stronger
+            n_stronger += is_stronger
+        if n_stronger == 0:
+            continue
+        for k in range(uint64(TILE_BINS)):
+            body_id[bins + k] = body if stronger[k] else body_id[bins + k]
+        for moment in range(MOMENTS):
+            mine = at + uint64(moment * TILE_BINS)
+            for k in range(uint64(TILE_BINS)):
+                best[mine + k] = rows[mine + k] if stronger[k] else best[mine + k]
 
 
 @inlined
@@ -994,19 +1014,21 @@ def _sum_echo(rows, at, gain, k0, n):
 
 @inlined
 def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
-    """Write what is known of the strongest echo in a block of a beam's bins."""
+    """Write what is known of the strongest echo in a block of a beam's bins; `best` is overwritten."""
     at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
-    nan, nothing, whole = np.float32(np.nan), np.float32(0.0), np.float32(1.0)
-    elevation, incidence, range_ = uint64(TILE_BINS), uint64(2 * TILE_BINS), uint64(3 * TILE_BINS)
+    share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
     for k in range(uint64(n)):
-        over = whole / best[at + k] if best[at + k] > nothing else nan
-        strongest.means[0, b, k0 + k] = best[at + elevation + k] * over
-        strongest.means[1, b, k0 + k] = best[at + incidence + k] * over
-        strongest.means[2, b, k0 + k] = best[at + range_ + k] * over + middle_m[k0 + k]
+        share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > nothing else nothing
     for k in range(uint64(n)):
-        share = min(best[at + k] / total[bins + k], whole)
-        strongest.share[b, k0 + k] = share if best[at + k] > nothing else nothing
         strongest.body_id[b, k0 + k] = body_id[bins + k]
+    for k in range(uint64(TILE_BINS)):
+        best[at + k] = whole / best[at + k] if best[at + k] > nothing else np.float32(np.nan)
+    for moment in range(uint64(MOMENTS - 1)):
+        mine = at + (moment + uint64(1)) * uint64(TILE_BINS)
+        for k in range(uint64(n)):
+            means[moment, b, k0 + k] = best[mine + k] * best[at + k]
+    for k in range(uint64(n)):
+        means[MOMENTS - 2, b, k0 + k] += middle_m[k0 + k]
 
 
 @compiled
@@ -1029,17 +1051,20 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
         return
     width, with_background = tiles.weights.shape[1], strongest.background.shape[0] > 0
     origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + width
+    pasts = tiles.first + width  # past the last column that a beam of the tile receives
+    for t in range(t0, t1):
+        while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
+            pasts[t] -= 1
     panel = _make_panel(runs, n_columns, origin, end, K)
     rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
     total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
-    body_id = np.empty(TILE_BEAMS * TILE_BINS, np.uint16)
+    body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
     for k0 in range(0, K, TILE_BINS):
         n_bins = min(TILE_BINS, K - k0)
         _pack_panel(panel, runs, k0, n_columns, origin, end)
         for t in range(t0, t1):
             start = tiles.first[t]
-            best[:], total[:], body_id[:] = 0.0, 0.0, 0
-            b0, b1 = TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)
+            is_first, b0, b1 = True, TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)
             if with_background:
                 strongest.background[b0:b1, k0 : k0 + n_bins] = 0.0
             for m in range(runs.bodies.shape[0]):
@@ -1047,17 +1072,23 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
                     continue
                 body, columns = runs.bodies[m], panel.column[panel.begins[m] : panel.begins[m + 1]]
                 first = panel.begins[m] + np.searchsorted(columns, start)
-                past = panel.begins[m] + np.searchsorted(columns, start + width)
+                past = panel.begins[m] + np.searchsorted(columns, pasts[t])
                 if first == past:
                     continue
                 _weigh_runs(panel, first, past, start, tiles.weights[t], w, rows)
-                _compare(rows, body, best, total, body_id)
+                if is_first:
+                    _begin_comparison(rows, np.int32(body), best, total, body_id)
+                else:
+                    _compare(rows, np.int32(body), best, total, body_id, stronger)
+                is_first = False
                 for b in range(b0, b1):
                     at = (b - b0) * TILE_ROW
                     body_echo[body] += _sum_echo(rows, at, gain, k0, n_bins)
                     if is_background[body]:
                         for k in range(n_bins):
                             strongest.background[b, k0 + k] += rows[at + k]
+            if is_first:
+                best[:], total[:], body_id[:] = 0.0, 0.0, 0
             for b in range(b0, b1):
                 _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
 
