@@ -532,9 +532,8 @@ def weigh_columns(column_sums, spans, tiles, part, gain, out):
 
 # ---- labels: the echo of each body, and its moments ---------------------------------------------------
 
-# Columns of a cell, which is one body in one bin: echo, and echo times elevation, incidence, and range less
-# `middle_m`, which is the mean range of a footprint that fills the bin. They lie side by side, so that one
-# instruction adds to all four.
+# Rows of a body's cells, one cell per bin: echo, and echo times elevation, incidence, and range less `middle_m`,
+# which is the mean range of a footprint that fills the bin.
 CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4)
 MOMENTS = 4
 BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(5)  # of a run: one body in one column; PLACE: in the pool
@@ -545,7 +544,7 @@ class ColumnBodies(NamedTuple):
     """The bodies of one column, each in a slot.
 
     slots : (n, 3) int64, body, its first bin and past its last; the first `n_slots` are in use
-    cells : (n, K, MOMENTS) float32, zeros of slots that are not in use
+    cells : (n, MOMENTS, K) float32, zeros of slots that are not in use
     """
 
     slots: np.ndarray
@@ -557,7 +556,7 @@ class RunStore(NamedTuple):
     """Where runs are stored, and how much of it is in use.
 
     runs : (n, RUN) int64, BODY .. PLACE
-    pool : (n, MOMENTS) float32, the cells of one run after the other
+    pool : (n,) float32, of each run MOMENTS rows of its bins
     """
 
     runs: np.ndarray
@@ -617,16 +616,16 @@ def _slot_of(body, bodies):
     if slot < n_slots:
         return slot, bodies
     if n_slots == slots.shape[0]:
-        more_cells = np.zeros((2 * n_slots, cells.shape[1], MOMENTS), np.float32)
+        more_cells = np.zeros((2 * n_slots, MOMENTS, cells.shape[2]), np.float32)
         more_slots = np.empty((2 * n_slots, 3), np.int64)
         for old in range(n_slots):
-            for k in range(cells.shape[1]):
-                for n in range(MOMENTS):
-                    more_cells[old, k, n] = cells[old, k, n]
+            for n in range(MOMENTS):
+                for k in range(cells.shape[2]):
+                    more_cells[old, n, k] = cells[old, n, k]
             for n in range(3):
                 more_slots[old, n] = slots[old, n]
         cells, slots = more_cells, more_slots
-    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
+    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[2], 0
     return slot, ColumnBodies(slots, n_slots + 1, cells)
 
 
@@ -645,18 +644,19 @@ def _store_runs(bodies, column, store):
                 for n in range(RUN):
                     more_runs[old, n] = runs[old, n]
             runs = more_runs
-        wanted = used + past - first
+        length = past - first
+        wanted = used + MOMENTS * length
         if wanted > pool.shape[0]:
-            larger = np.empty((2 * wanted, MOMENTS), np.float32)
+            larger = np.empty(2 * wanted, np.float32)
             for old in range(used):
-                for n in range(MOMENTS):
-                    larger[old, n] = pool[old, n]
+                larger[old] = pool[old]
             pool = larger
-        mine, place = cells[slot, first:past].reshape(-1), pool[used:wanted].reshape(-1)
-        for i in range(uint64(mine.shape[0])):
-            place[i] = mine[i]
-        for i in range(uint64(mine.shape[0])):
-            mine[i] = 0.0
+        for n in range(MOMENTS):
+            mine, at = cells[slot, n], uint64(used + n * length)
+            for i in range(uint64(length)):
+                pool[at + i] = mine[uint64(first) + i]
+            for k in range(uint64(first), uint64(past)):
+                mine[k] = 0.0
         runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
         runs[n_runs, FIRST_BIN], runs[n_runs, PAST_BIN], runs[n_runs, PLACE] = first, past, used
         n_runs, used = n_runs + 1, wanted
@@ -665,15 +665,11 @@ def _store_runs(bodies, column, store):
 
 @compiled
 def _add_moments(cells, slot, k, echo, elevation, incidence, range_):
-    """Add an echo with its elevation, incidence and echo times range less `middle_m` to a cell.
-
-    All is read before anything is written: else the compiler cannot do the four at once.
-    """
-    a, b = cells[slot, k, CELL_ECHO], cells[slot, k, CELL_ELEVATION]
-    c, d = cells[slot, k, CELL_INCIDENCE], cells[slot, k, CELL_RANGE]
-    a, b, c, d = a + echo, b + echo * elevation, c + echo * incidence, d + range_
-    cells[slot, k, CELL_ECHO], cells[slot, k, CELL_ELEVATION] = a, b
-    cells[slot, k, CELL_INCIDENCE], cells[slot, k, CELL_RANGE] = c, d
+    """Add an echo with its elevation, incidence and echo times range less `middle_m` to a cell."""
+    cells[slot, CELL_ECHO, k] += echo
+    cells[slot, CELL_ELEVATION, k] += echo * elevation
+    cells[slot, CELL_INCIDENCE, k] += echo * incidence
+    cells[slot, CELL_RANGE, k] += range_
 
 
 @compiled
@@ -754,12 +750,15 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
         sums[row, last] += np.float32(echo)
         range_ = np.float32(2 * half_height * (outer - far) - echo * middle_m[last])
         _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
-        height, nothing = np.float32(2 * half_height), np.float32(0.0)
+        height = np.float32(2 * half_height)
         # not in the loop below: there the product would be rounded before it is added, and sums have other bits
         for k in range(uint64(first + 1), last):
             sums[row, k] += height * density32[k]
         for k in range(uint64(first + 1), last):
-            _add_moments(cells, slot, k, height * density32[k], elevation, incidence, nothing)
+            echo32 = height * density32[k]
+            cells[slot, CELL_ECHO, k] += echo32
+            cells[slot, CELL_ELEVATION, k] += echo32 * elevation
+            cells[slot, CELL_INCIDENCE, k] += echo32 * incidence
     return int(lowest), int(highest) + 1 if lowest <= highest else 0
 
 
@@ -919,16 +918,15 @@ def _pack_panel(panel, runs, k0, n_columns, origin, end):
                     continue
                 pool = runs.pools[runs.owner[n]]
                 low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
-                from_, at = uint64(table[n, PLACE] + max(k0 - first, 0)), uint64(n_packed * TILE_ROW)
+                at = uint64(n_packed * TILE_ROW)
                 if high - low < TILE_BINS:
                     for k in range(uint64(TILE_ROW)):
                         moments[at + k] = 0.0
-                at += low
-                for k in range(high - low):
-                    moments[at + k] = pool[from_ + k, CELL_ECHO]
-                    moments[at + uint64(TILE_BINS) + k] = pool[from_ + k, CELL_ELEVATION]
-                    moments[at + uint64(2 * TILE_BINS) + k] = pool[from_ + k, CELL_INCIDENCE]
-                    moments[at + uint64(3 * TILE_BINS) + k] = pool[from_ + k, CELL_RANGE]
+                for moment in range(MOMENTS):
+                    from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
+                    to = at + uint64(moment * TILE_BINS) + low
+                    for k in range(high - low):
+                        moments[to + k] = pool[from_ + k]
                 panel.column[n_packed] = x
                 n_packed += 1
     panel.begins[runs.bodies.shape[0]] = n_packed

@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.core.array_pool import ArrayPools
 
-SLOTS, RUNS, POOL = 4, 1024, 1 << 16  # initial room of labels: bodies in a column, runs of bins, their cells
+SLOTS, RUNS, POOL = 4, 1024, 1 << 18  # initial room of labels: bodies in a column, runs of bins, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +59,15 @@ class LabelSums:
 
     Attributes
     ----------
-    cells : (bodies, K, kernels.MOMENTS) float32 of each half
+    cells : (bodies, kernels.MOMENTS, K) float32 of each half
     stores : kernels.RunStore of each half
     unwanted : of each half, sums and spans to hand over where the sums of all bodies are not wanted
     """
 
     def __init__(self, n_bins: int):
-        self.cells = [np.zeros((SLOTS, n_bins, kernels.MOMENTS), np.float32) for _ in range(2)]
+        self.cells = [np.zeros((SLOTS, kernels.MOMENTS, n_bins), np.float32) for _ in range(2)]
         self.stores = [
-            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty((POOL, kernels.MOMENTS), np.float32), 0)
+            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
             for _ in range(2)
         ]
         self.unwanted = [(np.zeros((1, n_bins), np.float32), np.empty((0, 2), np.int64)) for _ in range(2)]
