@@ -830,9 +830,14 @@ def sum_bodies(
             slot, bodies = _slot_of(numbers[start], bodies)
             slots, cells = bodies.slots, bodies.cells
             if spread:
-                low, high = _spread_moments(work, start, stop, cells, slot, sums, column if with_sums else 0, bins)
+                low, high = _spread_moments(
+                    work, start, stop, cells, slot, sums, column if with_sums else 0, bins
+                )
                 if with_sums:
-                    spans[column, 0], spans[column, 1] = min(spans[column, 0], low), max(spans[column, 1], high)
+                    spans[column, 0], spans[column, 1] = (
+                        min(spans[column, 0], low),
+                        max(spans[column, 1], high),
+                    )
             else:
                 low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
