@@ -164,15 +164,31 @@ MUTATIONS = (
         (("2.0 / (bin_edges_s[:-1] + bin_edges_s[1:])", "1.0 / bin_edges_s[1:]"),),
     ),
     Mutation("labels/range of a ramp", "return t * t / 2", "return t * t / 3", LABELS),
-    Mutation("labels/full bins", "cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0", LABELS),
+    Mutation(
+        "labels/full bins",
+        "cells[slot, CELL_INCIDENCE, k] += echo32 * incidence",
+        "cells[slot, CELL_INCIDENCE, k] += echo32 * elevation",
+        LABELS,
+        (("cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0"),),
+    ),
     Mutation("labels/incidence", "x = rest[m] - along_u[m] * uc", "x = rest[m]", LABELS),
-    Mutation("labels/arccos", "p * c - 0.0170881256", "p * c + 0.0170881256", LABELS),
+    Mutation(
+        "labels/arctan",
+        "p * x - 0.0752896400",
+        "p * x + 0.0752896400",
+        LABELS,
+        (("p * c - 0.0170881256", "p * c + 0.0170881256"),),
+    ),
     Mutation(
         "labels/range of point bins",
-        "cell[CELL_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]",
-        "cell[CELL_RANGE] += work[ENERGY, m]",
+        "np.float32(work[ENERGY, m] - echo * middle_m[k])",
+        "np.float32(work[ENERGY, m])",
         LABELS,
         (
+            (
+                "cell[CELL_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]",
+                "cell[CELL_RANGE] += work[ENERGY, m]",
+            ),
             (
                 "cell[ECHO_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]",
                 "cell[ECHO_RANGE] += work[ENERGY, m]",
@@ -181,16 +197,25 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/strongest body",
-        "body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]",
-        "body_id[b, k0 + k] = body",
+        "body_id[bins + k] = body if stronger[k] else body_id[bins + k]",
+        "body_id[bins + k] = body",
         LABELS,
+        (
+            (
+                "body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]",
+                "body_id[b, k0 + k] = body",
+            ),
+        ),
     ),
     Mutation(
         "labels/total of a third body",
-        "(echo[b, k0 + k] if is_second else total[b, k0 + k])",
-        "echo[b, k0 + k]",
+        "total[bins + k] += rows[at + k]",
+        "total[bins + k] = best[at + k] + rows[at + k]",
         LABELS,
-        (("(strongest[b, k0 + k] if is_second else total[b, k0 + k])", "strongest[b, k0 + k]"),),
+        (
+            ("(echo[b, k0 + k] if is_second else total[b, k0 + k])", "echo[b, k0 + k]"),
+            ("(strongest[b, k0 + k] if is_second else total[b, k0 + k])", "strongest[b, k0 + k]"),
+        ),
     ),
     Mutation(
         "labels/background",

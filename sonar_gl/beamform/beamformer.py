@@ -199,7 +199,6 @@ class Beamformer:
         self.strips = tuple(
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
-        weighted_elevation = np.arcsin(sines) * (1.0 if is_even else self.elevation_table)
         self._labeller = None
         self._make_labeller = partial(
             Labeller,
@@ -208,7 +207,7 @@ class Beamformer:
             self._tiles,
             self._parts,
             self._bins,
-            (self.elevation_table, weighted_elevation),
+            self.elevation_table,
             self._workspace,
         )
 
@@ -234,7 +233,9 @@ class Beamformer:
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        surfaces = self.sum_footprints(view.sectors, gain)
+        return self._with_bubbles(self.sum_footprints(view.sectors, gain), view, gain)
+
+    def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
         return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
 
     def sum_footprints(self, samples: Sequence[SectorSamples], gain=NO_GAIN) -> BeamEcho:
@@ -315,14 +316,31 @@ class Beamformer:
         n_bodies : the highest number of a body
         background : None, or (n_bodies + 1,) bool by number, and the samples of these bodies alone
         """
+        return self._find_labels(self._sum_bodies(samples), samples, gain, n_bodies, background)
+
+    def sum_and_label(
+        self, view: ViewSamples, gain, n_bodies: int, background=None
+    ) -> tuple[BeamEcho, Labels]:
+        """Return what `sum_view` and `label` return, to the bit, in one pass over the samples."""
+        runs = self._sum_bodies(view.sectors, self._column_sums())
+        echo = self._with_bubbles(self.weigh(gain), view, gain)
+        return echo, self._find_labels(runs, view.sectors, gain, n_bodies, background)
+
+    def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> kernels.Runs:
         if self._labeller is None:
             self._labeller = self._make_labeller()
-        run = partial(self._run, serial=self._rows(samples) < FEW_ROWS)
-        if background is None:
-            return self._labeller.find(samples, self.strips, run, gain, n_bodies)
-        mask, alone = background
-        unshadowed = self.sum_footprints(alone).intensity
-        return self._labeller.find(samples, self.strips, run, gain, n_bodies, mask, unshadowed)
+        return self._labeller.sum_up(samples, self.strips, self._run_of(samples), columns)
+
+    def _find_labels(self, runs: kernels.Runs, samples, gain, n_bodies: int, background) -> Labels:
+        mask, unshadowed = None, None
+        if background is not None:
+            mask, alone = background
+            unshadowed = self.sum_footprints(alone).intensity
+        return self._labeller.find(runs, self._run_of(samples), gain, n_bodies, mask, unshadowed)
+
+    def _run_of(self, samples) -> Callable:
+        """Return `_run` for as much work as these samples make."""
+        return partial(self._run, serial=self._rows(samples) < FEW_ROWS)
 
     def _run(self, work, serial: bool = False) -> None:
         """Do work(0) and work(1)."""

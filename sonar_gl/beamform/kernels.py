@@ -532,33 +532,19 @@ def weigh_columns(column_sums, spans, tiles, part, gain, out):
 
 # ---- labels: the echo of each body, and its moments ---------------------------------------------------
 
-# Columns of a cell, which is one body in one bin. HEIGHT .. COUNT: what begins or ends there of footprints
-# that fill bins (height, height times elevation and incidence, number). CELL_ECHO ..: what lies in the bin of
-# those that do not (echo; echo times elevation, incidence, and range less `middle_m`). A footprint that fills
-# a bin has the bin's `middle_m` for its mean range.
-HEIGHT, HEIGHT_ELEVATION, HEIGHT_INCIDENCE, COUNT = range(4)
-CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4, 8)
-CELL, MOMENTS = 8, 4  # the last four are what a run holds
+# Rows of a body's cells, one cell per bin: echo, and echo times elevation, incidence, and range less `middle_m`,
+# which is the mean range of a footprint that fills the bin.
+CELL_ECHO, CELL_ELEVATION, CELL_INCIDENCE, CELL_RANGE = range(4)
+MOMENTS = 4
 BODY, COLUMN, FIRST_BIN, PAST_BIN, PLACE = range(5)  # of a run: one body in one column; PLACE: in the pool
 RUN = 5
-
-
-class ElevationTables(NamedTuple):
-    """Tables at even sines across the aperture.
-
-    pattern : (n,) two-way beam pattern, or of no length
-    weighted_elevation : (n,) elevation, radians, times the pattern
-    """
-
-    pattern: np.ndarray
-    weighted_elevation: np.ndarray
 
 
 class ColumnBodies(NamedTuple):
     """The bodies of one column, each in a slot.
 
     slots : (n, 3) int64, body, its first bin and past its last; the first `n_slots` are in use
-    cells : (n, K, CELL) float64, zeros of slots that are not in use
+    cells : (n, MOMENTS, K) float32, zeros of slots that are not in use
     """
 
     slots: np.ndarray
@@ -570,8 +556,7 @@ class RunStore(NamedTuple):
     """Where runs are stored, and how much of it is in use.
 
     runs : (n, RUN) int64, BODY .. PLACE
-    pool : (n,) float32: of each run MOMENTS rows, the echo of its bins, and echo times elevation, incidence,
-        and range less `middle_m`
+    pool : (n,) float32, of each run MOMENTS rows of its bins
     """
 
     runs: np.ndarray
@@ -581,37 +566,44 @@ class RunStore(NamedTuple):
 
 
 @compiled
-def acos(c):
-    """Return arccos of 0..1 to 2e-8; unlike the library's, the compiler can vectorise it.
+def atan(t):
+    """Return arctan of 0..1 to 2e-8; unlike the library's, the compiler can vectorise it.
 
-    Source: Abramowitz, Stegun, "Handbook of Mathematical Functions", 4.4.46
+    Source: Abramowitz, Stegun, "Handbook of Mathematical Functions", 4.4.49
     """
-    p = -0.0012624911 * c + 0.0066700901
-    p = ((p * c - 0.0170881256) * c + 0.0308918810) * c - 0.0501743046
-    p = ((p * c + 0.0889789874) * c - 0.2145988016) * c + 1.5707963050
-    return math.sqrt(max(1.0 - c, 0.0)) * p
+    x = t * t
+    p = (0.0028662257 * x - 0.0161657367) * x + 0.0429096138
+    p = ((p * x - 0.0752896400) * x + 0.1065626393) * x - 0.1420889944
+    return (((p * x + 0.1999355085) * x - 0.3333314528) * x + 1.0) * t
 
 
 @inlined
-def _find_angles(work, strip, tables):
-    """Find elevation and incidence of a strip's samples."""
+def _find_angles(work, strip):
+    """Find elevation and incidence of the middles of a strip's footprints."""
     rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
-    first, last, uc, v_limit = strip.first, strip.last, strip.u, strip.v_limit
-    elevation_pattern, weighted_elevation = tables.pattern, tables.weighted_elevation
+    elevation, incidence = work[ELEVATION], work[INCIDENCE]
+    first, last, uc = strip.first, strip.last, strip.u
+    per_length = 1.0 / math.sqrt(1.0 + uc * uc)
     for m in range(uint64(first), uint64(last)):
         x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
-        size = math.sqrt(x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m])
-        work[INCIDENCE, m] = acos(min(max(s[m], 0.0) / size, 1.0))
-    u2, v2, middle = 1.0 + uc * uc, v_limit * v_limit, (weighted_elevation.shape[0] - 1) / 2
-    for m in range(first, last):
-        vc = (border[m] + border[m + 1]) / 2
-        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
-        i = min(max(int(place), 0), weighted_elevation.shape[0] - 2)
-        step = weighted_elevation[i + 1] - weighted_elevation[i]
-        work[ELEVATION, m] = weighted_elevation[i] + (place - i) * step
-        if elevation_pattern.shape[0] and work[ENERGY, m] > 0.0:  # the table is weighted by the pattern
-            pattern = elevation_pattern[i] + (place - i) * (elevation_pattern[i + 1] - elevation_pattern[i])
-            work[ELEVATION, m] /= pattern
+        towards = max(s[m], 0.0)
+        past2 = x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m] - towards * towards
+        past = math.sqrt(max(past2, 0.0))
+        angle = atan(min(towards, past) / max(towards, past))
+        incidence[m] = math.pi / 2 - angle if past > towards else angle
+        t = abs(border[m] + border[uint64(m + 1)]) / 2 * per_length
+        elevation[m] = math.pi / 2 - atan(1.0 / t) if t > 1.0 else atan(t)
+    for m in range(uint64(first), uint64(last)):
+        elevation[m] = -elevation[m] if border[m] + border[uint64(m + 1)] < 0.0 else elevation[m]
+
+
+@inlined
+def _find_numbers(strip, body_id, numbers):
+    """Find the body of each of a strip's samples, whether it has energy or not: to ask would be a branch."""
+    nearest, step, bottom_row = strip.nearest, strip.step, strip.bottom_row
+    for m in range(uint64(strip.first), uint64(strip.last)):
+        j = np.int64(m) + bottom_row
+        numbers[m] = body_id[uint64(j), uint64(np.int64(nearest - step * j))]
 
 
 @inlined
@@ -624,42 +616,22 @@ def _slot_of(body, bodies):
     if slot < n_slots:
         return slot, bodies
     if n_slots == slots.shape[0]:
-        more_cells = np.zeros((2 * n_slots, cells.shape[1], CELL))
+        more_cells = np.zeros((2 * n_slots, MOMENTS, cells.shape[2]), np.float32)
         more_slots = np.empty((2 * n_slots, 3), np.int64)
         for old in range(n_slots):
-            for k in range(cells.shape[1]):
-                for n in range(CELL):
-                    more_cells[old, k, n] = cells[old, k, n]
+            for n in range(MOMENTS):
+                for k in range(cells.shape[2]):
+                    more_cells[old, n, k] = cells[old, n, k]
             for n in range(3):
                 more_slots[old, n] = slots[old, n]
         cells, slots = more_cells, more_slots
-    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[1], 0
+    slots[slot, 0], slots[slot, 1], slots[slot, 2] = body, cells.shape[2], 0
     return slot, ColumnBodies(slots, n_slots + 1, cells)
 
 
 @inlined
-def _store_run(cells, slot, first, past, density, pool, place):
-    """Write the moments of a body's cells of one column to the pool, MOMENTS rows, and clear the cells."""
-    n, slot, first, place = uint64(past - first), uint64(slot), uint64(first), uint64(place)
-    height = by_elevation = by_incidence = count = 0.0
-    for i in range(n):
-        k, at = first + i, place + i
-        count += cells[slot, k, COUNT]
-        # where no footprint covers the bin, what remains of the sums is rounding
-        height = height + cells[slot, k, HEIGHT] if count > 0.0 else 0.0
-        by_elevation = by_elevation + cells[slot, k, HEIGHT_ELEVATION] if count > 0.0 else 0.0
-        by_incidence = by_incidence + cells[slot, k, HEIGHT_INCIDENCE] if count > 0.0 else 0.0
-        pool[at] = cells[slot, k, CELL_ECHO] + height * density[k]
-        pool[at + n] = cells[slot, k, CELL_ELEVATION] + by_elevation * density[k]
-        pool[at + uint64(2) * n] = cells[slot, k, CELL_INCIDENCE] + by_incidence * density[k]
-        pool[at + uint64(3) * n] = cells[slot, k, CELL_RANGE]
-        for number in range(uint64(CELL)):
-            cells[slot, k, number] = 0.0
-
-
-@inlined
-def _store_runs(bodies, column, density, store):
-    """Write the cells of a column's bodies to a RunStore; return it, grown if full."""
+def _store_runs(bodies, column, store):
+    """Move the cells of a column's bodies to a RunStore; return it, grown if full."""
     slots, n_slots, cells = bodies
     runs, n_runs, pool, used = store
     for slot in range(n_slots):
@@ -672,17 +644,32 @@ def _store_runs(bodies, column, density, store):
                 for n in range(RUN):
                     more_runs[old, n] = runs[old, n]
             runs = more_runs
-        wanted = used + MOMENTS * (past - first)
+        length = past - first
+        wanted = used + MOMENTS * length
         if wanted > pool.shape[0]:
             larger = np.empty(2 * wanted, np.float32)
             for old in range(used):
                 larger[old] = pool[old]
             pool = larger
-        _store_run(cells, slot, first, past, density, pool, used)
+        for n in range(MOMENTS):
+            mine, at = cells[slot, n], uint64(used + n * length)
+            for i in range(uint64(length)):
+                pool[at + i] = mine[uint64(first) + i]
+            for k in range(uint64(first), uint64(past)):
+                mine[k] = 0.0
         runs[n_runs, BODY], runs[n_runs, COLUMN] = slots[slot, 0], column
         runs[n_runs, FIRST_BIN], runs[n_runs, PAST_BIN], runs[n_runs, PLACE] = first, past, used
         n_runs, used = n_runs + 1, wanted
     return RunStore(runs, n_runs, pool, used)
+
+
+@compiled
+def _add_moments(cells, slot, k, echo, elevation, incidence, range_):
+    """Add an echo with its elevation, incidence and echo times range less `middle_m` to a cell."""
+    cells[slot, CELL_ECHO, k] += echo
+    cells[slot, CELL_ELEVATION, k] += echo * elevation
+    cells[slot, CELL_INCIDENCE, k] += echo * incidence
+    cells[slot, CELL_RANGE, k] += range_
 
 
 @compiled
@@ -700,82 +687,83 @@ def _below_range(s, middle, wide, thin):
 
 
 @inlined
-def _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, first_m, per_metre):
-    """As `_spread_trapezoid`, with moments; return the first bin and past the last."""
+def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m, first_m, per_metre):
+    """As `_spread_trapezoid`, with moments; return first and last bin."""
     K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
     wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
     low, high = max(s - wide - thin, bins_s[K]), min(s + wide + thin, bins_s[0])
     if high <= low:
-        return K, 0
+        return uint64(K), uint64(0)
     scale = energy / (4 * wide * thin)
     if s < wide + thin:
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    first, last = int((1.0 / high - first_m) * per_metre), int((1.0 / low - first_m) * per_metre)
-    last = min(last, K - 1)
+    first = uint64(int((1.0 / high - first_m) * per_metre))
+    last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
-    for k in range(uint64(first), uint64(last + 1)):
-        edge = bins_s[k + uint64(1)] if k < last else low
+    elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
+    for k in range(first, uint64(last + 1)):
+        edge = bins_s[uint64(k + 1)] if k < last else low
         further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
         echo = scale * max(nearer - further, 0.0)
-        cells[k, CELL_ECHO] += echo
-        cells[k, CELL_ELEVATION] += echo * work[ELEVATION, m]
-        cells[k, CELL_INCIDENCE] += echo * work[INCIDENCE, m]
-        cells[k, CELL_RANGE] += scale * (range_nearer - range_further) - echo * middle_m[k]
+        sums[row, k] += np.float32(echo)
+        range_ = np.float32(scale * (range_nearer - range_further) - echo * middle_m[k])
+        _add_moments(cells, slot, k, np.float32(echo), elevation, incidence, range_)
         nearer, range_nearer = further, range_further
-    return first, last + 1
+    return first, last
 
 
 @inlined
-def _spread_moments(work, start, stop, cells, bins):
-    """As `spread_footprints`, into one body's cells; return the first bin and past the last."""
-    bins_s, middle_m, first_m, per_metre = bins.s, bins.middle_m, bins.first_m, bins.per_metre
-    K = middle_m.shape[0]
-    lowest, highest = K, 0
+def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
+    """Do as `spread_footprints`, and the same into one body's cells; return the first bin and past the last."""
+    bins_s, middle_m, density32 = bins.s, bins.middle_m, bins.density32
+    first_m, per_metre = bins.first_m, bins.per_metre
+    K, slot, row = middle_m.shape[0], uint64(slot), uint64(row)
+    lowest, highest = uint64(K), uint64(0)
     for m in range(uint64(start), uint64(stop)):
         energy, s = work[ENERGY, m], work[S, m]
         if energy == 0.0 or s <= 0.0:
             continue
         if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
-            first, past = _spread_moments_trapezoid(work, m, cells, bins_s, middle_m, first_m, per_metre)
-            lowest, highest = min(lowest, first), max(highest, past)
+            first, last = _spread_moments_trapezoid(
+                work, m, cells, slot, sums, row, bins_s, middle_m, first_m, per_metre
+            )
+            lowest, highest = min(lowest, first), max(highest, last)
             continue
         near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
         if near <= far:
             continue
-        elevation, incidence = work[ELEVATION, m], work[INCIDENCE, m]
+        elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
         first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
-        lowest, highest = min(lowest, int(first)), max(highest, int(last) + 1)
-        after = first + uint64(1)
-        inner = bins_s[after] if first < last else far
-        part = half_height * (near - inner)
-        echo = part * (near + inner)
-        cells[first, CELL_ECHO] += echo
-        cells[first, CELL_ELEVATION] += echo * elevation
-        cells[first, CELL_INCIDENCE] += echo * incidence
-        cells[first, CELL_RANGE] += 2 * part - echo * middle_m[first]
+        lowest, highest = min(lowest, first), max(highest, last)
         if first >= last:
+            echo, part = half_height * (near - far) * (near + far), half_height * (near - far)
+            sums[row, last] += np.float32(echo)
+            range_ = np.float32(2 * part - echo * middle_m[last])
+            _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
             continue
-        outer, height = bins_s[last], 2 * half_height
-        part = half_height * (outer - far)
-        echo = part * (outer + far)
-        cells[last, CELL_ECHO] += echo
-        cells[last, CELL_ELEVATION] += echo * elevation
-        cells[last, CELL_INCIDENCE] += echo * incidence
-        cells[last, CELL_RANGE] += 2 * part - echo * middle_m[last]
-        if after < last:
-            cells[after, HEIGHT] += height
-            cells[after, HEIGHT_ELEVATION] += height * elevation
-            cells[after, HEIGHT_INCIDENCE] += height * incidence
-            cells[after, COUNT] += 1.0
-            cells[last, HEIGHT] -= height
-            cells[last, HEIGHT_ELEVATION] -= height * elevation
-            cells[last, HEIGHT_INCIDENCE] -= height * incidence
-            cells[last, COUNT] -= 1.0
-    return lowest, highest
+        inner, outer = bins_s[uint64(first + 1)], bins_s[last]
+        echo = half_height * (near * near - inner**2)
+        sums[row, first] += np.float32(echo)
+        range_ = np.float32(2 * half_height * (near - inner) - echo * middle_m[first])
+        _add_moments(cells, slot, first, np.float32(echo), elevation, incidence, range_)
+        echo = half_height * (outer**2 - far * far)
+        sums[row, last] += np.float32(echo)
+        range_ = np.float32(2 * half_height * (outer - far) - echo * middle_m[last])
+        _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
+        height = np.float32(2 * half_height)
+        # not in the loop below: there the product would be rounded before it is added, and sums have other bits
+        for k in range(uint64(first + 1), last):
+            sums[row, k] += height * density32[k]
+        for k in range(uint64(first + 1), last):
+            echo32 = height * density32[k]
+            cells[slot, CELL_ECHO, k] += echo32
+            cells[slot, CELL_ELEVATION, k] += echo32 * elevation
+            cells[slot, CELL_INCIDENCE, k] += echo32 * incidence
+    return int(lowest), int(highest) + 1 if lowest <= highest else 0
 
 
 @inlined
-def _bin_moments(work, start, stop, cells, u, strip, bins):
+def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
     """As `_bin_points`, into one body's cells; return the first bin and past the last."""
     middle_m = bins.middle_m
     K = middle_m.shape[0]
@@ -784,72 +772,84 @@ def _bin_moments(work, start, stop, cells, u, strip, bins):
         j = strip.bottom_row + m
         u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
-        k = (1.0 / s - bins.first_m) * bins.per_metre
-        if work[ENERGY, m] > 0.0 and 0.0 <= k < K:
-            cell, echo = cells[int(k)], work[ENERGY, m] * s
-            cell[CELL_ECHO] += echo
-            cell[CELL_ELEVATION] += echo * work[ELEVATION, m]
-            cell[CELL_INCIDENCE] += echo * work[INCIDENCE, m]
-            cell[CELL_RANGE] += work[ENERGY, m] - echo * middle_m[int(k)]
-            lowest, highest = min(lowest, int(k)), max(highest, int(k) + 1)
+        bin_ = (1.0 / s - bins.first_m) * bins.per_metre
+        if work[ENERGY, m] > 0.0 and 0.0 <= bin_ < K:
+            k, echo = int(bin_), work[ENERGY, m] * s
+            elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
+            range_ = np.float32(work[ENERGY, m] - echo * middle_m[k])
+            _add_moments(cells, slot, k, np.float32(echo), elevation, incidence, range_)
+            lowest, highest = min(lowest, k), max(highest, k + 1)
     return lowest, highest
 
 
 @compiled
-def sum_bodies(plane_echo, body_id, lattice, strips, bins, spread, tables, cells, store):
-    """Sum some of one sector's samples into columns and bins, for each body by itself.
+def sum_bodies(
+    plane_echo, body_id, lattice, strips, bins, spread, elevation_pattern, cells, store, sums, spans
+):
+    """Sum some of one sector's samples into columns and bins, for each body by itself, and all of them.
 
     Parameters
     ----------
-    plane_echo, lattice, strips, bins, spread : as in `sum_footprints`
+    plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
     body_id : (R, C) uint16
-    tables, store : tuples of ElevationTables and RunStore
     cells : of ColumnBodies, zeros before and after
+    store : tuple of RunStore
+    sums, spans : as in `sum_footprints`, with the same bits; spans of no length if these sums are not wanted, then
+        the first row of sums is overwritten
 
     Returns
     -------
     cells, store : or larger ones, where they were full; a plain tuple again
     """
-    lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
-    tables, store = ElevationTables(*tables), RunStore(*store)
+    lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
+    with_sums = spans.shape[0] > 0
+    if with_sums:
+        _clear_rows(strips.column, sums, spans)
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
+    numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
     bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
-        if strip.first == strip.last:
+        start, last = strip.first, strip.last
+        if start == last:
             continue
         if strip.column != column:
-            store = _store_runs(bodies, column, bins.density, store)
+            store = _store_runs(bodies, column, store)
             bodies, column = ColumnBodies(bodies.slots, 0, bodies.cells), strip.column
-        _find_footprints(work, strip, tables.pattern)
-        _find_angles(work, strip, tables)
-        start, last = strip.first, strip.last
-        _find_intervals(work, start, last, bins)
+        _find_footprints(work, strip, elevation_pattern)
+        _find_angles(work, strip)
+        _find_numbers(strip, body_id, numbers)
+        if spread:
+            _find_intervals(work, start, last, bins)
+        elif with_sums:
+            _bin_points(work, sums, spans, lattice.u, strip, bins)
         while start < last:  # consecutive samples of one body at a time
-            j = strip.bottom_row + start
-            body = body_id[j, int(strip.nearest - strip.step * j)]
             stop = start + 1
-            while stop < last:
-                j = strip.bottom_row + stop
-                if work[ENERGY, stop] > 0.0 and body_id[j, int(strip.nearest - strip.step * j)] != body:
-                    break
+            while stop < last and numbers[stop] == numbers[start]:
                 stop += 1
-            slot, bodies = _slot_of(body, bodies)
+            slot, bodies = _slot_of(numbers[start], bodies)
             slots, cells = bodies.slots, bodies.cells
             if spread:
-                low, high = _spread_moments(work, start, stop, cells[slot], bins)
+                low, high = _spread_moments(
+                    work, start, stop, cells, slot, sums, column if with_sums else 0, bins
+                )
+                if with_sums:
+                    spans[column, 0], spans[column, 1] = (
+                        min(spans[column, 0], low),
+                        max(spans[column, 1], high),
+                    )
             else:
-                low, high = _bin_moments(work, start, stop, cells[slot], lattice.u, strip, bins)
+                low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
-    runs, n_runs, pool, n_pool = _store_runs(bodies, column, bins.density, store)
+    runs, n_runs, pool, n_pool = _store_runs(bodies, column, store)
     return bodies.cells, (runs, n_runs, pool, n_pool)
 
 
 # ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
 
-# Bins at a time, so that the sums of several beams stay in fast memory; and the moments of these bins, one row after
-# the other.
+# Bins at a time, so that what a tile's beams read and write stays in fast memory; and the moments of these bins,
+# one row after the other.
 TILE_BINS = 64
 TILE_ROW = MOMENTS * TILE_BINS
 
@@ -872,115 +872,135 @@ class Runs(NamedTuple):
 class StrongestEcho(NamedTuple):
     """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
 
-    echo, share : float32, that body's echo, and its share of all; body_id : uint16
-    background : float32, zeros: the echo of background bodies
+    share : float32, of all echo in the bin; body_id : uint16
+    background : float32, the echo of background bodies; of no length if it is not wanted
     means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
     """
 
-    echo: np.ndarray
     share: np.ndarray
     body_id: np.ndarray
     background: np.ndarray
     means: np.ndarray
 
 
-@inlined
-def _weigh_tile(panel, low, high, origin, start, weights, rows):
-    """Weigh columns into the beams of one tile, in one block of bins; return whether there is any echo.
+class Panel(NamedTuple):
+    """The runs of all bodies in one block of bins, side by side.
 
-    panel : (columns * TILE_ROW,), from column `origin` on, zeros for TILE_BEAMS columns from `high` on
-    low, high : columns of it with an echo; start, weights : of the tile; rows : (TILE_BEAMS * TILE_ROW,)
+    begins : (m + 1,) where the runs of each body begin and end
+    column : (n,) of each run, rising in each body, counted on from the tiles' first column
+    moments : ((n + 3) TILE_ROW,) float32; what follows a body's last run is finite
     """
-    low, high = max(low, start), min(high, start + weights.shape[0] - TILE_BEAMS)
-    if low >= high:
-        return False
+
+    begins: np.ndarray
+    column: np.ndarray
+    moments: np.ndarray
+
+
+@inlined
+def _make_panel(runs, n_columns, origin, end, n_bins):
+    """Return a Panel with room for the runs of any block of bins, in columns `origin` to `end`."""
+    table, n_blocks = runs.table, (n_bins - 1) // TILE_BINS + 1
+    counts = np.zeros(n_blocks, np.int64)
+    for n in range(table.shape[0]):
+        for block in range(table[n, FIRST_BIN] // TILE_BINS, (table[n, PAST_BIN] - 1) // TILE_BINS + 1):
+            counts[block] += 1
+    most = counts.max() * ((end - 1) // n_columns - origin // n_columns + 1)
+    begins = np.zeros(runs.bodies.shape[0] + 1, np.int64)
+    return Panel(begins, np.empty(most, np.int64), np.zeros((most + 3) * TILE_ROW, np.float32))
+
+
+@inlined
+def _pack_panel(panel, runs, k0, n_columns, origin, end):
+    """Lay the runs in a block of bins from `k0` on side by side."""
+    table, moments, n_packed = runs.table, panel.moments, 0
+    for m in range(runs.bodies.shape[0]):
+        panel.begins[m] = n_packed
+        # columns repeat where the fan is a circle
+        for turn in range(origin // n_columns * n_columns, end, n_columns):
+            for n in range(runs.begins[m], runs.begins[m + 1]):
+                x, first, past = turn + table[n, COLUMN], table[n, FIRST_BIN], table[n, PAST_BIN]
+                if not (origin <= x < end and first < k0 + TILE_BINS and past > k0):
+                    continue
+                pool = runs.pools[runs.owner[n]]
+                low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
+                at = uint64(n_packed * TILE_ROW)
+                if high - low < TILE_BINS:
+                    for k in range(uint64(TILE_ROW)):
+                        moments[at + k] = 0.0
+                for moment in range(MOMENTS):
+                    from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
+                    to = at + uint64(moment * TILE_BINS) + low
+                    for k in range(high - low):
+                        moments[to + k] = pool[from_ + k]
+                panel.column[n_packed] = x
+                n_packed += 1
+    panel.begins[runs.bodies.shape[0]] = n_packed
+
+
+@inlined
+def _weigh_runs(panel, first, past, start, weights, w, rows):
+    """Weigh some runs of a panel into the beams of one tile.
+
+    start, weights : of the tile; w : (16,) float32, overwritten; rows : (TILE_BEAMS * TILE_ROW,), overwritten
+    """
+    moments = panel.moments
     for k in range(uint64(rows.shape[0])):
         rows[k] = 0.0
-    for x in range(low, high, 4):
-        at, w = uint64((x - origin) * TILE_ROW), weights[uint64(x - start) : uint64(x - start + 4)]
-        a0, a1, a2, a3 = w[0, 0], w[0, 1], w[0, 2], w[0, 3]
-        b0, b1, b2, b3 = w[1, 0], w[1, 1], w[1, 2], w[1, 3]
-        c0, c1, c2, c3 = w[2, 0], w[2, 1], w[2, 2], w[2, 3]
-        d0, d1, d2, d3 = w[3, 0], w[3, 1], w[3, 2], w[3, 3]
+    for n in range(first, past, 4):  # four at a time: beams are read and written less often
+        for i in range(uint64(4)):
+            x = uint64(panel.column[min(n + i, past - 1)] - start)
+            is_one = np.float32(n + i < past)
+            for r in range(uint64(TILE_BEAMS)):
+                w[uint64(TILE_BEAMS) * i + r] = weights[x, r] * is_one
+        at = uint64(n * TILE_ROW)
+        a0, a1, a2, a3 = w[0], w[1], w[2], w[3]
+        b0, b1, b2, b3 = w[4], w[5], w[6], w[7]
+        c0, c1, c2, c3 = w[8], w[9], w[10], w[11]
+        d0, d1, d2, d3 = w[12], w[13], w[14], w[15]
         for k in range(uint64(TILE_ROW)):
-            a, b = panel[at + k], panel[at + uint64(TILE_ROW) + k]
-            c, d = panel[at + uint64(2 * TILE_ROW) + k], panel[at + uint64(3 * TILE_ROW) + k]
+            a, b = moments[at + k], moments[at + uint64(TILE_ROW) + k]
+            c, d = moments[at + uint64(2 * TILE_ROW) + k], moments[at + uint64(3 * TILE_ROW) + k]
             rows[k] += (a0 * a + b0 * b) + (c0 * c + d0 * d)
             rows[uint64(TILE_ROW) + k] += (a1 * a + b1 * b) + (c1 * c + d1 * d)
             rows[uint64(2 * TILE_ROW) + k] += (a2 * a + b2 * b) + (c2 * c + d2 * d)
             rows[uint64(3 * TILE_ROW) + k] += (a3 * a + b3 * b) + (c3 * c + d3 * d)
-    return True
 
 
 @inlined
-def _pack_runs(runs, begin, end_run, k0, n_columns, origin, end, panel):
-    """Lay a body's runs in a block of bins side by side; return the columns between which there is an echo."""
-    table = runs.table
-    low, high = end, origin
-    for n in range(begin, end_run):
-        if table[n, FIRST_BIN] < k0 + TILE_BINS and table[n, PAST_BIN] > k0:
-            for x in range(origin + (table[n, COLUMN] - origin) % n_columns, end, n_columns):
-                low, high = min(low, x), max(high, x + 1)
-    if low < high:
-        for k in range(uint64((low - origin) * TILE_ROW), uint64((high - origin + TILE_BEAMS) * TILE_ROW)):
-            panel[k] = 0.0
-    for n in range(begin, end_run):
-        first, past = max(table[n, FIRST_BIN], k0), min(table[n, PAST_BIN], k0 + TILE_BINS)
-        if first < past:
-            pool, length = runs.pools[runs.owner[n]], table[n, PAST_BIN] - table[n, FIRST_BIN]
-            # columns repeat where the fan is a circle
-            for x in range(origin + (table[n, COLUMN] - origin) % n_columns, end, n_columns):
-                for moment in range(MOMENTS):
-                    from_ = uint64(table[n, PLACE] + moment * length + first - table[n, FIRST_BIN])
-                    at = uint64((x - origin) * TILE_ROW + moment * TILE_BINS + first - k0)
-                    for k in range(uint64(past - first)):
-                        panel[at + k] = pool[from_ + k]
-    return low, high
+def _begin_comparison(rows, body, best, total, body_id):
+    """Begin with the first body in a tile's beams; arguments as of `_compare`."""
+    for k in range(uint64(rows.shape[0])):
+        best[k] = rows[k]
+    for r in range(TILE_BEAMS):
+        at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
+        for k in range(uint64(TILE_BINS)):
+            total[bins + k] = rows[at + k]
+            body_id[bins + k] = body if rows[at + k] > np.float32(0.0) else np.int32(0)
 
 
 @inlined
-def _divide_moments(rows, at, middle_m, k0, n):
-    """Turn a beam's moments, which begin at `at`, into means, in place."""
-    at, k0 = uint64(at), uint64(k0)
-    for k in range(uint64(n)):
-        over = np.float32(1.0) / rows[at + k]
-        rows[at + uint64(TILE_BINS) + k] *= over
-        rows[at + uint64(2 * TILE_BINS) + k] *= over
-        rows[at + uint64(3 * TILE_BINS) + k] = rows[at + uint64(3 * TILE_BINS) + k] * over + middle_m[k0 + k]
+def _compare(rows, body, best, total, body_id, stronger):
+    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all.
 
-
-@inlined
-def _set_first(rows, at, body, b, k0, n, strongest):
-    """Write echo and means of the first body in a beam's bins, which begin at `at`."""
-    at, b, k0 = uint64(at), uint64(b), uint64(k0)
-    echo, share, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
-    for moment in range(uint64(1), uint64(MOMENTS)):
-        mine, which = at + moment * uint64(TILE_BINS), moment - uint64(1)
-        for k in range(uint64(n)):
-            means[which, b, k0 + k] = rows[mine + k] if rows[at + k] > np.float32(0.0) else np.float32(np.nan)
-    for k in range(uint64(n)):
-        echo[b, k0 + k] = max(rows[at + k], np.float32(0.0))
-        share[b, k0 + k] = np.float32(1.0) if rows[at + k] > np.float32(0.0) else np.float32(0.0)
-    for k in range(uint64(n)):
-        body_id[b, k0 + k] = body if rows[at + k] > np.float32(0.0) else 0
-
-
-@inlined
-def _set_stronger(rows, at, body, b, k0, n, is_second, strongest):
-    """Compare another body's echo with the strongest in a beam's bins; `share` holds the total meanwhile."""
-    at, b, k0 = uint64(at), uint64(b), uint64(k0)
-    echo, total, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
-    for moment in range(uint64(1), uint64(MOMENTS)):
-        mine, which = at + moment * uint64(TILE_BINS), moment - uint64(1)
-        for k in range(uint64(n)):
-            stronger = rows[at + k] > echo[b, k0 + k]
-            means[which, b, k0 + k] = rows[mine + k] if stronger else means[which, b, k0 + k]
-    for k in range(uint64(n)):
-        stronger = rows[at + k] > echo[b, k0 + k]
-        body_id[b, k0 + k] = body if stronger else body_id[b, k0 + k]
-    for k in range(uint64(n)):
-        total[b, k0 + k] = rows[at + k] + (echo[b, k0 + k] if is_second else total[b, k0 + k])
-        echo[b, k0 + k] = max(rows[at + k], echo[b, k0 + k])
+    rows, best : (TILE_BEAMS * TILE_ROW,)
+    total, body_id : (TILE_BEAMS * TILE_BINS,); numbers of bodies are as wide as floats, to select both alike
+    stronger : (TILE_BINS,) int32, overwritten
+    """
+    for r in range(TILE_BEAMS):
+        at, bins, n_stronger = uint64(r * TILE_ROW), uint64(r * TILE_BINS), np.int32(0)
+        for k in range(uint64(TILE_BINS)):
+            total[bins + k] += rows[at + k]
+            is_stronger = np.int32(rows[at + k] > best[at + k])
+            stronger[k] = is_stronger
+            n_stronger += is_stronger
+        if n_stronger == 0:
+            continue
+        for k in range(uint64(TILE_BINS)):
+            body_id[bins + k] = body if stronger[k] else body_id[bins + k]
+        for moment in range(MOMENTS):
+            mine = at + uint64(moment * TILE_BINS)
+            for k in range(uint64(TILE_BINS)):
+                best[mine + k] = rows[mine + k] if stronger[k] else best[mine + k]
 
 
 @inlined
@@ -993,6 +1013,25 @@ def _sum_echo(rows, at, gain, k0, n):
     if n % 2:
         first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
     return first + second
+
+
+@inlined
+def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
+    """Write what is known of the strongest echo in a block of a beam's bins; `best` is overwritten."""
+    at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
+    share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
+    for k in range(uint64(n)):
+        share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > nothing else nothing
+    for k in range(uint64(n)):
+        strongest.body_id[b, k0 + k] = body_id[bins + k]
+    for k in range(uint64(TILE_BINS)):
+        best[at + k] = whole / best[at + k] if best[at + k] > nothing else np.float32(np.nan)
+    for moment in range(uint64(MOMENTS - 1)):
+        mine = at + (moment + uint64(1)) * uint64(TILE_BINS)
+        for k in range(uint64(n)):
+            means[moment, b, k0 + k] = best[mine + k] * best[at + k]
+    for k in range(uint64(n)):
+        means[MOMENTS - 2, b, k0 + k] += middle_m[k0 + k]
 
 
 @compiled
@@ -1009,53 +1048,52 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
     body_echo : (numbers,) float64, added to: the echo with the gain
     """
     runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
-    B, K = strongest.echo.shape
+    B, K = strongest.share.shape
     t0, t1 = part
     if t0 >= t1:  # of few beams the other half has all
         return
-    table, begins = runs.table, runs.begins
-    origin, end = tiles.first[t0], 0
+    width, with_background = tiles.weights.shape[1], strongest.background.shape[0] > 0
+    origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + width
+    pasts = tiles.first + width  # past the last column that a beam of the tile receives
     for t in range(t0, t1):
-        origin, end = min(origin, tiles.first[t]), max(end, tiles.first[t] + tiles.weights.shape[1])
-    panel = np.zeros((end - origin + TILE_BEAMS) * TILE_ROW, np.float32)
-    rows = np.empty(TILE_BEAMS * TILE_ROW, np.float32)
-    n_bodies = np.zeros((B, K // TILE_BINS + 1), np.int64)
-    for m in range(runs.bodies.shape[0]):
-        body = runs.bodies[m]
-        k_first, k_past = K, 0
-        for n in range(begins[m], begins[m + 1]):
-            k_first, k_past = min(k_first, table[n, FIRST_BIN]), max(k_past, table[n, PAST_BIN])
-        for k0 in range(k_first // TILE_BINS * TILE_BINS, k_past, TILE_BINS):
-            low, high = _pack_runs(runs, begins[m], begins[m + 1], k0, n_columns, origin, end, panel)
-            n_bins = min(TILE_BINS, K - k0)
-            for t in range(t0, t1):
-                if not _weigh_tile(panel, low, high, origin, tiles.first[t], tiles.weights[t], rows):
+        while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
+            pasts[t] -= 1
+    panel = _make_panel(runs, n_columns, origin, end, K)
+    rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
+    total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
+    body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
+    for k0 in range(0, K, TILE_BINS):
+        n_bins = min(TILE_BINS, K - k0)
+        _pack_panel(panel, runs, k0, n_columns, origin, end)
+        for t in range(t0, t1):
+            start = tiles.first[t]
+            is_first, b0, b1 = True, TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)
+            if with_background:
+                strongest.background[b0:b1, k0 : k0 + n_bins] = 0.0
+            for m in range(runs.bodies.shape[0]):
+                if panel.begins[m] == panel.begins[m + 1]:
                     continue
-                for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)):
-                    at, count = (b - TILE_BEAMS * t) * TILE_ROW, n_bodies[b, k0 // TILE_BINS]
+                body, columns = runs.bodies[m], panel.column[panel.begins[m] : panel.begins[m + 1]]
+                first = panel.begins[m] + np.searchsorted(columns, start)
+                past = panel.begins[m] + np.searchsorted(columns, pasts[t])
+                if first == past:
+                    continue
+                _weigh_runs(panel, first, past, start, tiles.weights[t], w, rows)
+                if is_first:
+                    _begin_comparison(rows, np.int32(body), best, total, body_id)
+                else:
+                    _compare(rows, np.int32(body), best, total, body_id, stronger)
+                is_first = False
+                for b in range(b0, b1):
+                    at = (b - b0) * TILE_ROW
                     body_echo[body] += _sum_echo(rows, at, gain, k0, n_bins)
-                    _divide_moments(rows, at, middle_m, k0, n_bins)
-                    if count == 0:
-                        _set_first(rows, at, body, b, k0, n_bins, strongest)
-                    else:
-                        _set_stronger(rows, at, body, b, k0, n_bins, count == 1, strongest)
-                    n_bodies[b, k0 // TILE_BINS] = min(count + 1, 2)
                     if is_background[body]:
                         for k in range(n_bins):
                             strongest.background[b, k0 + k] += rows[at + k]
-    echo, share, body_id, means = strongest.echo, strongest.share, strongest.body_id, strongest.means
-    for b in range(TILE_BEAMS * t0, min(TILE_BEAMS * t1, B)):
-        for k0 in range(0, K, TILE_BINS):
-            k1 = min(k0 + TILE_BINS, K)
-            if n_bodies[b, k0 // TILE_BINS] == 0:
-                for k in range(uint64(k0), uint64(k1)):
-                    share[b, k], body_id[b, k] = 0.0, 0
-                    for moment in range(uint64(MOMENTS - 1)):
-                        means[moment, b, k] = np.nan
-            elif n_bodies[b, k0 // TILE_BINS] > 1:
-                for k in range(uint64(k0), uint64(k1)):
-                    part_of_all = min(echo[b, k] / share[b, k], np.float32(1.0))
-                    share[b, k] = part_of_all if echo[b, k] > 0.0 else np.float32(0.0)
+            if is_first:
+                best[:], total[:], body_id[:] = 0.0, 0.0, 0
+            for b in range(b0, b1):
+                _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
 
 
 # ---- image sources: multipath echoes by way of a planar reflector ---------------------------------------

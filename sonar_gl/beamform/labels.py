@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.beamform import kernels
-from sonar_gl.beamform.workspace import Workspace
+from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -40,22 +40,46 @@ class Labeller:
     shape : (B, K)
     tiles, parts : tuple of kernels.BeamTiles, and which of them each half does
     bins : tuple of kernels.BinTable
-    tables : tuple of kernels.ElevationTables
+    elevation_pattern : of kernels.sum_footprints
     workspace : Workspace
     """
 
-    def __init__(self, fan: Fan, shape, tiles, parts, bins, tables, workspace: Workspace):
+    def __init__(self, fan: Fan, shape, tiles, parts, bins, elevation_pattern, workspace: Workspace):
         self._fan, self._bins = fan, bins
-        self._tables = tables
+        self._elevation_pattern = elevation_pattern
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
         self._tiles, self._parts, self._workspace, pools = tiles, parts, workspace, workspace.pools
         self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
         self._means = pools.pool((3, *shape))
 
+    def sum_up(
+        self, samples: Sequence[SectorSamples], strips, run: Callable, columns: ColumnSums | None = None
+    ) -> kernels.Runs:
+        """Return the sums of each body, which stay as they are until the next call.
+
+        Parameters
+        ----------
+        strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
+        run : function (work) that does work(0) and work(1)
+        columns : overwritten with the sums of all bodies, as by `Beamformer.sum_footprints`; None for none
+        """
+        room = self._workspace.label_sums(len(self._middle_m))
+        settings = self._bins, self._fan.sampling.reducer == "footprint", self._elevation_pattern
+
+        def work(half):
+            cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
+            sums = room.unwanted[half] if columns is None else (columns.sums, columns.spans)
+            for one, mine in zip(samples, strips[half], strict=True):
+                arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
+                cells, store = kernels.sum_bodies(*arrays, mine, *settings, cells, store, *sums)
+            room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
+
+        run(work)
+        return _sorted_runs(room.stores)
+
     def find(
         self,
-        samples: Sequence[SectorSamples],
-        strips,
+        runs: kernels.Runs,
         run: Callable,
         gain: np.ndarray,
         n_bodies: int,
@@ -66,30 +90,16 @@ class Labeller:
 
         Parameters
         ----------
-        strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
-        run : function (work) that does work(0) and work(1)
+        runs, run : returned by `sum_up`, and as there
         gain : (K,) float32
         n_bodies : the highest number of a body
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
-        spread, room = self._fan.sampling.reducer == "footprint", self._workspace.label_sums(len(gain))
-
-        def sum_up(half):
-            cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
-            for one, mine in zip(samples, strips[half], strict=True):
-                arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
-                tables = self._bins, spread, self._tables
-                cells, store = kernels.sum_bodies(*arrays, mine, *tables, cells, store)
-            room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
-
-        run(sum_up)
-        runs = _sorted_runs(room.stores)
         strongest = kernels.StrongestEcho(
-            echo=self._floats.empty(),
             share=self._floats.empty(),
             body_id=self._numbers.empty(),
-            background=np.empty((0, 0), np.float32) if is_background is None else self._floats.zeros(),
+            background=np.empty((0, 0), np.float32) if is_background is None else self._floats.empty(),
             means=self._means.empty(),
         )
         mask = np.zeros(n_bodies + 1, bool) if is_background is None else is_background
@@ -128,8 +138,10 @@ def _sorted_runs(stores: Sequence[kernels.RunStore]) -> kernels.Runs:
     """Return the runs of both halves, by body and column."""
     table = np.concatenate([store.runs[: store.n_runs] for store in stores])
     owner = np.repeat([0, 1], [store.n_runs for store in stores])
-    order = np.lexsort((table[:, kernels.COLUMN], table[:, kernels.BODY]))
+    # one sort of whole numbers: columns are fewer than 2^32, and mostly in order
+    order = np.argsort((table[:, kernels.BODY] << 32) + table[:, kernels.COLUMN], kind="stable")
     table, owner = table[order], owner[order]
-    bodies, begins = np.unique(table[:, kernels.BODY], return_index=True)
+    begins = np.flatnonzero(np.diff(table[:, kernels.BODY], prepend=-1))
+    bodies = table[begins, kernels.BODY]
     pools = tuple(store.pool for store in stores)
     return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)

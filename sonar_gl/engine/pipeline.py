@@ -104,10 +104,13 @@ def draw(
 def receive(drawn: DrawnPing) -> ReceivedPing:
     """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
-    direct = beamformer.sum_view(drawn.view, setup.gain)  # with transmission loss both ways, and TVG
-    return ReceivedPing(
-        drawn, direct, receive_multipath(drawn), label(drawn) if setup.request.labels else None
-    )
+    # the gain holds transmission loss both ways, and TVG
+    if setup.request.labels:
+        settings = setup.gain, setup.n_bodies, shadowed_background(drawn)
+        direct, labels = beamformer.sum_and_label(drawn.view, *settings)
+    else:
+        direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
+    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
@@ -116,12 +119,16 @@ def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
 
 
 def label(drawn: DrawnPing) -> Labels:
-    """Find the strongest body in each bin, and where it lies in shadow."""
-    setup, background = drawn.setup, None
-    if drawn.background is not None:
-        background = setup.background, drawn.background.sectors
-    beamformer = drawn.resolution.stage.beamformer
-    return beamformer.label(drawn.view.sectors, setup.gain, setup.n_bodies, background)
+    """Find the strongest body in each bin of a ping that was summed before, and where it lies in shadow."""
+    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
+    return beamformer.label(drawn.view.sectors, setup.gain, setup.n_bodies, shadowed_background(drawn))
+
+
+def shadowed_background(drawn: DrawnPing) -> tuple | None:
+    """Return which bodies are the background of shadows, by number, and their samples alone; None for no shadows."""
+    if drawn.background is None:
+        return None
+    return drawn.setup.background, drawn.background.sectors
 
 
 def finish(instrument: Instrument, received: ReceivedPing, report: PingReport) -> Ping:

@@ -9,7 +9,8 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
-from sonar_gl.beamform.kernels import acos, bin_table
+from sonar_gl.beamform.kernels import atan, bin_table
+from sonar_gl.sonar.samples import ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
 
 IDEAL, HERE = sg.Acoustics.ideal(), np.eye(4)
@@ -62,9 +63,34 @@ def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_de
             np.testing.assert_array_equal(np.isnan(getattr(found, name)), whole == 0)
 
 
-def test_acos_and_the_centre_of_bins():
-    c = np.linspace(0, 1, 1001)
-    np.testing.assert_allclose([acos(one) for one in c], np.arccos(c), atol=3e-8)
+@pytest.mark.parametrize("reducer", ["footprint", "point"])
+@pytest.mark.parametrize("name", ["pylon", "ocean_floor"])
+def test_labels_change_no_bit_of_the_picture(name, reducer):
+    """The sums of all bodies in the pass for labels are those of a ping without labels."""
+    scene, sonar = sg.load_scene(name), replace(sg.load_sonar("p900-45"), n_bins=400)
+    for acoustics in (IDEAL, sg.Acoustics.physical()):
+        with sg.Simulator(scene, sonar, acoustics, sg.Sampling(1.5, 48, reducer)) as simulator:
+            plain, found = (simulator.ping(scene.sonar_pose, labels=labels) for labels in (False, True))
+        assert plain.intensity.any() and found.body_id.any()
+        np.testing.assert_array_equal(found.intensity, plain.intensity)
+
+
+def test_labels_are_the_same_in_one_pass_and_in_a_second():
+    """A ping that was summed before it is known to be the last is labelled by itself."""
+    fan, samples = fan_and_samples("footprint", n_bodies=5)
+    beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
+    gain = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32)
+    background = np.arange(6) == 2, only(2, samples)
+    echo, together = beamformer.sum_and_label(ViewSamples(tuple(samples)), gain, 5, background)
+    np.testing.assert_array_equal(echo.intensity, beamformer.sum_footprints(samples, gain).intensity)
+    alone = beamformer.label(samples, gain, 5, background)
+    for name, expected in vars(alone).items():
+        np.testing.assert_array_equal(getattr(together, name), expected)
+
+
+def test_atan_and_the_centre_of_bins():
+    t = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose([atan(one) for one in t], np.arctan(t), atol=3e-8)
     edges = np.array([0.5, 1.0, 1.7])
     fine = 1 / np.linspace(1 / edges[:-1], 1 / edges[1:], 100_001)  # even in s = 1/r
     # ∫ r s ds / ∫ s ds over each bin
