@@ -79,7 +79,12 @@ MUTATIONS = (
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
     Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),
     Mutation("footprints/no trapezoids", "if 8 * thin * per_metre >= s * s:", "if False:", FOOTPRINTS),
-    Mutation("footprints/inner bins", "np.float32(2 * half_height)", "np.float32(half_height)", FOOTPRINTS),
+    Mutation(
+        "footprints/inner bins",
+        "height = np.float32(2 * half_height)\n        for k in",
+        "height = np.float32(half_height)\n        for k in",
+        FOOTPRINTS,
+    ),
     Mutation(
         "footprints/edge where planes meet",
         "meet = (rest[m] - rest[below]) / turn",
