@@ -33,6 +33,7 @@ from time import perf_counter
 import numpy as np
 
 import sonar_gl as sg
+from tests.support.settings import described
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORD = Path(__file__).with_suffix(".json")
@@ -182,7 +183,7 @@ def seen(sonar=SONAR, scene="yard", sampling=FIXED):
 def needed(scene):
     """A ping with the terms that the scene needs."""
     acoustics = sg.needed_acoustics(scene_of(scene), SONAR, 0.05)
-    terms = {k: getattr(acoustics, k) for k in ("multipath", "elevation_pattern", "bandwidth_hz", "bubbles")}
+    terms = {k: getattr(acoustics, k) for k in ("multipath", "elevation_pattern", "pulse", "bubbles")}
     return {"terms": terms, "ping": one(scene, acoustics=acoustics)}
 
 
@@ -530,16 +531,16 @@ def _lasting(value):
 
 PROFILES = {"ideal": IDEAL, "demarco2015": PAPER, "physical": PHYSICAL}
 TERMS = {
-    "taper hamming": {"taper": "hamming"},
-    "taper taylor": {"taper": "taylor", "side_lobe_db": 35.0},
-    "taper chebyshev": {"taper": "chebyshev"},
+    "taper hamming": {"receive_taper": "hamming"},
+    "taper taylor": {"receive_taper": "taylor", "side_lobe_db": 35.0},
+    "taper chebyshev": {"receive_taper": "chebyshev"},
     "straight array": {"steered": "straight"},
     "gaussian beams": {"beam_pattern": "gaussian"},
     "transmit beam": {"transmit_width_deg": 40.0, "transmit_taper": "hamming"},
     "elevation line array": {"elevation_pattern": "line_array", "elevation_taper": "taylor"},
     "elevation gaussian": {"elevation_pattern": "gaussian"},
-    "pulse": {"bandwidth_hz": 20e3},
-    "pulse hamming": {"bandwidth_hz": 30e3, "pulse_taper": "hamming"},
+    "pulse": {"pulse": True, "bandwidth_hz": 20e3, "pulse_taper": "uniform"},
+    "pulse hamming": {"pulse": True, "bandwidth_hz": 30e3, "pulse_taper": "hamming"},
     "water": {"temperature_c": 4.0, "salinity_psu": 8.0, "ph": 7.9, "tvg_absorption_db_m": 0.3},
     "other absorption": {"absorption_formula": "ainslie_mccolm", "tvg_absorption_db_m": 0.3},
     "TVG": {"tvg_k": 40.0, "tvg_absorption_db_m": 0.2},
@@ -633,7 +634,8 @@ def cases() -> Iterator[tuple[str, Callable]]:
     for ending in ("stl", "obj", "ply", "glb", ""):
         yield f"load/{ending or 'trimesh'}", partial(loaded, partial(_meshes, ending))
     for name, fields in TERMS.items():
-        yield f"term/{name}", partial(one, acoustics=sg.Acoustics.physical(**fields))
+        sonar, acoustics = described(SONAR, **fields)
+        yield f"term/{name}", partial(one, sonar=sonar, acoustics=acoustics)
     for law in ("constant", "inverse"):
         yield f"term/law {law}", partial(one, acoustics=sg.Acoustics.demarco2015(law))
     for scene in ("pylon", "diver_vertical"):
@@ -654,9 +656,14 @@ def cases() -> Iterator[tuple[str, Callable]]:
 
     for name, noise in NOISES.items():
         yield f"noise/{name}", partial(one, sampling=FIXED, noise=noise, seed=7, ping_number=3)
-    circle, pulse = FANS["360 degrees"], sg.Acoustics.physical(bandwidth_hz=20e3, steered="straight")
+    circle = FANS["360 degrees"]
+    straight = {"bandwidth_hz": 20e3, "pulse_taper": "uniform", "steered": "straight"}
+    straight, pulse = described(SONAR, pulse=True, **straight)
     for name in ("physical", "locked"):
-        yield f"noise/{name}, pulse", partial(one, acoustics=pulse, sampling=FIXED, noise=NOISES[name])
+        yield (
+            f"noise/{name}, pulse",
+            partial(one, sonar=straight, acoustics=pulse, sampling=FIXED, noise=NOISES[name]),
+        )
         yield f"noise/{name}, 360 degrees", partial(one, "yard", circle, sampling=FIXED, noise=NOISES[name])
     creep = [POSE @ sg.pose(0.42 + 0.02 * k, 0.01 * k, 0, 0, 0, 0.01 * k) for k in range(6)]
     yield "noise/locked, moving", partial(several, sampling=FIXED, path=creep, noise=NOISES["locked"])

@@ -91,14 +91,14 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
         found = Tally(pings(count, speckle), beams).correlation
         yield f"beams {beams * SPACING_DEG:g} widths apart", np.sinc(x) ** 2, found
     for taper, correlation in (("uniform", np.sinc), ("hamming", hamming_correlation)):
-        ping = even_ping(bandwidth_hz=HALF_NULL_HZ, pulse_taper=taper)
+        ping = even_ping(pulse=True, bandwidth_hz=HALF_NULL_HZ, pulse_taper=taper)
         for bins in (1, 2):
             wanted, found = (
                 correlation(bins / 2) ** 2,
                 Tally(pings(count, speckle, ping), 0, bins).correlation,
             )
             yield f"{taper} pulse, {bins / 2:g} c/2B apart", wanted, found
-    ping = even_ping(beam_pattern="line_array", taper="hamming")
+    ping = even_ping(beam_pattern="line_array", receive_taper="hamming")
     wanted = hamming_correlation(1.302982 * 2 * SPACING_DEG / WIDTH_DEG) ** 2
     yield "Hamming array, 0.5 widths apart", wanted, Tally(pings(count, speckle, ping), 2).correlation
     for shape in (0.5, 1.0, 5.0, 50.0):
@@ -119,7 +119,7 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
         found = moved_correlation(count, (0, share * LENGTH_M, 0))
         yield f"place-locked, {share:g} apertures aside", (1 - 2 * share) ** 2, found
     yield "place-locked, 3 bins forward, 3 bins on", 1.0, moved_correlation(count, (3 * BIN_M, 0, 0), 3)
-    pulse = {"bandwidth_hz": HALF_NULL_HZ, "pulse_taper": "hamming"}
+    pulse = {"pulse": True, "bandwidth_hz": HALF_NULL_HZ, "pulse_taper": "hamming"}
     forward = moved_correlation(count, (0.5 * BIN_M, 0, 0), **pulse)
     yield "place-locked, 0.25 c/2B forward", hamming_correlation(0.25) ** 2, forward
 

@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
+from tests.support.settings import described
 
 RANGES_M, HEIGHT_M, HALF_M = (5.0, 10.0, 20.0, 50.0), 2.0, 400.0
 ABSORPTION_DB_M = {450e3: 0.109663, 900e3: 0.299463}  # Francois-Garrison at 10 °C, 35, 0 m, pH 8
@@ -29,7 +30,7 @@ CASES = {  # name: frequency, elevation aperture, settings
     "40 log r + 2αr": (900e3, 60.0, {"tvg_k": 40.0}),
     "TVG for fresh water": (900e3, 60.0, {"tvg_k": 30.0, "tvg_absorption_db_m": 0.25}),
     "boxes in azimuth": (900e3, 60.0, {"beam_pattern": "box"}),
-    "Taylor, projector": (900e3, 60.0, {"taper": "taylor", "transmit_width_deg": 40.0}),
+    "Taylor, projector": (900e3, 60.0, {"receive_taper": "taylor", "transmit_width_deg": 40.0}),
     "line array upright": (900e3, 30.0, {"elevation_pattern": "line_array"}),
     "line array, no TVG": (
         450e3,
@@ -62,7 +63,7 @@ def measured_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
     sonar = sg.Sonar("floor", frequency_hz, 9, bins, 45.0, aperture_deg, 2.0, 2.05, 2.05 + 0.1 * bins)
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * HALF_M
     floor = sg.Body("floor", trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
-    acoustics = sg.Acoustics.physical(depth_m=0.0, **settings)
+    sonar, acoustics = described(sonar, depth_m=0.0, **settings)
     with sg.Simulator(sg.Scene([floor]), sonar, acoustics, tolerance=0.003) as simulator:
         ping = simulator.ping(sg.pose(0, 0, HEIGHT_M))
     at = [np.abs(ping.range_m - r).argmin() for r in RANGES_M]

@@ -9,20 +9,22 @@ from functools import partial
 
 import numpy as np
 
-from sonar_gl.acoustics.beam_pattern import TAPERS, ArrayPattern, gaussian_pattern, line_array_pattern
-from sonar_gl.acoustics.pulse import PULSE_TAPERS, bin_weights
+from sonar_gl.acoustics.beam_pattern import ArrayPattern, gaussian_pattern, line_array_pattern
+from sonar_gl.acoustics.pulse import bin_weights
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
+BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
 PROFILES = {  # name: values of the fields that are None
-    "ideal": {"range_law": "constant", "beam_pattern": "box", "specular": False, "bubbles": False},
-    "demarco2015": {"range_law": "printed", "beam_pattern": "box", "specular": False, "bubbles": False},
+    "ideal": BARE | {"range_law": "constant"},
+    "demarco2015": BARE | {"range_law": "printed"},
     "physical": {
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
+        "transmit_beam": True,
         "specular": True,
         "bubbles": True,
     },
@@ -32,12 +34,7 @@ CHOICES = {  # field: allowed names
     "beam_pattern": ("box", "line_array", "gaussian"),
     "absorption_formula": tuple(ABSORPTION_FORMULAS),
     "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
-    "taper": TAPERS,
-    "steered": ("alike", "straight"),
-    "transmit_taper": TAPERS,
     "elevation_pattern": ("box", "line_array", "gaussian"),
-    "elevation_taper": TAPERS,
-    "pulse_taper": tuple(PULSE_TAPERS),
     "multipath": ("none", "incoherent", "coherent"),
 }
 BOUNDS = (  # field, least and greatest value, hint for messages
@@ -50,10 +47,17 @@ BOUNDS = (  # field, least and greatest value, hint for messages
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
     ("sonar_sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
-    ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
-    ("transmit_width_deg", 1e-3, 180, "give degrees"),
-    ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
 )
+MOVED = {  # fields that describe the device: their names in `Sonar`
+    "taper": "receive_taper",
+    "side_lobe_db": "side_lobe_db",
+    "steered": "steered",
+    "transmit_width_deg": "transmit_width_deg",
+    "transmit_taper": "transmit_taper",
+    "elevation_taper": "elevation_taper",
+    "bandwidth_hz": "bandwidth_hz",
+    "pulse_taper": "pulse_taper",
+}
 # Fields that describe the water, and that a ping may change.
 WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "sound_speed_m_s"
 
@@ -98,27 +102,14 @@ class Acoustics:
     sonar_sound_speed_m_s : float or None
         Speed of sound that the sonar assumes, metres per second. The ranges that it shows are the true ones times
         this over the right speed. None: the right speed.
-    taper : "uniform", "hamming", "taylor" or "chebyshev"
-        Taper (shading) of the receiving line array in azimuth.
-    side_lobe_db : float
-        Level of the side lobes of "taylor" and "chebyshev" in all arrays, dB below the main lobe, positive.
-    steered : "alike" or "straight"
-        "alike": every beam has the width of the data sheet. "straight": one straight array forms all beams, which
-        broaden as 1/cos of their steering angle.
-    transmit_width_deg : float or None
-        −3 dB width in azimuth of the transmit beam about the boresight, degrees. None: the fan is insonified
-        evenly. `beam_width_deg` of the sonar stays the width of the receive beams.
-    transmit_taper : "uniform", "hamming", "taylor" or "chebyshev"
-        Taper of the transmitting line array in azimuth.
+    transmit_beam : bool or None
+        Whether the sonar's `transmit_width_deg` counts; False: the fan is insonified evenly. None: by profile.
     elevation_pattern : "box", "line_array" or "gaussian"
         Pattern in elevation. "box": 1 within elevation_fov_deg of the sonar, 0 outside. Otherwise transmitter and
         receiver have the same pattern, and the two-way pattern is elevation_fov_deg wide at −3 dB.
-    elevation_taper : "uniform", "hamming", "taylor" or "chebyshev"
-        Taper of the line array in elevation.
-    bandwidth_hz : float or None
-        Bandwidth of the pulse, hertz. None: no matched filter; an echo falls only into the bin of its range.
-    pulse_taper : "uniform" or "hamming"
-        Weights of the spectrum in the matched filter.
+    pulse : bool
+        Whether the pulse has the sonar's bandwidth. False: no matched filter; an echo falls only into the bin of its
+        range.
     specular : bool or None
         Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
     bubbles : bool or None
@@ -130,7 +121,7 @@ class Acoustics:
     Raises
     ------
     Error
-        if a name is unknown, a number is out of bounds, or a straight array is to have box beams.
+        if a name is unknown, has moved to `Sonar`, or a number is out of bounds.
 
     >>> from sonar_gl.sonar.sonar import load_sonar
     >>> Acoustics.physical(tvg_k=40.0).range_gain(np.array([1.0, 10.0]), load_sonar("p900-45")).round(9).tolist()
@@ -151,15 +142,9 @@ class Acoustics:
     sound_speed_formula: str = "mackenzie"
     sound_speed_m_s: float | None = None
     sonar_sound_speed_m_s: float | None = None
-    taper: str = "uniform"
-    side_lobe_db: float = 30.0
-    steered: str = "alike"
-    transmit_width_deg: float | None = None
-    transmit_taper: str = "uniform"
+    transmit_beam: bool | None = None
     elevation_pattern: str = "box"
-    elevation_taper: str = "uniform"
-    bandwidth_hz: float | None = None
-    pulse_taper: str = "uniform"
+    pulse: bool = False
     specular: bool | None = None
     bubbles: bool | None = None
     multipath: str = "none"
@@ -171,7 +156,7 @@ class Acoustics:
                 object.__setattr__(self, key, value)
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("specular", "bubbles"):
+        for key in ("transmit_beam", "pulse", "specular", "bubbles"):
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
@@ -179,11 +164,11 @@ class Acoustics:
             if value is None and self.__dataclass_fields__[key].default is None:
                 continue
             check_number(f"acoustics: {key}", value, low, high, hint)
-        if self.steered == "straight" and self.beam_pattern == "box":
-            raise Error(
-                'acoustics: steered "straight" needs a beam_pattern that a straight array can have '
-                '(got \'box\'; take "line_array" or "gaussian")'
-            )
+
+    def __new__(cls, *arguments, **fields):
+        """Refuse fields that describe the device."""
+        _check_moved("acoustics", fields)
+        return super().__new__(cls)
 
     @classmethod
     def ideal(cls) -> Acoustics:
@@ -218,6 +203,7 @@ class Acoustics:
         30.0
         """
         keys = [item.partition("=")[0].strip() for item in text.split(",")]
+        _check_moved(f"acoustics {text!r}", keys)
         if "needed" in keys:
             raise Error(f"acoustics {text!r}: needed takes no other settings: it chooses the terms itself")
         if "" in keys:
@@ -376,16 +362,18 @@ class Acoustics:
         """
         if self.beam_pattern == "box":
             return None
-        settings = {"beam_width_rad": math.radians(sonar.beam_width_deg), "steered": self.steered}
+        settings = {"beam_width_rad": math.radians(sonar.beam_width_deg), "steered": sonar.steered}
         steer_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
-        if self.steered == "straight" and steer_deg > MAX_STEER_DEG:
+        if sonar.steered == "straight" and steer_deg > MAX_STEER_DEG:
             raise Error(
-                f'acoustics: steered "straight" needs beams within ±{MAX_STEER_DEG:g}° of the boresight '
+                f'sonar {sonar.name!r}: steered "straight" needs beams within ±{MAX_STEER_DEG:g}° of the boresight '
                 f'(got {steer_deg:.4g}°: one array cannot receive along its own line; take "alike")'
             )
         if self.beam_pattern == "gaussian":
             return partial(gaussian_pattern, **settings)
-        return partial(line_array_pattern, taper=self.taper, side_lobe_db=self.side_lobe_db, **settings)
+        return partial(
+            line_array_pattern, taper=sonar.receive_taper, side_lobe_db=sonar.side_lobe_db, **settings
+        )
 
     def receive_support_rad(self, sonar) -> float:
         """Return the half-width of the receive pattern's support, radians; beyond it from the axis the power is 0.
@@ -396,11 +384,11 @@ class Acoustics:
         half_width = math.radians(sonar.beam_width_deg) / 2
         if self.beam_pattern == "box":
             return half_width
-        pattern = ArrayPattern(self.beam_pattern, 2 * half_width, self.taper, self.side_lobe_db)
+        pattern = ArrayPattern(self.beam_pattern, 2 * half_width, sonar.receive_taper, sonar.side_lobe_db)
         gaussian = self.beam_pattern == "gaussian"
         sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
         support = math.asin(min(1.0, sine))
-        if self.steered == "straight":  # widest for the outermost beam, on the side away from the boresight
+        if sonar.steered == "straight":  # widest for the outermost beam, on the side away from the boresight
             steer = float(np.abs(sonar.azimuth_rad).max())
             support = max(support, math.asin(min(1.0, math.sin(steer) + sine)) - steer)
         return support
@@ -416,10 +404,10 @@ class Acoustics:
         -------
         function (azimuth_rad) -> linear one-way power, 1 on the boresight
         """
-        if self.transmit_width_deg is None:
+        if not self.transmit_beam or sonar.transmit_width_deg is None:
             return None
-        width = math.radians(self.transmit_width_deg)
-        settings = {"taper": self.transmit_taper, "side_lobe_db": self.side_lobe_db}
+        width = math.radians(sonar.transmit_width_deg)
+        settings = {"taper": sonar.transmit_taper, "side_lobe_db": sonar.side_lobe_db}
         return partial(line_array_pattern, steer_azimuth_rad=0.0, beam_width_rad=width, **settings)
 
     def two_way_elevation_pattern(self, sonar) -> Callable | None:
@@ -451,19 +439,33 @@ class Acoustics:
     def _one_way_elevation_pattern(self, sonar) -> ArrayPattern:
         width = math.radians(sonar.elevation_fov_deg)
         return ArrayPattern(
-            self.elevation_pattern, width, self.elevation_taper, self.side_lobe_db, two_way_width=True
+            self.elevation_pattern, width, sonar.elevation_taper, sonar.side_lobe_db, two_way_width=True
         )
 
     # ---- pulse --------------------------------------------------------------------------------------------
 
     def pulse_weights(self, sonar) -> np.ndarray | None:
-        """Return the kernel of the matched filter over bins, `pulse.bin_weights`; None without a bandwidth.
+        """Return the kernel of the matched filter over bins, `pulse.bin_weights`; None without a pulse.
 
         Returns
         -------
         (n,) float32, the share of an echo that falls into each of the bins around its own
         """
-        if self.bandwidth_hz is None:
-            return None
-        speed_m_s = self.sonar_sound_speed_m_s or self.sound_speed()  # bins lie at shown ranges
-        return bin_weights(sonar.bin_size_m, self.bandwidth_hz, self.pulse_taper, speed_m_s)
+        return bin_weights(sonar.bin_size_m, *self.pulse_response(sonar)) if self.pulse else None
+
+    def pulse_response(self, sonar) -> tuple[float, str, float]:
+        """Return bandwidth, taper and the speed of sound of the pulse, as `pulse.amplitude_response` takes them."""
+        speed_m_s = float(self.sonar_sound_speed_m_s or self.sound_speed())  # bins lie at shown ranges
+        bandwidth_hz = sonar.bandwidth_hz or speed_m_s / (2 * sonar.bin_size_m)
+        return float(bandwidth_hz), sonar.pulse_taper, speed_m_s
+
+
+def _check_moved(what: str, names) -> None:
+    """Raise an Error for the first name that is a field of `Sonar` now."""
+    for name in names:
+        if name in MOVED:
+            new = MOVED[name]
+            raise Error(
+                f"{what}: {name} describes the device, and is a field of Sonar now (write it as {new} there: in a "
+                f"sonar's TOML file, by --sonar p900-45,{new}=..., or by dataclasses.replace)"
+            )

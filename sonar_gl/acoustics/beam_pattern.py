@@ -13,7 +13,6 @@ from functools import lru_cache
 
 import numpy as np
 
-TAPERS = ("uniform", "hamming", "taylor", "chebyshev")
 HAMMING = 0.23 / 0.54  # half the amplitude of cos(2πz/L) over the mean weight
 # A line array's pattern is cut at this null, its 4th: the main lobe and three side lobes to each side are
 # kept.

@@ -60,14 +60,6 @@ def _absorption_on(acoustics, noise, sonar) -> dict:
     return {"absorption_db_m": None} if acoustics.absorption_db_m == 0 else {}
 
 
-def _pulse_on(acoustics, noise, sonar) -> dict:
-    """A pulse as long as a bin; tapered, since the side lobes of one without a taper reach over hundreds of bins."""
-    if acoustics.bandwidth_hz is not None:
-        return {}
-    speed_m_s = acoustics.sonar_sound_speed_m_s or acoustics.sound_speed()
-    return {"bandwidth_hz": speed_m_s / (2 * sonar.bin_size_m), "pulse_taper": "hamming"}
-
-
 def _speckle_on(acoustics, noise, sonar) -> dict:
     return {} if noise.speckle else {"speckle": True}
 
@@ -90,14 +82,14 @@ TERMS = (
     Term(
         "azimuth pattern",
         on=_field_on("beam_pattern", "line_array", off="box"),
-        off={"beam_pattern": "box", "steered": "alike"},  # a straight array has no box beams
+        off={"beam_pattern": "box"},
     ),
     Term(
         "elevation pattern",
         on=_field_on("elevation_pattern", "line_array", off="box"),
         off={"elevation_pattern": "box"},
     ),
-    Term("pulse", on=_pulse_on, off={"bandwidth_hz": None}),
+    Term("pulse", on=_field_on("pulse", True, off=False), off={"pulse": False}),
     Term(
         "lobes",
         on=_field_on("specular", True, off=False),

@@ -9,7 +9,7 @@ import click
 
 POSE = '"x y z roll pitch yaw", metres and radians'
 HELP = {
-    "sonar": "Preset (`sonar-gl sonars` lists them) or .toml file.",
+    "sonar": "Preset (`sonar-gl sonars` lists them) or .toml file; may go on with changes: p900-45,bandwidth_hz=30e3.",
     "pose": f"Pose of the sonar: {POSE}.",
     "poses": "CSV file with a sequence of poses; its columns are t,x,y,z,roll,pitch,yaw.",
     "range": "Maximum range, metres; the bin size stays the same.",

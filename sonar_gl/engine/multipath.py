@@ -131,7 +131,7 @@ class ImageSources:
     def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
-        acoustics = replace(stages.acoustics, specular=False, transmit_width_deg=None)
+        acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         shared = thread, WIDEST_COLUMN, stages.pools

@@ -137,7 +137,7 @@ class FieldNoise:
         width_rad = None if sonar is None else float(np.radians(sonar.beam_width_deg))
         tapered = acoustics is not None and acoustics.beam_pattern == "line_array"
         # a Chebyshev array counts as Taylor's of the same side lobes
-        series = taper_series(acoustics.taper, acoustics.side_lobe_db) if tapered else ()
+        series = taper_series(sonar.receive_taper, sonar.side_lobe_db) if tapered and sonar else ()
         pulse_weights = None if self._pulse is None else field_weights(self._bin_size_m, *self._pulse)
         azimuth_rad = tuple(np.asarray(self._ping.azimuth_rad, np.float64).tolist())
         return FieldCorrelation(azimuth_rad, width_rad, series, pulse_weights)
@@ -146,10 +146,9 @@ class FieldNoise:
     def _pulse(self) -> tuple[float, str, float] | None:
         """Bandwidth, taper and the speed of sound that the sonar is set to; None without a pulse response."""
         acoustics = self._ping.acoustics
-        if acoustics is None or acoustics.bandwidth_hz is None:
+        if acoustics is None or not acoustics.pulse:
             return None
-        speed_m_s = float(acoustics.sonar_sound_speed_m_s or self._sound_speed_m_s)
-        return float(acoustics.bandwidth_hz), acoustics.pulse_taper, speed_m_s
+        return acoustics.pulse_response(self._required("sonar", "the bandwidth of its pulse"))
 
     @cached_property
     def _sound_speed_m_s(self) -> float:

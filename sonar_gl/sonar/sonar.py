@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import lru_cache
@@ -10,13 +11,32 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.checks import check_number, check_whole_number, frozen_array, is_number, number_text, shown
+from sonar_gl.core.checks import (
+    check_choice,
+    check_number,
+    check_whole_number,
+    frozen_array,
+    is_number,
+    number_text,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
+from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.toml import read_toml
 
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
+TAPERS = ("uniform", "hamming", "taylor", "chebyshev")  # of line arrays
+CHOICES = {  # field: allowed names
+    "beam_spacing": ("angle", "sine"),
+    "receive_taper": TAPERS,
+    "steered": ("alike", "straight"),
+    "transmit_taper": TAPERS,
+    "elevation_taper": TAPERS,
+    "pulse_taper": ("uniform", "hamming"),
+}
+UNPARSED = "name", "beam_azimuths_deg", "source"  # fields that a command line cannot set
 
 
 @dataclass(frozen=True)
@@ -26,7 +46,7 @@ class Sonar:
     Parameters
     ----------
     name : name for records and messages
-    frequency_hz : centre frequency, hertz, 1e3..1e8
+    frequency_hz : centre frequency, hertz, 1e4..1e8
     n_beams : number of beams across the fan
     n_bins : number of range bins, which divide [range_min_m, range_max_m) evenly
     azimuth_fov_deg : width of the fan, degrees, up to 360; beam b points at −fov/2 + (b + ½) fov / n_beams
@@ -34,14 +54,26 @@ class Sonar:
         pattern if `Acoustics.elevation_pattern` is not a box
     beam_width_deg : −3 dB width of a receive beam in azimuth, degrees; beams overlap where it exceeds the spacing
     range_min_m, range_max_m : slant ranges of the first bin's near edge and of the last bin's far edge, metres
-    beam_azimuths_deg : azimuths of the n_beams beams, degrees, rising, positive to port, within the fan; None for an
-        even spacing
+    beam_azimuths_deg : azimuths of the n_beams beams, degrees, rising, positive to port, within the fan; None: by
+        `beam_spacing`
+    beam_spacing : "angle": beams are spread evenly over the fan, the outermost half a spacing within its edges. "sine":
+        the sines of their azimuths are evenly spaced, as one straight array forms them by a Fourier transform, and
+        the outermost beams lie on the edges of the fan
+    steered : "alike": every receive beam has the width of the data sheet. "straight": one straight array forms all
+        beams, which broaden as 1/cos of their azimuth
+    receive_taper, transmit_taper, elevation_taper : "uniform", "hamming", "taylor" or "chebyshev"
+        tapers (shading) of the line arrays that receive in azimuth, transmit in azimuth, and do both in elevation
+    side_lobe_db : level of the side lobes of tapers "taylor" and "chebyshev", dB below the main lobe, positive
+    transmit_width_deg : −3 dB width in azimuth of the transmit beam about the boresight, degrees; None: the fan is
+        insonified evenly. `beam_width_deg` stays the width of the receive beams
+    bandwidth_hz : bandwidth of the pulse, hertz; None: not known, taken so that the pulse is as long as a bin
+    pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
 
     Raises
     ------
     Error
-        if a number is out of bounds, or the beams do not lie in rising order within the fan.
+        if a name is unknown, a number is out of bounds, or the beams do not lie in rising order within the fan.
     """
 
     name: str
@@ -55,20 +87,42 @@ class Sonar:
     range_max_m: float
     beam_azimuths_deg: tuple[float, ...] | None = None
     source: str = ""
+    beam_spacing: str = "angle"
+    steered: str = "alike"
+    receive_taper: str = "uniform"
+    transmit_taper: str = "uniform"
+    elevation_taper: str = "uniform"
+    side_lobe_db: float = 30.0
+    transmit_width_deg: float | None = None
+    bandwidth_hz: float | None = None
+    pulse_taper: str = "hamming"
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
         for key, low, high, hint in (
-            ("frequency_hz", 1e3, 1e8, "give hertz, 900e3 for 900 kHz"),
+            ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
             ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
             ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
             ("beam_width_deg", 1e-3, 180.0, "give degrees"),
             ("range_min_m", 0.0, 1e5, "give metres"),
             ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
+            ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
+            ("transmit_width_deg", 1e-3, 180, "give degrees"),
+            ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
         ):
-            check_number(f"{location}: {key}", getattr(self, key), low, high, hint)
+            value = getattr(self, key)
+            if value is None and key in ("transmit_width_deg", "bandwidth_hz"):
+                continue
+            check_number(f"{location}: {key}", value, low, high, hint)
+        for key, names in CHOICES.items():
+            check_choice(key, getattr(self, key), names, location)
+        if self.beam_spacing == "sine" and self.azimuth_fov_deg > 180:
+            raise Error(
+                f'{location}: beam_spacing "sine" needs an azimuth_fov_deg of 180 degrees at most '
+                f"(got {self.azimuth_fov_deg:g}; one straight array looks ahead only)"
+            )
         if self.range_min_m >= self.range_max_m:
             raise Error(
                 f"{location}: range_min_m must be less than range_max_m "
@@ -99,6 +153,9 @@ class Sonar:
         """Beam centres, (B,) float64, radians, rising, positive to port."""
         if self.beam_azimuths_deg is not None:
             return np.radians(self.beam_azimuths_deg)
+        if self.beam_spacing == "sine" and self.n_beams > 1:
+            edge = math.sin(math.radians(self.azimuth_fov_deg) / 2)
+            return np.arcsin(np.linspace(-edge, edge, self.n_beams))
         return np.radians(self.azimuth_fov_deg * ((np.arange(self.n_beams) + 0.5) / self.n_beams - 0.5))
 
     @property
@@ -147,18 +204,25 @@ def load_sonar(what: str | Path) -> Sonar:
     Parameters
     ----------
     what : name of a preset, in upper or lower case, or path of a .toml file that contains one sonar, as top-level keys
-        or as a table; "path.toml#table" selects one of several tables
+        or as a table; "path.toml#table" selects one of several tables. Text may go on with changes of fields,
+        ",key=value,..."
 
     Raises
     ------
     Error
-        if there is no such preset, file or table, or the file does not describe a sonar.
+        if there is no such preset, file or table, the file does not describe a sonar, or a change is not one.
 
     >>> load_sonar("P900-45").n_beams
     256
+    >>> load_sonar("p900-45,receive_taper=hamming,bandwidth_hz=30e3").bandwidth_hz
+    30000.0
     """
     if not isinstance(what, (str, Path)):
         raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
+    if isinstance(what, str) and (changes := re.search(r",\s*\w+\s*=", what)) and not Path(what).exists():
+        text = what[changes.start() + 1 :]
+        _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
+        return replace(load_sonar(what[: changes.start()]), **values)
     known = presets()
     text = str(what)
     if isinstance(what, str) and text.casefold() in known:

@@ -3,6 +3,7 @@
 import doctest
 import json
 from dataclasses import FrozenInstanceError, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,7 +127,7 @@ def test_terms_of_the_profiles():
     for profile, physical in (("ideal", False), ("demarco2015", False), ("physical", True)):
         model = Acoustics(profile)
         assert (model.specular, model.bubbles, model.multipath) == (physical, physical, "none")
-        assert (model.elevation_pattern, model.bandwidth_hz, model.transmit_width_deg) == ("box", None, None)
+        assert (model.elevation_pattern, model.pulse, model.transmit_beam) == ("box", False, physical)
         assert Acoustics(profile, specular=not physical).specular is not physical
 
 
@@ -182,9 +183,11 @@ def test_meta_survives_json():
             "absorption_db_m must lie in 0..100000 "
             "(got -0.3; give dB per metre one way, a thousandth of dB per km)",
         ),
-        ({"taper": "hann"}, "unknown taper (got 'hann'; did you mean 'hamming'?)"),
-        ({"taper": None}, "unknown taper (got None; known are chebyshev, hamming, taylor, uniform)"),
-        ({"steered": "bent"}, "unknown steered (got 'bent'; known are alike, straight)"),
+        ({"beam_pattern": "boxes"}, "unknown beam_pattern (got 'boxes'; did you mean 'box'?)"),
+        (
+            {"elevation_pattern": None},
+            "unknown elevation_pattern (got None; known are box, gaussian, line_array)",
+        ),
         (
             {"absorption_formula": "thorp"},
             "unknown absorption_formula (got 'thorp'; known are ainslie_mccolm, francois_garrison)",
@@ -202,19 +205,20 @@ def test_meta_survives_json():
             "(got 1.5; give metres per second, about 1500 in water)",
         ),
         ({"sound_speed_m_s": True}, "sound_speed_m_s must be a number (got True)"),
-        (
-            {"side_lobe_db": -30},
-            "side_lobe_db must lie in 15..60 (got -30; give dB below the main lobe, positive)",
-        ),
-        ({"transmit_width_deg": 0}, "transmit_width_deg must lie in 0.001..180 (got 0; give degrees)"),
-        (
-            {"bandwidth_hz": 0.03},
-            "bandwidth_hz must lie in 1..1e+08 (got 0.03; give hertz, 30e3 for 30 kHz)",
-        ),
+        ({"pulse": 1}, "pulse must be True or False (got 1)"),
+        ({"transmit_beam": "on"}, "transmit_beam must be True or False (got 'on')"),
     ],
 )
 def test_settings_are_checked(settings, message):
     assert error_of(Acoustics, **settings) == f"acoustics: {message}"
+
+
+@pytest.mark.parametrize(("old", "new"), [("taper", "receive_taper"), ("bandwidth_hz", "bandwidth_hz")])
+def test_fields_that_have_moved_name_their_new_place(old, new):
+    where = f"{old} describes the device, and is a field of Sonar now (write it as {new} there: "
+    for make in (Acoustics, Acoustics.physical, partial(replace, Acoustics.ideal())):
+        assert error_of(make, **{old: 1}).startswith(f"acoustics: {where}")
+    assert error_of(Acoustics.parse, f"tvg_k=30,{old}=1").startswith(f"acoustics 'tvg_k=30,{old}=1': {where}")
 
 
 def test_the_range_law_of_demarco2015_is_checked():

@@ -906,7 +906,7 @@ def test_acoustics_change_fields_of_a_profile():
         tvg_k=30.0, elevation_pattern="gaussian", specular=False, absorption_db_m=0.5, multipath="none"
     )
     assert made == wanted.meta()
-    render("--profile", "ideal", "--acoustics", "bandwidth_hz=none,beam_pattern=line_array")
+    render("--profile", "ideal", "--acoustics", "absorption_db_m=none,beam_pattern=line_array")
     assert ping().meta["acoustics"] == replace(sg.Acoustics.ideal(), beam_pattern="line_array").meta()
     render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "ph=7.9")
     assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), ph=7.9).meta()
@@ -956,7 +956,7 @@ def test_verify_refuses_what_rays_know_nothing_of():
         "",
         "error: the reference does not model multipath (got multipath 'coherent'; give multipath=none)\n",
     )
-    status, out, _ = run(*words, "bandwidth_hz=2000", "--tolerance", 0.2)
+    status, out, _ = run(*words, "pulse=on", "--tolerance", 0.2)
     assert status == 0 and "tolerance of 20 % is kept" in out
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     with pytest.raises(sg.Error, match="does not model multipath"):

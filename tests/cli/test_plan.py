@@ -100,10 +100,11 @@ def test_it_prices_every_term():
 def test_it_prices_what_the_options_say():
     """A scene without planar reflectors that matter, smooth faces, bubbles: these terms change nothing."""
     terms = {
-        term["name"]: term for term in plan("--acoustics", "bandwidth_hz=2000,pulse_taper=hamming")["terms"]
+        term["name"]: term
+        for term in plan("--sonar", "small.toml,bandwidth_hz=2000", "--acoustics", "pulse=on")["terms"]
     }
-    with sg.Simulator(sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")) as simulator:
-        acoustics = sg.Acoustics.physical(bandwidth_hz=2000.0, pulse_taper="hamming")
+    with sg.Simulator(sg.load_scene("tank.sdf"), sg.load_sonar("small.toml,bandwidth_hz=2000")) as simulator:
+        acoustics = sg.Acoustics.physical(pulse=True)
         wanted = {term.name: term for term in price(simulator, simulator.sonar, 0.05, acoustics=acoustics)}
     assert terms["pulse"]["changes"] == wanted["pulse"].changes > 0.1
     assert [terms[name]["changes"] for name in ("lobes", "bubbles")] == [0, 0]

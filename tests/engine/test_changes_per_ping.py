@@ -10,14 +10,12 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.engine.stage import StageCache
 
-SONAR = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0)
+SONAR = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0, bandwidth_hz=5e3)
 SAMPLING = sg.Sampling(2, 30)
 BALL, BOX = trimesh.creation.icosphere(3, 0.5), trimesh.creation.box((0.6, 0.8, 1.0))
 PATCHY = np.linspace(0.1, 1.0, 12)
 # a TVG set for other water, so that the gain depends on the water; a pulse, so that the speed of sound matters
-ACOUSTICS = sg.Acoustics.physical(
-    tvg_k=30.0, tvg_absorption_db_m=0.2, bandwidth_hz=5e3, multipath="incoherent"
-)
+ACOUSTICS = sg.Acoustics.physical(tvg_k=30.0, tvg_absorption_db_m=0.2, pulse=True, multipath="incoherent")
 NOISE = sg.Noise(speckle=True, electronic_db=-60.0)
 POSES = [sg.pose(0.1 * k, 0.05 * k, -2.0, yaw=0.02 * k) for k in range(7)]
 COLD = {"temperature_c": 2.0, "salinity_psu": 5.0}

@@ -123,8 +123,21 @@ def plain(value):
 
 def test_npz_holds_sonar_and_acoustics(tmp_path):
     """In `meta`, as plain values, also if the ping's own `meta` lacks them."""
-    sonar = Sonar("five", np.float32(9e5), 5, 7, 60, 20.0, 1.0, 0.5, 9.5, (-25.0, -9, 0, 9.1, 30), "a test")
-    acoustics = Acoustics.physical(tvg_k=30.0, bandwidth_hz=3e4)
+    sonar = Sonar(
+        "five",
+        np.float32(9e5),
+        5,
+        7,
+        60,
+        20.0,
+        1.0,
+        0.5,
+        9.5,
+        (-25.0, -9, 0, 9.1, 30),
+        "a test",
+        bandwidth_hz=3e4,
+    )
+    acoustics = Acoustics.physical(tvg_k=30.0, pulse=True)
     described = {"sonar": sonar, "acoustics": acoustics}
     save_npz(tmp_path / "a.npz", make_ping(**described))
     read = load_npz(tmp_path / "a.npz")

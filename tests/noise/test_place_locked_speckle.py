@@ -78,7 +78,11 @@ def test_moving_ahead_moves_the_pattern_in_range():
 
 
 def test_moving_ahead_by_half_a_bin_interpolates():
-    pulse = {"bandwidth_hz": SOUND_SPEED_M_S / (4 * BIN_M), "pulse_taper": "hamming"}  # c/2B is 2 bins
+    pulse = {
+        "pulse": True,
+        "bandwidth_hz": SOUND_SPEED_M_S / (4 * BIN_M),
+        "pulse_taper": "hamming",
+    }  # c/2B is 2 bins
     forward = BIN_M / 2 * AHEAD
     before = np.array([moved(seed, **pulse)[BORESIGHT] for seed in range(30)])
     after = np.array([moved(seed, *forward, **pulse)[BORESIGHT] for seed in range(30)])

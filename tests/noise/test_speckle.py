@@ -216,12 +216,15 @@ def test_a_taper_widens_the_correlation(fov_deg):
 
 
 @pytest.mark.parametrize(
-    ("acoustics", "expected"),
-    [({}, 0.5), ({"beam_pattern": "line_array", "taper": "hamming"}, hamming_correlation(1.302982 / 2) ** 2)],
+    ("settings", "expected"),
+    [
+        ({}, 0.5),
+        ({"beam_pattern": "line_array", "receive_taper": "hamming"}, hamming_correlation(1.302982 / 2) ** 2),
+    ],
     ids=["uniform", "hamming"],
 )
-def test_the_taper_is_that_of_the_ping(acoustics, expected):
-    x = speckled(even_ping(64, 2000, 0.5, **acoustics))
+def test_the_taper_is_that_of_the_ping(settings, expected):
+    x = speckled(even_ping(64, 2000, 0.5, **settings))
     error = SIGMAS * 2 / np.sqrt(64 * 2000 / 2)
     assert correlation(x[1:], x[:-1]) == pytest.approx(expected, abs=error + 5e-3)
 
@@ -231,7 +234,7 @@ def test_the_taper_is_that_of_the_ping(acoustics, expected):
 
 @pytest.mark.parametrize(("taper", "field"), [("uniform", np.sinc), ("hamming", hamming_correlation)])
 def test_bins_shorter_than_the_pulse_share_speckle(taper, field):
-    x = speckled(even_ping(100, 4000, 2.0, bandwidth_hz=TWO_BINS_HZ, pulse_taper=taper))
+    x = speckled(even_ping(100, 4000, 2.0, pulse=True, bandwidth_hz=TWO_BINS_HZ, pulse_taper=taper))
     n = x.size / 2  # independent draws, one per c/2B
     for bins in (1, 2, 3):
         error = SIGMAS * 2 / np.sqrt(n) + 4e-3  # the pulse weights are cut off
@@ -242,7 +245,7 @@ def test_bins_shorter_than_the_pulse_share_speckle(taper, field):
 
 
 def test_correlation_over_beams_and_bins_is_the_product():
-    x = speckled(even_ping(64, 2000, 0.5, bandwidth_hz=TWO_BINS_HZ))
+    x = speckled(even_ping(64, 2000, 0.5, pulse=True, bandwidth_hz=TWO_BINS_HZ, pulse_taper="uniform"))
     expected = (np.sinc(0.5) * np.sinc(0.5 * UNIFORM_WIDTH)) ** 2
     error = SIGMAS * 2 / np.sqrt(x.size / 4) + 4e-3
     assert correlation(x[1:, 1:], x[:-1, :-1]) == pytest.approx(expected, abs=error)

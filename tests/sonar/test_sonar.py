@@ -64,7 +64,7 @@ def test_the_preset_of_demarco2015_is_the_sonar_of_the_paper():
 def test_unverified_numbers_are_marked():
     """All presets have numbers from memory, marked as such, except for these."""
     unverified = {name for name, sonar in presets().items() if "unverified:" in sonar.source}
-    sourced = {"p900-45", "p900-90", "p900-130", "demarco-2015", "oculus-m370s"}
+    sourced = {"p900-45", "p900-90", "p900-130", "demarco-2015"}
     assert unverified == set(presets()) - sourced
 
 
@@ -90,6 +90,21 @@ def test_azimuths_and_bins():
     assert (sonar.bin_edges_m[0], sonar.bin_edges_m[-1], sonar.bin_size_m) == (0.5, 30.0, 0.5)
     np.testing.assert_allclose(sonar.range_m, 0.75 + 0.5 * np.arange(59), rtol=1e-15)
     assert (sonar.with_range(10.5).n_bins, sonar.with_range(10.5).bin_size_m) == (20, 0.5)
+
+
+def test_azimuths_even_in_sine():
+    """Of a straight array of 8 elements half a wavelength apart, whose Fourier transform has beams at sines of n/4."""
+    sonar = Sonar("s", **{**KEYS, "n_beams": 9, "azimuth_fov_deg": 180.0}, beam_spacing="sine")
+    np.testing.assert_allclose(np.sin(sonar.azimuth_rad), np.arange(-4, 5) / 4, rtol=0, atol=1e-15)
+    alone = Sonar("s", **{**KEYS, "n_beams": 1}, beam_spacing="sine")
+    assert alone.azimuth_rad.tolist() == [0.0]
+
+
+def test_oculus_bearings_are_those_of_a_device():
+    """In raw pings of an M1200d (liboculus, test/data), hundredths of a degree, every 32nd of 256."""
+    measured = [-30.0, -21.99, -14.41, -7.09, 0.11, 7.32, 14.65, 22.23]
+    sonar = replace(load_sonar("oculus-m1200d-hf"), n_beams=256)
+    np.testing.assert_allclose(np.degrees(sonar.azimuth_rad)[::32], measured, rtol=0, atol=0.01)
 
 
 def test_azimuths_from_a_table():
@@ -129,6 +144,22 @@ def test_a_file_name_may_contain_a_hash(tmp_path):
     path = tmp_path / "a.toml#b"
     path.write_text(TEXT)
     assert load_sonar(path).n_beams == 256
+
+
+def test_text_may_change_fields(tmp_path):
+    changed = load_sonar("P900-45, receive_taper=taylor,bandwidth_hz=30e3")
+    assert changed == replace(load_sonar("p900-45"), receive_taper="taylor", bandwidth_hz=30e3)
+    (tmp_path / "a,b.toml").write_text(TEXT)
+    path = str(tmp_path / "a,b.toml")
+    assert load_sonar(f"{path},n_bins=7") == replace(load_sonar(path), n_bins=7)
+    assert error_of(load_sonar, "p900-45,taper=hamming") == (
+        "sonar 'taper=hamming': unknown name "
+        "(got 'taper'; did you mean 'pulse_taper' or 'receive_taper' or 'transmit_taper'?)"
+    )
+    assert error_of(load_sonar, "p900-45,bandwidth_hz=wide") == (
+        "sonar 'bandwidth_hz=wide': bandwidth_hz must be a number (got 'wide')"
+    )
+    assert error_of(load_sonar, "p901,n_bins=7").startswith("unknown sonar (got 'p901'")
 
 
 def test_an_unknown_preset_is_an_error():
@@ -185,7 +216,7 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ({"frequency_hz": "'900'"}, "sonar 'a': frequency_hz must be a number (got '900')"),
         (
             {"frequency_hz": 900},
-            "sonar 'a': frequency_hz must lie in 1000..1e+08 (got 900; give hertz, 900e3 for 900 kHz)",
+            "sonar 'a': frequency_hz must lie in 10000..1e+08 (got 900; give hertz, 900e3 for 900 kHz)",
         ),
         (
             {"azimuth_fov_deg": 400},
@@ -203,6 +234,28 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         (
             {"n_beams": 2, "beam_azimuths_deg": [2, 1]},
             "sonar 'a': beam_azimuths_deg must rise (starboard first, positive to port)",
+        ),
+        (
+            {"receive_taper": "'hann'"},
+            "sonar 'a': unknown receive_taper (got 'hann'; did you mean 'hamming'?)",
+        ),
+        ({"steered": "'bent'"}, "sonar 'a': unknown steered (got 'bent'; known are alike, straight)"),
+        (
+            {"side_lobe_db": -30},
+            "sonar 'a': side_lobe_db must lie in 15..60 (got -30; give dB below the main lobe, positive)",
+        ),
+        (
+            {"transmit_width_deg": 0},
+            "sonar 'a': transmit_width_deg must lie in 0.001..180 (got 0; give degrees)",
+        ),
+        (
+            {"bandwidth_hz": 0.03},
+            "sonar 'a': bandwidth_hz must lie in 1..1e+08 (got 0.03; give hertz, 30e3 for 30 kHz)",
+        ),
+        (
+            {"azimuth_fov_deg": 200, "beam_spacing": "'sine'"},
+            "sonar 'a': beam_spacing \"sine\" needs an azimuth_fov_deg of 180 degrees at most "
+            "(got 200; one straight array looks ahead only)",
         ),
     ],
 )

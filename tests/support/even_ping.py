@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from sonar_gl import Acoustics, Ping, Sonar
+from sonar_gl import Ping, Sonar
+from tests.support.settings import described
 
 FREQUENCY_HZ, SOUND_SPEED_M_S, BIN_M, RANGE_MIN_M = 900e3, 1500.0, 0.0125, 1.0
 BEAM_WIDTH_RAD = np.radians(1.0)
@@ -11,16 +12,17 @@ HAMMING_SERIES = (0.23 / 0.54,)
 SIGMAS = 5.0  # a tolerance of 5 standard errors fails by chance once in 1.7 million
 
 
-def even_ping(n_beams=64, n_bins=256, spacing_deg=0.25, level=1.0, pose=None, **acoustics) -> Ping:
+def even_ping(n_beams=64, n_bins=256, spacing_deg=0.25, level=1.0, pose=None, **settings) -> Ping:
     """Return a ping whose intensity is `level` in each bin.
 
     Beams are 1 degree wide, `spacing_deg` apart, or evenly spread over the circle if that is too small for
-    them. `acoustics` are fields of `Acoustics` that differ from those of profile ideal in water of 1500 m/s.
+    them. `settings` are fields of `Sonar`, and of `Acoustics` that differ from those of profile ideal in water of
+    1500 m/s.
     """
     range_max_m = RANGE_MIN_M + BIN_M * n_bins
     fan_deg = min(360.0, n_beams * spacing_deg)
     sonar = Sonar("even", FREQUENCY_HZ, n_beams, n_bins, fan_deg, 20.0, 1.0, RANGE_MIN_M, range_max_m)
-    acoustics = Acoustics(**{"profile": "ideal", "sound_speed_m_s": SOUND_SPEED_M_S} | acoustics)
+    sonar, acoustics = described(sonar, **{"profile": "ideal", "sound_speed_m_s": SOUND_SPEED_M_S} | settings)
     intensity = np.full((n_beams, n_bins), level, np.float32)
     return Ping(intensity, sonar.azimuth_rad, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics)
 

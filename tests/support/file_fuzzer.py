@@ -49,6 +49,8 @@ elevation_fov_deg = 20.0
 beam_width_deg = 4.0
 range_min_m = 0.5
 range_max_m = 10.0
+bandwidth_hz = 30e3
+beam_spacing = "sine"
 source = "made up"
 """
 BEAMS = "beam_azimuths_deg = [" + ", ".join(f"{-29 + 3.8 * k:.1f}" for k in range(16)) + "]\n"
@@ -61,7 +63,7 @@ pings_per_part = 4
 profile = "physical"
 tvg_k = 30.0
 temperature_c = 8.0
-bandwidth_hz = 30e3
+pulse = true
 
 [noise]
 preset = "physical"

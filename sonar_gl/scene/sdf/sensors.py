@@ -30,7 +30,7 @@ BOUNDS = {  # of what tags state, as for `Sonar`
     "range_min_m": (0.0, 1e5),
     "range_max_m": (1e-3, 1e5),
     "bin_size_m": (1e-4, 1e5),
-    "frequency_hz": (1e3, 1e8),
+    "frequency_hz": (1e4, 1e8),
 }
 WORDS = {
     "azimuth_fov_deg": "field of view",
