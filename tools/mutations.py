@@ -81,8 +81,8 @@ MUTATIONS = (
     Mutation("footprints/no trapezoids", "if 8 * thin * per_metre >= s * s:", "if False:", FOOTPRINTS),
     Mutation(
         "footprints/inner bins",
-        "height = np.float32(2 * half_height)\n        for k in",
-        "height = np.float32(half_height)\n        for k in",
+        "(bins_s[last] ** 2 - far * far)) height = np.float32(2 * half_height)",
+        "(bins_s[last] ** 2 - far * far)) height = np.float32(half_height)",
         FOOTPRINTS,
     ),
     Mutation(
