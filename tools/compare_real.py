@@ -33,7 +33,6 @@ from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.place_locked_speckle import CELL_M
 from sonar_gl.noise.speckle import aperture_width
-from sonar_gl.scene.reflectivity_map import textured_body
 from tools.count_statistics import (
     correlation,
     divergence,
@@ -148,13 +147,17 @@ PRESET = "oculus-m1200d-hf"
 # The preset has 0.4 degrees. One straight array with that width, whose beams are even in sine, has neighbours that
 # overlap as much as beams of 0.42 degrees do over this fan; our noise takes one width for all beams.
 BEAM_WIDTH_DEG = 0.42
-FLOOR_TEXELS = 180, 360  # across and ahead, of a floor as long as the range: 11 x 6 mm for a range of 2 m
-# Standard deviations of the blur that makes its patches, texels, and of their reflectivity: by the correlations and the
-# contrast of the real floor, whose patches are ripples, longer across than ahead.
-PATCH_TEXELS = 1.6, 1.2
-PATCH_DB = 3.7
+FLOOR = (
+    0.75,
+    0.8,
+)  # length ahead and width of the floor over the greatest range: more than the beams' main lobes see
+FLOOR_CELLS = 270, 145  # along them: 6 x 11 mm for a range of 2 m
+# Standard deviations of the blur that makes its patches, cells, and of their reflectivity: by the correlations and the
+# contrast of the real floor, whose patches are longer across than ahead.
+PATCH_CELLS = 1.3, 2.0
+PATCH_DB = 4.0
 FLOOR_REFLECTIVITY = 0.1
-NOISE_DB = -60.0  # by the far field of the real pings
+NOISE_DB = -60.5  # by the far field of the real pings
 DRIFT_M = 0.0005  # of the sonar to starboard, from ping to ping, by the correlation of the real ones
 MIDDLE_M = (
     CELL_M / 2
@@ -190,16 +193,22 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
 
 def floor(setup: Setup, patches: bool) -> sg.Body:
     """Return a level floor at z = 0 ahead of the sonar, with or without patches."""
-    side_m = setup.range_max_m
-    corners = np.array([[0, -0.5, 0], [1, -0.5, 0], [1, 0.5, 0], [0, 0.5, 0]]) * side_m
-    corners += MIDDLE_M, MIDDLE_M, 0
-    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-    if not patches:
-        return sg.Body("floor", mesh, reflectivity=FLOOR_REFLECTIVITY)
-    normals = np.random.default_rng(SEED).standard_normal(FLOOR_TEXELS)
-    blurred = cv2.GaussianBlur(normals, (0, 0), PATCH_TEXELS[1], sigmaY=PATCH_TEXELS[0])
-    image = FLOOR_REFLECTIVITY * 10 ** (PATCH_DB / 10 * blurred / blurred.std())
-    return textured_body("floor", mesh, np.minimum(image, 1.0), [[0, 0], [1, 0], [1, 1], [0, 1]])
+    columns, rows = FLOOR_CELLS
+    size_m = np.array(FLOOR) * setup.range_max_m
+    x, y = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(-0.5, 0.5, rows + 1))
+    at = np.stack([x * size_m[0] + MIDDLE_M, y * size_m[1] + MIDDLE_M, 0 * x], axis=-1).reshape(-1, 3)
+    corner = np.add.outer(np.arange(rows) * (columns + 1), np.arange(columns)).ravel()
+    right, above = corner + 1, corner + columns + 1
+    faces = np.stack([corner, right, above + 1, corner, above + 1, above], axis=-1).reshape(-1, 3)
+    reflectivity = FLOOR_REFLECTIVITY
+    if patches:
+        normals = np.random.default_rng(SEED).standard_normal((rows, columns))
+        blurred = cv2.GaussianBlur(normals, (0, 0), PATCH_CELLS[0], sigmaY=PATCH_CELLS[1])
+        cells = np.minimum(FLOOR_REFLECTIVITY * 10 ** (PATCH_DB / 10 * blurred / blurred.std()), 1.0)
+        reflectivity = np.repeat(cells.ravel(), 2)
+    else:
+        at, faces = at[[0, columns, -1, -columns - 1]], np.array([[0, 1, 2], [0, 2, 3]])
+    return sg.Body("floor", trimesh.Trimesh(at, faces, process=False), reflectivity=reflectivity)
 
 
 def pose_at(setup: Setup, drift_m: float = 0.0) -> np.ndarray:
@@ -420,6 +429,7 @@ def compare(real: Figures, ours: Figures, expected: dict[str, float]) -> list[Ro
 
 PICTURE_HEIGHT = 400
 COLORMAP = "gray"
+OURS, BOTH = "oculus_ours", "oculus_real_and_ours"  # names of pictures
 GRAYS = 32  # of a picture, in which more cost bytes and do not show
 
 
@@ -517,8 +527,8 @@ def run(options: argparse.Namespace) -> None:
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         side_by_side = np.hstack([draw(picture, setup) for picture in pictures])
-        name = "oculus_ours.png" if options.file is None else "oculus_real_and_ours.png"
-        write_png(options.out / name, Image.fromarray(side_by_side), GRAYS)
+        name = OURS if options.file is None else BOTH
+        write_png(options.out / f"{name}.png", Image.fromarray(side_by_side), GRAYS)
 
 
 def main() -> int:

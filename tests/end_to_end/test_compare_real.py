@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import struct
 
 import numpy as np
@@ -9,7 +10,17 @@ import pytest
 
 from sonar_gl.core.errors import Error
 from tools import compare_real
-from tools.compare_real import MISSES, RECORD, Figures, compare, measure, our_pictures, read_record, regions
+from tools.compare_real import (
+    MISSES,
+    RECORD,
+    Figures,
+    compare,
+    measure,
+    our_pictures,
+    print_table,
+    read_record,
+    regions,
+)
 from tools.count_statistics import (
     binary_patterns,
     correlation,
@@ -241,6 +252,29 @@ def test_speckle_in_the_far_field_is_that_of_theory(table):
         if name.startswith("far: ") and row.theory is not None:
             # 32 000 bins, of which an eighth are independent: some standard errors
             assert row.ours == pytest.approx(row.theory, abs=0.04), name
+
+
+def test_the_page_has_the_table(table):
+    page = (RECORD.parents[1] / "docs" / "realism.md").read_text(encoding="utf-8")
+    lines = []
+    print_table(list(table.values()), lines.append)
+    assert lines[0] in page
+    told = (
+        compare_real.PATCH_DB,
+        compare_real.BEAM_WIDTH_DEG,
+        compare_real.NOISE_DB,
+        1e3 * compare_real.DRIFT_M,
+    )
+    for number, unit in zip(told, (" dB", "°", "`", " mm"), strict=True):
+        assert f"{number:g}{unit}" in page
+    for row, line in zip(table.values(), lines[1:], strict=False):
+        (told,) = (one for one in page.splitlines() if one.startswith(f"{row.name} "))
+        assert told.split()[-1] == line.split()[-1]
+        numbers = [np.array(re.findall(r"[+-]?[\d.]*\d(?= |$)", one[42:]), float) for one in (told, line)]
+        # another engine differs in single bins
+        np.testing.assert_allclose(*numbers, rtol=0, atol=0.03 if "mean/std" not in row.name else 0.2)
+    for line in lines[len(table) + 1 :]:
+        assert line in page
 
 
 def test_the_record_has_numbers_and_their_source():

@@ -126,7 +126,9 @@ def test_beams_overlap_in_the_cross_fade_as_within_a_cell(x, y):
     ]
     # beams half a width apart; 1 mm of range, of bins of 12.5 mm, that their patterns lie apart costs the rest
     n = 20 * 256 * 64 * 0.25 * UNIFORM_WIDTH
-    assert np.mean(found) == pytest.approx(np.sinc(UNIFORM_WIDTH / 2) ** 2, abs=SIGMAS * 2 / np.sqrt(n) + 0.05)
+    assert np.mean(found) == pytest.approx(
+        np.sinc(UNIFORM_WIDTH / 2) ** 2, abs=SIGMAS * 2 / np.sqrt(n) + 0.05
+    )
 
 
 @pytest.mark.parametrize("missing", ["pose", "sonar"])
