@@ -312,7 +312,7 @@ BOUNDS = {"mean/std": 0.03, "skewness": 0.1, "correlation": 0.05, "dB": 3.0, "di
 RELATIVE = ("mean/std",)  # bounds as a share of the real number
 
 ECHO_AFTER = (
-    "the real floor still echoes there, by side lobes in elevation and a second bounce; ours is noise"
+    "the real floor still echoes there, by side lobes in elevation and perhaps a second bounce; ours is noise"
 )
 ARCS = "the real water has short arcs, some ten beams long, which change from ping to ping; ours is noise"
 UNKNOWN = "of something that the pings which the settings were found with did not show"
