@@ -474,6 +474,12 @@ MUTATIONS = (
         NOISE,
         (("2 * aside_m / spacing_m", "aside_m / spacing_m"),),
     ),
+    Mutation(
+        "noise/phase of cross-faded cells",
+        "(4 * np.pi / wavelength_m * along_m)",
+        "(2 * np.pi / wavelength_m * along_m)",
+        NOISE,
+    ),
     Mutation("noise/phase of waves", "c * x[k] - s * y[k]", "c * x[k] + s * y[k]", NOISE),
     Mutation(
         "noise/mirrored beams",

@@ -169,7 +169,9 @@ def place_locked_field(
         weight = np.clip(length / 2 + 0.5 - np.abs(position), 0, 1)  # the outermost waves count in part
         weight *= aperture_weights(np.clip(position / length, -0.5, 0.5), taper_series)
         weight *= wx * wy * np.sqrt(0.5 / (weight**2).sum(1, keepdims=True))
-        phase = waves * repeats * azimuth[:, None]
+        # Less the phase of the way from the cell's middle to the sonar and back. The field of a cell would else turn by
+        # that from beam to beam, each cell by its own, and neighbours would not correlate where cells cross-fade.
+        phase = waves * repeats * azimuth[:, None] - (4 * np.pi / wavelength_m * along_m)[:, None]
         chunks = range(waves.min() // CHUNK, waves.max() // CHUNK + 1)
         size = CHUNK, 2, n_bins + 2 * margin
         coefficients = np.concatenate([standard_normal(generator(cx, cy, chunk), size) for chunk in chunks])

@@ -20,6 +20,7 @@ from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import plan as costs
 from sonar_gl.imaging.files import NPZ_FIELDS
+from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
 from tools.chart import scenes
@@ -160,6 +161,7 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
         *(f"embedding_{name}" for name in embed.SHOWN),
         *(f"ablation_{name}" for name in ablation.SCENES),
         "scaling",
+        compare_real.OURS,
     }
 
 

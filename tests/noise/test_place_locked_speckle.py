@@ -121,6 +121,20 @@ def test_cells_of_the_sea_fade_into_each_other():
     assert correlation(steps[0], steps[-1]) < 0.1  # each cell has its own waves
 
 
+@pytest.mark.parametrize("x, y", [(0.0, 0.0), (0.5, 0.25), (1.02, 0.47)])
+def test_beams_overlap_in_the_cross_fade_as_within_a_cell(x, y):
+    """Two or four cells add up there, with waves of very different phases over beams."""
+    found = [
+        correlation(pattern[2:], pattern[:-2])
+        for pattern in (patterns(PLACE_LOCKED, even_ping(pose=pose(x, y)), 1, seed)[0] for seed in range(20))
+    ]
+    # beams half a width apart; 1 mm of range, of bins of 12.5 mm, that their patterns lie apart costs the rest
+    n = 20 * 256 * 64 * 0.25 * UNIFORM_WIDTH
+    assert np.mean(found) == pytest.approx(
+        np.sinc(UNIFORM_WIDTH / 2) ** 2, abs=SIGMAS * 2 / np.sqrt(n) + 0.05
+    )
+
+
 @pytest.mark.parametrize("missing", ["pose", "sonar"])
 def test_it_needs_a_pose_and_a_sonar(missing):
     with pytest.raises(Error) as caught:
