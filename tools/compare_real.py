@@ -178,14 +178,15 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
         beam_width_deg=BEAM_WIDTH_DEG,
         range_min_m=0.0,
         range_max_m=setup.range_max_m,
+        bandwidth_hz=200e3,  # by the correlation of neighbouring bins in the real far field
+        pulse_taper="uniform",
     )
     acoustics = sg.Acoustics.physical(
         salinity_psu=0.0,  # the file's setting
         temperature_c=22.0,  # at which fresh water has the file's speed of sound
         sound_speed_m_s=setup.sound_speed_m_s,
-        taper="hamming",
         elevation_pattern="line_array",
-        bandwidth_hz=200e3,  # by the correlation of neighbouring bins in the real far field
+        pulse=True,
         tvg_k=30.0,  # by the rise of the real noise from the water to the far field
     )
     return sonar, acoustics, sg.Noise(speckle=True, follow_motion=True, electronic_db=NOISE_DB)
@@ -395,12 +396,12 @@ def measure(pictures: list[np.ndarray], setup: Setup, parts: Regions) -> Figures
 
 def theory(setup: Setup) -> dict[str, float]:
     """Return what fully developed speckle in all regions would measure, where there is a formula."""
-    _, acoustics, _ = our_device(setup)
+    sonar, _, _ = our_device(setup)
     expected = law_moments(LAW)
     # of one straight array, with beams even in sine and as wide ahead as the data sheet says
     spacing = np.ptp(np.sin(np.radians(setup.beam_azimuths_deg))) / (len(setup.beam_azimuths_deg) - 1)
     apart = aperture_width((HAMMING,)) * spacing / math.radians(sg.load_sonar(PRESET).beam_width_deg)
-    bins = 2 * acoustics.bandwidth_hz * setup.bin_size_m / setup.sound_speed_m_s
+    bins = 2 * sonar.bandwidth_hz * setup.bin_size_m / setup.sound_speed_m_s
     out = {"floor: correlation of pings": 1.0, "far: correlation of pings": 0.0}
     for name in Regions._fields:
         out[f"{name}: mean/std"], out[f"{name}: skewness"] = expected
