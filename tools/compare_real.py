@@ -157,7 +157,7 @@ FLOOR_CELLS = 270, 145  # along them: 6 x 11 mm for a range of 2 m
 PATCH_CELLS = 1.3, 2.0
 PATCH_DB = 4.0
 FLOOR_REFLECTIVITY = 0.1
-NOISE_DB = -60.5  # by the far field of the real pings
+NOISE_DB = -59.3  # by the far field of the real pings
 DRIFT_M = 0.0005  # of the sonar to starboard, from ping to ping, by the correlation of the real ones
 MIDDLE_M = (
     CELL_M / 2

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, gaussian_pattern, line_array_pattern
-from sonar_gl.acoustics.pulse import bin_weights
+from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
 from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
@@ -456,8 +456,9 @@ class Acoustics:
     def pulse_response(self, sonar) -> tuple[float, str, float]:
         """Return bandwidth, taper and the speed of sound of the pulse, as `pulse.amplitude_response` takes them."""
         speed_m_s = float(self.sonar_sound_speed_m_s or self.sound_speed())  # bins lie at shown ranges
-        bandwidth_hz = sonar.bandwidth_hz or speed_m_s / (2 * sonar.bin_size_m)
-        return float(bandwidth_hz), sonar.pulse_taper, speed_m_s
+        # the resolution cell is inversely proportional to the bandwidth
+        as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m
+        return float(sonar.bandwidth_hz or as_a_bin_hz), sonar.pulse_taper, speed_m_s
 
 
 def _check_moved(what: str, names) -> None:

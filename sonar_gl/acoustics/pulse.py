@@ -68,6 +68,21 @@ def amplitude_response(range_m, bandwidth_hz: float, taper: str = "uniform", sou
     return aperture_field(x, _taper_series(taper))
 
 
+def resolution_cell_m(bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0) -> float:
+    """Return the length of the resolution cell in range, metres: the energy of the power response, 1 at its peak.
+
+    It is c/2B (1 + 2 Σ F_m²) by Parseval.
+
+    Parameters
+    ----------
+    bandwidth_hz, taper, sound_speed_m_s : as for `amplitude_response`
+
+    >>> resolution_cell_m(30e3), round(resolution_cell_m(30e3, "hamming"), 5)
+    (0.025, 0.03407)
+    """
+    return _null_m(bandwidth_hz, sound_speed_m_s) * (1 + 2 * sum(share**2 for share in _taper_series(taper)))
+
+
 def _half_length_within(half_energy: np.ndarray, energy: float) -> int:
     """Return the bins to each side that contain an energy.
 
@@ -97,11 +112,15 @@ def _sufficient_half_length(bin_size_m: float, null_m: float) -> int:
 def bin_weights(
     bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
 ) -> np.ndarray:
-    """Return the shares of a bin's echo that the matched filter puts into the bins around it.
+    """Return what the matched filter puts of a bin's echo into the bins around it.
 
     The echo of a bin is spread evenly over it, and the receiver samples at the centres of bins: each share is thus
     the power response integrated over one bin. For bins much coarser than c/2B the result is nearly [1]. The
     outermost shares, 1e-3 of the energy, are left out.
+
+    The level of a receiver is that of the echo in its resolution cell. A bin that is longer than the cell holds its
+    own echo, and the sum of the weights is 1. A shorter bin holds only a part of the cell's echo, and the sum is the
+    cell over the bin: the level does not depend on the size of the bins.
 
     Parameters
     ----------
@@ -110,13 +129,13 @@ def bin_weights(
 
     Returns
     -------
-    (n,) float32, n odd, symmetric, sum 1, read-only
+    (n,) float32, n odd, symmetric, sum 1 or more, read-only
 
-    >>> bin_weights(0.025, 30e3, "hamming").astype(float).round(3).tolist()
-    [0.001, 0.176, 0.647, 0.176, 0.001]
+    >>> bin_weights(0.05, 30e3, "hamming").astype(float).round(3).tolist()
+    [0.028, 0.944, 0.028]
     """
-    null_m, series = _null_m(bandwidth_hz, sound_speed_m_s), _taper_series(taper)
-    total_energy = null_m * (1 + 2 * sum(share**2 for share in series))  # Parseval
+    null_m = _null_m(bandwidth_hz, sound_speed_m_s)
+    cell_m = resolution_cell_m(bandwidth_hz, taper, sound_speed_m_s)
     half_length = _sufficient_half_length(bin_size_m, null_m)
     intervals = int(np.ceil(INTERVALS_PER_NULL * bin_size_m / null_m))
     if intervals > MAX_HALF_LENGTH:
@@ -128,8 +147,8 @@ def bin_weights(
         for node, weight in zip(*GAUSS_LEGENDRE, strict=True):
             r = middle + node * width / 2
             half += weight * width / 2 * amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s) ** 2
-    kernel = _symmetric(half[: _half_length_within(half, (1 - NEGLECTED_ENERGY) * total_energy) + 1])
-    return _read_only_float32(kernel / kernel.sum())
+    kernel = _symmetric(half[: _half_length_within(half, (1 - NEGLECTED_ENERGY) * cell_m) + 1])
+    return _read_only_float32(kernel / kernel.sum() * max(1.0, cell_m / bin_size_m))
 
 
 @lru_cache(maxsize=16)

@@ -66,7 +66,8 @@ class Sonar:
     side_lobe_db : level of the side lobes of tapers "taylor" and "chebyshev", dB below the main lobe, positive
     transmit_width_deg : −3 dB width in azimuth of the transmit beam about the boresight, degrees; None: the fan is
         insonified evenly. `beam_width_deg` stays the width of the receive beams
-    bandwidth_hz : bandwidth of the pulse, hertz; None: not known, taken so that the pulse is as long as a bin
+    bandwidth_hz : bandwidth of the pulse, hertz; None: not known, taken so that the
+        resolution cell is as long as a bin
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
 

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+import trimesh
 
+import sonar_gl as sg
 from sonar_gl.acoustics.pulse import (
     PULSE_TAPERS,
     amplitude_response,
     bin_weights,
     field_weights,
     matched_filter,
+    resolution_cell_m,
 )
 from sonar_gl.core.errors import Error
 
@@ -40,16 +43,17 @@ def test_bin_weights_are_integrals_of_the_response(taper, bin_size_m):
     weights = bin_weights(bin_size_m, BANDWIDTH_HZ, taper, SPEED_M_S)
     assert weights.dtype == np.float32 and len(weights) % 2 == 1 and not weights.flags.writeable
     assert (weights == weights[::-1]).all()
-    assert weights.sum(dtype=np.float64) == pytest.approx(1, abs=1e-6)
-    # integrated by the midpoint rule; the total follows from Parseval
+    total = NULL_M * (1 if taper == "uniform" else 1 + 2 * (0.23 / 0.54) ** 2)  # Parseval
+    level = max(1, total / bin_size_m)
+    assert weights.sum(dtype=np.float64) == pytest.approx(level, rel=1e-6)
+    # integrated by the midpoint rule
     per_bin = 200
     half_length = len(weights) // 2 + 0.5
     r = (np.arange(len(weights) * per_bin) + 0.5) / per_bin * bin_size_m - half_length * bin_size_m
     energy = power(r / NULL_M, taper).reshape(-1, per_bin).mean(1) * bin_size_m
-    total = NULL_M * (1 if taper == "uniform" else 1 + 2 * (0.23 / 0.54) ** 2)
     assert 0.999 * total <= energy.sum() <= total * (1 + 1e-6)
     np.testing.assert_allclose(
-        weights, energy / energy.sum(), rtol=0, atol=2e-5
+        weights / level, energy / energy.sum(), rtol=0, atol=2e-5
     )  # error of the midpoint rule
 
 
@@ -59,8 +63,48 @@ def test_coarse_bins_contain_nearly_the_whole_pulse():
     assert bin_weights(20 * NULL_M, BANDWIDTH_HZ, "hamming").tolist() == [1.0]
 
 
+@pytest.mark.parametrize("taper", PULSE_TAPERS)
+def test_levels_do_not_depend_on_the_size_of_bins_that_are_shorter_than_the_cell(taper):
+    """An even echo of 1 per metre, and a point of 1: the levels are those of one resolution cell, and of the point."""
+    cell_m = resolution_cell_m(BANDWIDTH_HZ, taper)
+    for bin_size_m in (cell_m, cell_m / 2, cell_m / 8, cell_m / 31):
+        weights = bin_weights(bin_size_m, BANDWIDTH_HZ, taper)
+        n = 3 * len(weights)
+        even = matched_filter(np.full((1, n), bin_size_m, np.float32), weights)[0, n // 2]
+        assert even == pytest.approx(cell_m, rel=1e-5)
+        if bin_size_m <= cell_m / 8:
+            assert weights.max() == pytest.approx(1, abs=1.5e-2)  # the mean of the response over a bin
+
+
+def test_the_level_of_a_floor_and_of_a_ball_is_that_of_the_cell():
+    """In bins of 1, 1/2, 1/4 and 1/8 of it, within 0.1 dB; without a pulse it falls by 3 dB each time."""
+    corners = np.array([[5.0, -9, -1], [5, 9, -1], [15, 9, -1], [15, -9, -1]])
+    floor = sg.Body(
+        "floor", trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False), reflectivity=0.3
+    )
+    ball = sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(7.5))
+    levels_db = {}
+    for pulse in (True, False):
+        for parts in (1, 2, 4, 8):
+            sonar = sg.Sonar("s", 900e3, 9, 160 * parts, 9.0, 20.0, 1.0, 7.0, 11.0, bandwidth_hz=30e3)
+            with sg.Simulator(
+                sg.Scene([floor, ball]), sonar, sg.Acoustics.physical(pulse=pulse), tolerance=0.01
+            ) as simulator:
+                power = simulator.ping(np.eye(4)).intensity.astype(float)
+            at = (sonar.range_m > 8.5) & (sonar.range_m < 10.5)
+            levels = power[4, at].mean(), power[4, sonar.range_m < 8].max()
+            levels_db[pulse, parts] = 10 * np.log10(levels)
+    for parts in (2, 4, 8):
+        apart = levels_db[True, parts] - levels_db[True, 1]
+        assert (
+            abs(apart[0]) < 0.01 and abs(apart[1]) < 0.1
+        )  # of the ball, the largest bin: where bins lie matters
+        naive = levels_db[False, parts] - levels_db[False, 1]
+        assert naive[0] == pytest.approx(-10 * np.log10(parts), abs=0.1)
+
+
 def test_the_matched_filter_keeps_energy_except_at_the_ends():
-    weights = bin_weights(0.01, BANDWIDTH_HZ)
+    weights = bin_weights(0.03, BANDWIDTH_HZ)  # longer than a cell
     half_length = len(weights) // 2
     rng = np.random.default_rng(1)
     echo = np.zeros((7, 4 * half_length), np.float32)
