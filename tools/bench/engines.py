@@ -27,7 +27,7 @@ SCENES = {
     "ocean_floor": 1.5,
 }  # name: OpenGL's time over that of the engine cpu, aimed at
 IDEAL = sg.Acoustics.ideal()
-FEW = 8  # pings of a sequence
+FEW = 48  # pings of a sequence: workers take some to start
 
 
 def one_triangle() -> sg.Scene:
@@ -79,7 +79,7 @@ def engines_of(name: str, rounds: int) -> dict[str, float]:
             "one by one": lambda _: drop(map(simulator.ping, poses)),
             "sequence": lambda _: drop(simulator.pings(poses)),
         }
-        times = harness.take_turns(ways, max(2, rounds // FEW))
+        times = harness.take_turns(ways, max(3, rounds // 12))
     out["one by one / sequence"] = harness.ratio(times["one by one"], times["sequence"])
     return out
 
