@@ -238,7 +238,7 @@ class BatchRequests(Sequence):
         return self._moved_names[scene, table]
 
     def counts(self, output: str) -> dict[str, Counts]:
-        """Return the law of each sonar's counts in an output, such as "pictures", whose table may change the sonar's."""
+        """Return the law of each sonar's counts in an output such as "pictures", whose table may change the sonar's."""
         table = getattr(self.job, output)
         with errors_at(f"{self.job.where}: {output}"):
             changes = {} if table is None else table.counts
