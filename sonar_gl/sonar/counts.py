@@ -152,11 +152,11 @@ class Counts:
 
         law, intensity = self.settle(intensity), np.asarray(intensity, np.float32)
         if law.law == "power":
-            gain = 10 ** (law.gain_db / 10)
-            share = np.minimum(intensity, np.float32(1 / gain), order="C")
-            share *= np.float32(gain)
-            flat = np.clip(share, 0, 1, out=share).reshape(1, -1)
+            full = 10 ** (-law.gain_db / 10)  # intensity of full scale
+            share = np.clip(intensity, np.float32(0), np.float32(full), order="C")
+            flat = share.reshape(1, -1)
             cv2.pow(flat, law.exponent, dst=flat)
+            flat *= full**-law.exponent
         else:
             dark_db, window_db = law.low_db - law.gain_db, law.high_db - law.low_db
             share = np.maximum(intensity, np.float32(10 ** (dark_db / 10)), order="C")
