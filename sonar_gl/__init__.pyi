@@ -21,6 +21,7 @@ from .scene.reflectivity_map import textured_body
 from .scene.scene import Body, Scene
 from .scene.sonar_sensor import SonarSensor
 from .simulator import Simulator
+from .sonar.counts import Counts
 from .sonar.sampling import Sampling
 from .sonar.sonar import Sonar, load_sonar, presets
 
@@ -31,6 +32,7 @@ __all__ = [
     "Body",
     "Bubbles",
     "Camera",
+    "Counts",
     "Error",
     "GBuffer",
     "Noise",

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sonar_gl.core.checks import check_kind
+from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
+
 if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list things would wait
     from sonar_gl.acoustics.acoustics import Acoustics
     from sonar_gl.sonar.sonar import Sonar
@@ -81,3 +84,19 @@ class Ping:
             return float(self.meta["bin_size_m"])
         r = self.range_m
         return float((r[-1] - r[0]) / (len(r) - 1) if len(r) > 1 else 2 * r[0])
+
+    def counts(self, law: Counts | None = None) -> np.ndarray:
+        """Return what the device delivers of this ping: whole numbers, (B, K) uint8 or uint16.
+
+        Parameters
+        ----------
+        law : None for that of the sonar, or `Counts()` if the sonar is unknown
+        """
+        return self.counts_law(law).apply(self.intensity)
+
+    def counts_law(self, law: Counts | None = None) -> Counts:
+        """Return the law of `counts` with the gain that it has in this ping, where the gain is automatic."""
+        if law is None:
+            law = DEFAULT_COUNTS if self.sonar is None else self.sonar.counts
+        check_kind("counts", law, Counts, 'such as Counts("power", exponent=0.26)')
+        return law.settle(self.intensity)

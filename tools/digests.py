@@ -192,7 +192,12 @@ def picture(sonar=SONAR, **how):
     ping = one("yard", sonar, sampling=FIXED, noise=NOISES["physical"], seed=2)
     image = sg.fan_image(ping, **{"height": 300, **how})
     jet, gray = sg.colorize(image, "jet"), sg.colorize(image, "gray")
-    return {"image": image, "jet": jet, "gray": gray, "axes": sg.draw_axes(jet, ping)}
+    return {
+        "image": image,
+        "jet": jet,
+        "gray": gray,
+        "axes": sg.draw_axes(jet, ping, "jet", how.get("counts")),
+    }
 
 
 def paper(**how):
@@ -205,7 +210,7 @@ def paper(**how):
 def files():
     """What is written for a ping, and read again."""
     ping = one(sampling=FIXED, noise=NOISES["physical"], seed=2, **LABELS)
-    frames = [sg.colorize(sg.fan_image(ping, height=60, db_range=(low, 0))) for low in (-60, -40)]
+    frames = [sg.colorize(sg.fan_image(ping, height=60, counts=sg.Counts(low_db=low))) for low in (-60, -40)]
     with tempfile.TemporaryDirectory() as folder:
         at = Path(folder)
         sg.save_npz(at / "ping.npz", ping)
@@ -714,9 +719,9 @@ def cases() -> Iterator[tuple[str, Callable]]:
     for name, function in EMBEDDED.items():
         yield f"embed/{name}", function
 
-    yield "picture/dB", picture
-    yield "picture/linear", partial(picture, scale="linear")
-    yield "picture/small", partial(picture, height=80, db_range=(-40.0, -5.0))
+    yield "picture/counts", picture
+    yield "picture/linear", partial(picture, counts=sg.Counts("power", exponent=1.0))
+    yield "picture/small", partial(picture, height=80, counts=sg.Counts(low_db=-40.0, high_db=-5.0))
     for name in ("one beam", "180 degrees", "360 degrees", "table of azimuths"):
         yield f"picture/{name}", partial(picture, FANS[name])
     yield "picture/files", files

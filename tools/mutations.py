@@ -72,6 +72,7 @@ ENCODING = ("test_batch",)
 RECORDS = ("test_records|test_batch",)
 POWER = ("test_power_failure|test_batch",)
 GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
+COUNTS = ("test_counts",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 
 MUTATIONS = (
@@ -671,6 +672,37 @@ MUTATIONS = (
         "if n_with_geometry[link.model] >= 1",
         SDF,
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
+    ),
+    # counts and pictures
+    Mutation("counts/full scale", "flat *= full**-law.exponent", "flat *= full**law.exponent", COUNTS),
+    Mutation(
+        "counts/side of the gain",
+        "law.low_db - law.gain_db, law.high_db",
+        "law.low_db + law.gain_db, law.high_db",
+        COUNTS,
+    ),
+    Mutation(
+        "counts/rounding",
+        "np.float32(self.full_scale) + np.float32(0.5)",
+        "np.float32(self.full_scale)",
+        COUNTS,
+    ),
+    Mutation(
+        "counts/bins without echo", "sample = sample[sample > 0]", "sample = sample[sample >= 0]", COUNTS
+    ),
+    Mutation("counts/bins of all beams", "math.gcd(step, intensity.shape[-1]) > 1", "False", COUNTS),
+    Mutation("counts/one kind of gain", "{**reset, **values}", "values", COUNTS),
+    Mutation(
+        "counts/gain of the averaged bins",
+        "polar = law.share(polar)",
+        "polar = (counts or law).share(polar)",
+        ("test_fan_image",),
+    ),
+    Mutation(
+        "counts/port first",
+        "np.ascontiguousarray(counts[::-1].T",
+        "np.ascontiguousarray(counts.T",
+        ("test_ros",),
     ),
     # other formats of scenes
     Mutation(

@@ -18,6 +18,7 @@ from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import WORST_BODY, Sampling
 from sonar_gl.sonar.sonar import Sonar
 
@@ -29,6 +30,8 @@ MARGIN = 0.8  # of an error that holds some of the reference's own
 MAX_ROUNDS = 3  # of refining the reference
 COLOUR_PERCENTILE = 99  # of the errors of bins: from there on the picture has full colour
 SPAN_DB = 50.0  # of the fan images
+FAINTEST = 1e-12  # intensity of the brightest colour, so that its law has levels that `Counts` takes
+LINEAR = Counts("power", exponent=1.0)
 
 
 def ping_error(ping: Ping, truth: Ping) -> float:
@@ -179,11 +182,11 @@ def error_picture(verification: Verification, height: int = 800) -> np.ndarray:
     """
     v = verification
     strongest = float(v.truth.intensity.max())
-    top_db = 10 * np.log10(strongest) if strongest > 0 else 0.0
+    top_db = 10 * np.log10(max(strongest, FAINTEST)) if strongest > 0 else 0.0
     scale = f"from {top_db - SPAN_DB:.0f} dB (blue) to {top_db:.0f} dB (red)"
 
     def draw(ping: Ping) -> np.ndarray:
-        image = fan_image(ping, height, "db", (top_db - SPAN_DB, top_db))
+        image = fan_image(ping, height, Counts(low_db=top_db - SPAN_DB, high_db=top_db))
         return draw_axes(colorize(image, "jet"), ping)
 
     n_rays = v.truth.meta["n_rays"]
@@ -202,7 +205,7 @@ def _difference_panel(v: Verification, height: int) -> _Panel:
     limit = float(np.percentile(wrong, COLOUR_PERCENTILE)) if wrong.size else 1.0
     signed = (v.ping.intensity.astype(np.float64) - v.truth.intensity) / limit
     more, less = (
-        fan_image(replace(v.ping, intensity=part.clip(0, 1).astype(np.float32)), height, "linear")
+        fan_image(replace(v.ping, intensity=part.clip(0, 1).astype(np.float32)), height, LINEAR)
         for part in (signed, -signed)
     )
     colour = 1 - np.stack([less, np.maximum(more, less), more], axis=-1)

@@ -13,16 +13,22 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.toml import read_toml
-from sonar_gl.imaging.fan_image import colorize
+from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
 from sonar_gl.scene.sdf.xacro import split_arguments
+from sonar_gl.sonar.counts import DEFAULT_COUNTS
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
+# keys of former versions: what stands in their place
+REPLACED = {
+    "scale": 'counts = { law = "db" }, or { law = "power", exponent = 1 } for a linear scale',
+    "db_range": 'counts = { law = "db", low_db = -50, high_db = 0 }',
+    "bits": "counts = { bits = 16 }",
+}
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
 
 # ---- values -----------------------------------------------------------------------------------------
@@ -37,16 +43,20 @@ def _check_varied(value, low: float = -math.inf, high: float = math.inf):
     return value
 
 
-def _check_db_range(value):
-    if not isinstance(value, list) or len(value) != 2 or not all(map(is_finite, value)):
-        raise ValueError("should be [darkest, brightest]")
-    if value[0] >= value[1]:
-        raise ValueError("should be [darkest, brightest], in rising order")
+def _check_counts(value):
+    if not isinstance(value, dict):
+        raise ValueError('should be a table, such as { law = "db", low_db = -50 }')
+    try:
+        DEFAULT_COUNTS.changed(
+            {"law": "db", **value}
+        )  # which fields go together depends on the sonar's own law
+    except Error as why:
+        raise ValueError(str(why)) from None
     return value
 
 
 def _check_colormap(name: str) -> str:
-    colorize(np.zeros((1, 1), np.float32), name)
+    colours(name)
     return name
 
 
@@ -55,7 +65,7 @@ Varied = Annotated[Any, BeforeValidator(_check_varied)]
 VariedShare = Annotated[Any, BeforeValidator(partial(_check_varied, low=0.0, high=1.0))]
 VariedMetres = Annotated[Any, BeforeValidator(partial(_check_varied, low=-1e8, high=1e8))]
 VariedRadians = Annotated[Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283))]
-DbRange = Annotated[Any, BeforeValidator(_check_db_range)]
+CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
 Mount = Annotated[list[float], Field(min_length=6, max_length=6)]
 Names = Annotated[list[str], Field(min_length=1)]
 
@@ -162,32 +172,32 @@ class ArraysTable(Table):
 
 
 class PicturesTable(Table):
-    """Fan images, NPZ files and films, with the options of `sonar-gl render`."""
+    """Fan images, NPZ files and films, with the options of `sonar-gl render`; `counts` changes those of the sonars."""
 
     formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
     height: Annotated[int, Field(ge=16, le=8192)] = 800
-    scale: Literal["db", "linear"] = "db"
-    db_range: DbRange = Field([-60.0, 0.0])
-    colormap: Annotated[str, AfterValidator(_check_colormap)] = "jet"
+    counts: CountsChanges = Field({})
+    colormap: Annotated[str, AfterValidator(_check_colormap)] = DEFAULT_COLORMAP
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
 
 
 class CocoTable(Table):
-    """Instances in gray fan images: COCO JSON and PNG masks."""
+    """Instances in gray fan images: COCO JSON and PNG masks; `counts` changes those of the sonars."""
 
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    db_range: DbRange = Field([-60.0, 0.0])
+    counts: CountsChanges = Field({})
 
 
 class RosTable(Table):
-    """A ROS 2 bag, see `ros.BagSettings`; fan images `image_height` pixels high are added if it is not 0."""
+    """A ROS 2 bag, see `ros.write_part`; fan images `image_height` pixels high are added if it is not 0.
+
+    `counts` changes those of the sonars.
+    """
 
     image_height: Annotated[int, Field(ge=0, le=8192)] = 0
     y_sign: Literal["port", "starboard"] = "port"
-    bits: Literal[8, 16, 32] = 8
-    scale: Literal["db", "linear"] = "db"
-    db_range: DbRange = Field([-60.0, 0.0])
+    counts: CountsChanges = Field({})
 
 
 class OpticalTable(Table):
@@ -309,6 +319,8 @@ def _sentence(error: Mapping, kind: type, table: tuple) -> str:
     place = (*table, *error["loc"])
     if error["type"] == "extra_forbidden":
         known = _known_keys(kind, error["loc"][:-1])
+        if place[-1] in REPLACED and "counts" in known:
+            return f"{key_path(place)} is no key any more; give {REPLACED[place[-1]]}"
         hint = f"; {nearest_names(str(place[-1]), known)}" if known else ""
         return f"{key_path(place[:-1]) or 'the job'}: unknown key (got {str(place[-1])!r}{hint})"
     if error["type"] == "missing":

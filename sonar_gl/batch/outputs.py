@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import PurePosixPath
@@ -12,6 +12,7 @@ import numpy as np
 
 from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
 from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import LabelsTable
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
@@ -39,6 +40,12 @@ MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded
 def ping_file(folder: str, number: int, suffix: str) -> str:
     """Return the name of a ping's file; a folder holds a thousand."""
     return f"{folder}/{number // 1000:05d}/{number:08d}.{suffix}"
+
+
+def bright_bodies(ping: Ping, labels: LabelsTable) -> Ping:
+    """Return a ping without the bodies of bins that are darker than `level_db`, where side lobes are, too."""
+    is_bright = ping.intensity >= 10 ** (labels.level_db / 10)
+    return replace(ping, body_id=np.where(is_bright, ping.body_id, np.uint16(0)))
 
 
 class Output:
@@ -79,6 +86,21 @@ class Output:
         self.names.append(name)
 
 
+class CountsOutput(Output):
+    """Base class of outputs that hold counts, by the laws of the sonars as a table of the job changes them."""
+
+    table_name: str
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        self.table = getattr(self.job, self.table_name)
+        self._counts = self.requests.counts(self.table_name)
+
+    def with_counts(self, sonar: str, ping: Ping) -> Ping:
+        """Return a ping whose sonar delivers the counts of this output."""
+        return replace(ping, sonar=replace(ping.sonar, counts=self._counts[sonar]))
+
+
 class ArraysOutput(Output):
     """Intensities and labels in the store.
 
@@ -107,9 +129,7 @@ class ArraysOutput(Output):
         for layer in self._layers[sonar]:
             arrays[layer.name][row] = layer.encode(ping, class_id, first)
         if self.schema.body_arrays:
-            table = self.job.labels
-            bright = np.where(ping.intensity >= 10 ** (table.level_db / 10), ping.body_id, np.uint16(0))
-            boxes = boxes_of(replace(ping, body_id=bright), table.height)
+            boxes = boxes_of(bright_bodies(ping, self.job.labels), self.job.labels.height)
             bodies = first + boxes.body_id.astype(int) - 1
             arrays["body_box"][row, bodies] = np.hstack([boxes.beams, boxes.bins])
             arrays["body_pixels"][row, bodies] = boxes.pixels
@@ -122,15 +142,17 @@ class ArraysOutput(Output):
         return self.names
 
 
-class PicturesOutput(Output):
+class PicturesOutput(CountsOutput):
     """Fan images in colour, NPZ files, and a film of each sonar."""
+
+    table_name = "pictures"
 
     def __init__(self, *context):
         super().__init__(*context)
-        table = self.table = self.job.pictures
-        self._draw = FanStyle(table.height, table.scale, table.db_range, table.colormap, table.axes)
+        self._draw = FanStyle(self.table.height, self.table.colormap, self.table.axes)
 
     def add(self, request, sonar, ping):
+        ping = self.with_counts(sonar, ping)
         if "png" in self.table.formats:
             picture = self._draw(None, ping, request.number)
             self.put(ping_file(f"png/{sonar}", request.number, "png"), png_bytes(picture))
@@ -155,24 +177,26 @@ class PicturesOutput(Output):
             chunk = slice(first, first + CHUNK_PINGS)
             for intensity in arrays["intensity"][chunk][arrays["status"][chunk] == MADE]:
                 ping = Ping(intensity, sonar.azimuth_rad, sonar.range_m, sonar=sonar)
-                yield self._draw(None, ping, first)
+                yield self._draw(None, self.with_counts(name, ping), first)
 
 
-class CocoOutput(Output):
+class CocoOutput(CountsOutput):
     """Gray fan images, masks of the bodies in them, and COCO's records of both."""
+
+    table_name = "coco"
 
     def __init__(self, *context):
         super().__init__(*context)
-        self.table, self._lines = self.job.coco, {}
+        self._lines = {}
 
     def begin(self, part, numbers):
         super().begin(part, numbers)
         self._lines = {sonar: [] for sonar in self.requests.sonars}
 
     def add(self, request, sonar, ping):
-        height = self.table.height
-        picture = np.rint(255 * fan_image(ping, height, "db", self.table.db_range)).astype(np.uint8)
-        ids = np.where(picture > 0, body_map(ping, height), 0)  # black pixels belong to no instance
+        height, law = self.table.height, self.with_counts(sonar, ping).counts_law()
+        picture = law.counts_of(fan_image(ping, height, law))
+        ids = np.where(picture > 0, body_map(bright_bodies(ping, self.job.labels), height), 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
         mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")
@@ -186,6 +210,7 @@ class CocoOutput(Output):
             echo=ping.body_echo,
             ping=request.number,
             scene=self.job.scenes[request.scene],
+            counts=asdict(law),
         )
         self._lines[sonar].append((request.number, coco_lines(image, annotations)))
 
@@ -260,7 +285,7 @@ class OpticalOutput(Output):
             self.frames[request.number] = OpticalFrame(pose, rgb, depth_m)
 
 
-class RosOutput(Output):
+class RosOutput(CountsOutput):
     """A ROS 2 bag, one file for each part.
 
     Parameters
@@ -268,10 +293,11 @@ class RosOutput(Output):
     optical : the camera whose images also go into the bag, or None. It must get each part first
     """
 
+    table_name = "ros"
+
     def __init__(self, *context, optical: OpticalOutput | None = None):
         super().__init__(*context)
-        table = self.table = self.job.ros
-        self._settings = BagSettings(table.y_sign, table.bits, table.scale, tuple(table.db_range))
+        self._settings = BagSettings(self.table.y_sign)
         self._optical, self._records = optical, []
 
     def begin(self, part, numbers):
@@ -279,8 +305,9 @@ class RosOutput(Output):
         self._records = []
 
     def add(self, request, sonar, ping):
-        height = self.table.image_height
-        picture = fan_image(ping, height, self.table.scale, self.table.db_range) if height else None
+        ping, height = self.with_counts(sonar, ping), self.table.image_height
+        law = ping.counts_law()
+        picture = law.counts_of(fan_image(ping, height, law)) if height else None
         record = PingRecord(request.time_s, sonar, ping, picture, request.vehicle_pose)
         self._records.append((request.number, len(self._records), record))
 

@@ -20,6 +20,7 @@ from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.xacro import split_arguments
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 VARY_STREAM, NOISE_STREAM = 101, 102  # of random numbers; never renumber: the bytes of data sets would change
@@ -114,6 +115,8 @@ class BatchRequests(Sequence):
         self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
         trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
         _check_varied_fields(job, self.acoustics, self.noise)
+        for output in ("pictures", "coco", "ros"):
+            self.counts(output)
         if job.ros is not None:
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))
@@ -233,6 +236,13 @@ class BatchRequests(Sequence):
             patterns = self.job.vary.bodies[table].names
             self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
         return self._moved_names[scene, table]
+
+    def counts(self, output: str) -> dict[str, Counts]:
+        """Return the law of each sonar's counts in an output such as "pictures", whose table may change the sonar's."""
+        table = getattr(self.job, output)
+        with errors_at(f"{self.job.where}: {output}"):
+            changes = {} if table is None else table.counts
+            return {name: sonar.counts.changed(changes) for name, sonar in self.sonars.items()}
 
     def noise_seed(self, sonar: str) -> int:
         """Return the seed of a sonar's noise; each sonar has its own."""

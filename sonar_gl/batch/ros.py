@@ -23,7 +23,6 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 
 from sonar_gl.core.atomic_file import atomic_write
@@ -32,7 +31,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
-from sonar_gl.imaging.files import eight_bit
+from sonar_gl.imaging.files import whole_numbers
 from sonar_gl.ping import Ping
 
 WORLD, VEHICLE = "world", "base_link"  # frames
@@ -114,9 +113,6 @@ class BagSettings:
     ----------
     y_sign : direction of y of beam_directions: "port", as sonar_image_proc reads them, in a frame with x
         down; or "starboard", as the message's documentation says, in a frame with x up. z is forward
-    bits : bits of a bin, 8, 16 or 32, unsigned
-    scale : "db" or "linear", as for a fan image
-    db_range : dB of 0 and of the largest integer; 0 dB is intensity 1, the largest integer of "linear"
 
     Raises
     ------
@@ -125,19 +121,9 @@ class BagSettings:
     """
 
     y_sign: str = "port"
-    bits: int = 8
-    scale: str = "db"
-    db_range: tuple[float, float] = (-60.0, 0.0)
 
     def __post_init__(self):
         check_choice("y_sign of a ROS bag", self.y_sign, BEAMS)
-        check_choice("scale of a ROS bag", self.scale, ("db", "linear"))
-        if isinstance(self.bits, bool) or self.bits not in (8, 16, 32):
-            raise Error(f"bits of a bin in a ROS bag must be 8, 16 or 32 (got {self.bits!r})")
-        low, high = frozen_array(self.db_range, np.float64, (2,), "db_range of a ROS bag").tolist()
-        if not low < high:
-            raise Error(f"db_range of a ROS bag must rise (got {low:g} and {high:g})")
-        object.__setattr__(self, "db_range", (low, high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +134,8 @@ class PingRecord:
     ----------
     time_s : time of transmission, seconds of the simulation, 0 or more
     sonar : name of the sonar; characters that are no letters or digits become "_"
-    ping : with its pose, sonar and acoustics, as `Simulator.ping` gives it
-    picture : None, or the fan image: (H, W) or (H, W, 3) RGB, uint8 or float 0..1
+    ping : with its pose, sonar and acoustics, as `Simulator.ping` gives it; the sonar's counts are written
+    picture : None, or the fan image: (H, W) or (H, W, 3) RGB, uint8 or float 0..1, or (H, W) uint16
     vehicle_pose : None, or (4, 4) world_from_vehicle; the sonar's frame is then a child of the vehicle's
     """
 
@@ -212,7 +198,7 @@ def write_part(path, records: Iterable, settings: BagSettings | None = None) -> 
     if path.suffix != ".mcap":
         raise Error(f"{str(path)!r} must end in .mcap (got {path.suffix or 'no suffix'})")
     settings = BagSettings() if settings is None else settings
-    check_kind("settings", settings, BagSettings, "such as BagSettings(bits=16)")
+    check_kind("settings", settings, BagSettings, "such as BagSettings(y_sign='port')")
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         part = _PartWriter(BagFile(file), settings)
         for record in records:
@@ -302,7 +288,7 @@ class _PartWriter:
 
     def _put_picture(self, name: str, header, record) -> None:
         if record.picture is not None:
-            picture = eight_bit(np.asarray(record.picture), f"the picture of {name!r} in a ROS bag")
+            picture = whole_numbers(record.picture, f"the picture of {name!r} in a ROS bag")
             self._put(f"/{name}/image", self.types.image(header, picture))
 
     def _put(self, topic: str, message) -> None:
@@ -513,28 +499,9 @@ def nanoseconds(time_s: float) -> int:
     return seconds * 10**9 + round(float(time_s - seconds) * 1e9)  # the difference is exact
 
 
-def quantize(intensity: np.ndarray, bits: int, scale: str, db_range) -> np.ndarray:
-    """Return intensity (B, K) as little-endian integers (K, B), range by range, port first.
-
-    Parameters
-    ----------
-    bits : 8, 16 or 32
-    scale : "db" maps db_range to 0..2^bits − 1; "linear" maps intensity 0..1. Values outside are clipped
-    """
-    if scale == "db":
-        low, high = db_range
-        share = np.maximum(intensity, np.float32(10 ** (low / 10)), dtype=np.float32, order="C")
-        cv2.log(share, dst=share)
-        share *= 10 / math.log(10) / (high - low)
-        share -= low / (high - low)
-    else:
-        share = np.array(intensity, np.float32)
-    if bits == 32:  # float32 would not resolve the steps
-        share = share.astype(np.float64)
-    np.clip(share, 0.0, 1.0, out=share)
-    share *= 2**bits - 1
-    share += 0.5
-    return np.ascontiguousarray(share.astype(f"<u{bits // 8}")[::-1].T)
+def by_range(counts: np.ndarray) -> np.ndarray:
+    """Return counts (B, K) as little-endian integers (K, B), range by range, port first."""
+    return np.ascontiguousarray(counts[::-1].T, counts.dtype.newbyteorder("<"))
 
 
 class MessageTypes:
@@ -587,7 +554,7 @@ class MessageTypes:
             raise Error(
                 f"a ping in a ROS bag must have sonar and acoustics (missing: {' and '.join(missing)})"
             )
-        sonar, n_beams, bits = ping.sonar, len(ping.azimuth_rad), settings.bits
+        sonar, n_beams, data = ping.sonar, len(ping.azimuth_rad), by_range(ping.counts())
         info = self.make(
             "marine_acoustic_msgs/PingInfo",
             sonar.frequency_hz,
@@ -595,19 +562,19 @@ class MessageTypes:
             np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
             np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
         )
-        data = quantize(ping.intensity, bits, settings.scale, settings.db_range).reshape(-1).view(np.uint8)
-        image = self.make(
-            "marine_acoustic_msgs/SonarImageData", False, DTYPES.index(f"UINT{bits}"), n_beams, data
-        )
+        dtype = DTYPES.index(f"UINT{8 * data.itemsize}")
+        data = data.reshape(-1).view(np.uint8)
+        image = self.make("marine_acoustic_msgs/SonarImageData", False, dtype, n_beams, data)
         table = np.ascontiguousarray(ping.azimuth_rad, np.float64).tobytes()
         directions = self._directions(table, settings.y_sign)
         ranges = np.asarray(ping.range_m, np.float32)
         return self.make("marine_acoustic_msgs/ProjectedSonarImage", header, info, directions, ranges, image)
 
     def image(self, header, pixels: np.ndarray):
-        """Return a sensor_msgs/Image of (H, W) or (H, W, 3) RGB uint8, or of (H, W) float32 metres."""
-        encoding = "rgb8" if pixels.ndim == 3 else "mono8" if pixels.dtype == np.uint8 else "32FC1"
-        pixels = np.ascontiguousarray(pixels, "<f4" if encoding == "32FC1" else np.uint8)
+        """Return a sensor_msgs/Image of (H, W) uint8 or uint16, (H, W, 3) RGB uint8, or (H, W) float32 metres."""
+        encodings = {np.uint8: "mono8", np.uint16: "mono16", np.float32: "32FC1"}
+        encoding = "rgb8" if pixels.ndim == 3 else encodings[pixels.dtype.type]
+        pixels = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("<"))
         height, width = pixels.shape[:2]
         data = pixels.reshape(-1).view(np.uint8)
         return self.make("sensor_msgs/Image", header, height, width, encoding, 0, data.size // height, data)

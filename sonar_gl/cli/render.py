@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.cli.common import acoustics_from, parse_numbers, poses_from, progress, scene_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, progress, scene_from, sonar_from
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
@@ -25,13 +25,17 @@ from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.simulator import Simulator
 
-FAN_ONLY = ("scale", "db_range", "colormap", "axes")  # options of one style
+FAN_ONLY = ("counts", "colormap", "axes")  # options of one style
+REPLACED = {  # options of former versions: what stands in their place
+    "scale": '--counts law=db, or --counts "law=power,exponent=1" for a linear scale',
+    "db_range": '--counts "law=db,low_db=-50,high_db=0"',
+}
 DEMARCO_ONLY = ("form", "join")
 STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
-LINEAR_DARKEST_DB = -24.0  # 1 of 255 steps of brightness, of pictures that are linear in intensity
-CLEARLY_BRIGHT_DB = 20.0  # an echo so far above the darkest level is easy to see
+VISIBLE_SHARE = 0.05  # of full scale: brightness that one tells from black
+CLEARLY_BRIGHT_SHARE = 1 / 3  # of full scale: an echo as bright as this is easy to see
 
 
 def render(scene_name: str, options, given: set[str]) -> str:
@@ -54,16 +58,13 @@ def render(scene_name: str, options, given: set[str]) -> str:
     noise = Noise.parse(default_noise if options.noise is None else options.noise)
     if in_demarco:
         style = DemarcoStyle(options.height, options.form, options.join, noise, options.seed)
-        darkest_db = None
     else:
-        db_range = parse_numbers("--db-range", options.db_range, "darkest brightest")
-        style = FanStyle(options.height, options.scale, db_range, options.colormap, options.axes)
-        darkest_db = db_range[0] if options.scale == "db" else LINEAR_DARKEST_DB
-    if set(options.formats) == {"npz"}:
-        darkest_db = None
+        style = FanStyle(options.height, options.colormap, options.axes)
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
     sonar = sonar_from(options, scene)
+    if options.counts is not None:
+        sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
@@ -79,13 +80,15 @@ def render(scene_name: str, options, given: set[str]) -> str:
             labels=options.labels,
             fps=options.fps,
             progress=nullcontext if options.poses is None else progress,
-            darkest_db=darkest_db,
         )
         return writer.write(poses, times_s)
 
 
 def _check_combination(options, given: set[str]):
-    """Raise an Error for options that do not go together."""
+    """Raise an Error for options that do not go together, or are those of former versions."""
+    for name, now in REPLACED.items():
+        if name in given:
+            raise Error(f"--{name.replace('_', '-')} is no option any more; give {now}")
     for style, names in (("fan", FAN_ONLY), ("demarco2015", DEMARCO_ONLY)):
         for name in names:
             if name in given and options.style != style:
@@ -145,7 +148,6 @@ class FrameWriter:
     noise, seed, labels : as for `Simulator.ping`
     fps : frames per second of gif and mp4
     progress : function (range) -> context manager that yields it, such as click.progressbar
-    darkest_db : darkest level of fan images, to warn of nearly empty ones; None for none or other pictures
     """
 
     simulator: Simulator
@@ -157,7 +159,6 @@ class FrameWriter:
     labels: bool = False
     fps: float = 10.0
     progress: Callable = nullcontext
-    darkest_db: float | None = None
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
@@ -216,20 +217,15 @@ class FrameWriter:
         if self._bright_share is None or self._strongest.intensity <= 0 or self._bright_share >= NEARLY_EMPTY:
             return  # a ping without echo has a warning of its own
         sonar = self.simulator.sonar
-        move = f"change --range ({sonar.range_min_m:g} to {sonar.range_max_m:.4g} m) or the sonar's pose"
+        cure = f"change --range ({sonar.range_min_m:g} to {sonar.range_max_m:.4g} m) or the sonar's pose"
+        what = "pixels show an echo"
+        if isinstance(self.style, FanStyle):
+            what = "cells are bright enough to be seen"
+            share = sonar.counts.share(np.array([[self._strongest.intensity]], np.float32))[0, 0]
+            if share < CLEARLY_BRIGHT_SHARE:  # never with automatic gain
+                cure = "give --counts gain_percentile=99, or more gain by --acoustics tvg_k=40"
         share = f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its"
-        if self.darkest_db is None:
-            warnings.warn(f"{share} pixels show an echo; {move}", stacklevel=3)
-            return
-        strongest_db = 10 * np.log10(self._strongest.intensity)
-        if self.darkest_db == LINEAR_DARKEST_DB:
-            cure = "give --scale db, which shows weak echoes, too"
-        elif strongest_db < self.darkest_db + CLEARLY_BRIGHT_DB:
-            low_db, high_db = 10 * np.floor(strongest_db / 10) - 40, 10 * np.ceil(strongest_db / 10)
-            cure = f'give --db-range "{low_db:g} {high_db:g}", or more gain by --acoustics tvg_k=40'
-        else:
-            cure = move
-        warnings.warn(f"{share} cells are brighter than {self.darkest_db:g} dB; {cure}", stacklevel=3)
+        warnings.warn(f"{share} {what}; {cure}", stacklevel=3)
 
     def _frames(self, names, poses, times_s, stills, calls: BackgroundCalls):
         """Yield the pictures one after the other, and have `calls` write the still files."""
@@ -243,8 +239,8 @@ class FrameWriter:
                 self._note(ping, number)
                 needs_picture = set(self.formats) != {"npz"}
                 picture = self.style(self.simulator, ping, number) if needs_picture else None
-                if needs_picture and isinstance(self.style, DemarcoStyle):  # which has an echo of its own
-                    self._note_bright(shows_echo(picture))
+                if needs_picture:
+                    self._note_bright(self._is_bright(ping, picture))
                 if "png" in stills:
                     calls.start(save_png, self.folder / f"{names[number]}.png", picture)
                 if "npz" in stills:
@@ -252,12 +248,17 @@ class FrameWriter:
                 yield picture
 
     def _note(self, ping: Ping, number: int):
-        """Remember the strongest echo of all pings, and the largest share of bright cells."""
+        """Remember the strongest echo of all pings."""
         intensity, text = self._strongest_echo(ping)
         if self._strongest is None or intensity > self._strongest.intensity:
             self._strongest = Echo(intensity, text, number)
-        if self.darkest_db is not None:
-            self._note_bright(ping.intensity > 10 ** (self.darkest_db / 10))
+
+    def _is_bright(self, ping: Ping, picture: np.ndarray) -> np.ndarray:
+        """Return which bins, or pixels of the founding paper's picture, which has an echo of its own, can be seen."""
+        if isinstance(self.style, DemarcoStyle):
+            return shows_echo(picture)
+        law = ping.counts_law()
+        return ping.intensity > law.intensity_of(VISIBLE_SHARE * law.full_scale)
 
     def _note_bright(self, bright: np.ndarray):
         """Remember the largest share of bright cells, or pixels."""

@@ -1,4 +1,4 @@
-"""Axes of a fan image: range arcs, azimuth spokes and their labels."""
+"""Axes of a fan image: range arcs, azimuth spokes and their labels, a title, and the bar of colours."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from sonar_gl.core.errors import Error
-from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
+from sonar_gl.imaging.fan_image import FanGeometry, colours, fan_geometry
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 STROKES = (
@@ -21,21 +22,25 @@ ARC_STEPS_M = tuple(n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5))
 LABEL_SIZE = np.array([65, 24])  # pixels across and down that a label takes, at font size 1
 
 
-def draw_axes(picture: np.ndarray, ping: Ping) -> np.ndarray:
-    """Return a copy of a fan image's picture with range arcs (m) and spokes (°, positive to port).
+def draw_axes(
+    picture: np.ndarray, ping: Ping, colormap: str | None = None, counts: Counts | None = None
+) -> np.ndarray:
+    """Return a copy of a fan image's picture with range arcs (m), spokes (°, positive to port) and a title.
 
     Parameters
     ----------
-    picture : (H, W, 3) uint8 RGB, of fan_image(ping, H)
+    picture : (H, W, 3) uint8 RGB, of fan_image(ping, H, counts)
+    colormap : of `colorize`; adds a bar of its colours, with their counts. None for pictures in other colours
+    counts : of `fan_image`; None for that of the ping's sonar
 
     Returns
     -------
-    array of shape (H + 2 margin, W + 2 margin, 3), uint8 RGB, black outside the fan
+    array of shape (H + 2 margin, W + 2 margin + bar, 3), uint8 RGB, black outside the fan
 
     Raises
     ------
     Error
-        if the picture has another type or shape than this ping's fan image.
+        if the picture has another type or shape than this ping's fan image, or the colour map is unknown.
     """
     picture = np.asarray(picture)
     fan = fan_geometry(ping, len(picture)) if picture.ndim == 3 else None
@@ -45,7 +50,17 @@ def draw_axes(picture: np.ndarray, ping: Ping) -> np.ndarray:
             "draw_axes needs the (H, W, 3) uint8 picture of this ping's fan image"
             f"{want} (got {picture.shape}, {picture.dtype})"
         )
-    return _Axes(fan).draw(picture)
+    law = ping.counts_law(counts)
+    return _Axes(fan).draw(picture, _title(ping, fan, law, colormap), colormap, law)
+
+
+def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> str:
+    """Return the sonar's name, the range, and the gain of pictures whose law is known by their colours."""
+    inner_m, outer_m = fan.range_edges_m
+    parts = [] if ping.sonar is None else [ping.sonar.name]
+    parts.append(f"{inner_m:.3g} to {outer_m:.3g} m")
+    parts += [f"gain {law.gain_db:+.1f} dB"] if colormap is not None else []
+    return ", ".join(parts)
 
 
 class _Axes:
@@ -57,13 +72,46 @@ class _Axes:
         self.margin = round(120 * self.font_size)
         self.arcs_m, self.spokes_deg = self._ticks()
 
-    def draw(self, picture: np.ndarray) -> np.ndarray:
-        """Return the picture with a margin, lines and labels."""
+    def draw(self, picture: np.ndarray, title: str, colormap: str | None, law: Counts) -> np.ndarray:
+        """Return the picture with a margin, lines and labels, and with the bar of a colour map."""
         canvas = cv2.copyMakeBorder(picture, *[self.margin] * 4, cv2.BORDER_CONSTANT)
         self._blacken_outside(canvas)
         canvas = self._draw_lines(canvas)
         self._draw_labels(canvas)
+        if colormap is not None:
+            canvas = np.hstack([canvas, self._bar(len(canvas), colormap, law)])
+        self._draw_title(canvas, title)
         return canvas
+
+    def _bar(self, height: int, colormap: str, law: Counts) -> np.ndarray:
+        """Return the strip beside the fan, (height, W, 3), with the colours of 0 to full scale, from below."""
+        size = self.font_size
+        labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
+        if law.law == "db":  # what the ends stand for, re an all-round wall of reflectivity 1
+            labels[0] += f"  {law.low_db - law.gain_db:.0f} dB"
+            labels[-1] += f"  {law.high_db - law.gain_db:.0f} dB"
+        widest = max(cv2.getTextSize(text, FONT, size, 1)[0][0] for text in (*labels, "counts"))
+        first, bar = round(10 * size), round(34 * size)
+        strip = np.zeros((height, first + bar + widest + round(34 * size), 3), np.uint8)
+        top, bottom = round(0.25 * height), round(0.75 * height)
+        levels = np.rint(np.linspace(255, 0, bottom - top)).astype(int)
+        strip[top:bottom, first : first + bar] = colours(colormap)[levels]
+        column = first + bar + round(12 * size)
+        for text, row in zip(labels, np.linspace(bottom, top, len(labels)), strict=True):
+            self._write_from(strip, text, column, row)
+        self._write_from(strip, "counts", first, top - 36 * size)
+        return strip
+
+    def _draw_title(self, canvas: np.ndarray, title: str) -> None:
+        """Write the title above all, in smaller letters if it is wider, and the sides into the lower corners."""
+        height, width = canvas.shape[:2]
+        needed = cv2.getTextSize(title, FONT, self.font_size, 1)[0][0]
+        size = self.font_size * min(1.0, 0.96 * width / needed)
+        self._write(canvas, title, (width / 2, 22 * self.font_size), size=size)
+        row, edge = height - 22 * self.font_size, round(10 * self.font_size)
+        self._write_from(canvas, "port", edge, row)
+        (starboard, _), _ = cv2.getTextSize("starboard", FONT, self.font_size, 1)
+        self._write_from(canvas, "starboard", self.fan.width + 2 * self.margin - edge - starboard, row)
 
     def _ticks(self) -> tuple[np.ndarray, np.ndarray]:
         """Return ranges of arcs, metres, and azimuths of spokes, degrees."""
@@ -131,9 +179,11 @@ class _Axes:
             if abs(deg) not in hidden:  # both sides or neither
                 self._write(canvas, f"{deg:+g}" if deg else "0", position, degrees=True)
 
-    def _write(self, canvas: np.ndarray, text: str, centre, degrees: bool = False) -> None:
+    def _write(
+        self, canvas: np.ndarray, text: str, centre, degrees: bool = False, size: float | None = None
+    ) -> None:
         """Write text about a position, on a darker ground; with a degree sign, which the font lacks."""
-        size = self.font_size
+        size = self.font_size if size is None else size
         (width, height), _ = cv2.getTextSize(text, FONT, size, 1)
         x, y, pad = round(centre[0] - width / 2), round(centre[1] + height / 2), math.ceil(5 * size)
         canvas[max(0, y - height - pad) : y + pad, max(0, x - pad) : x + width + pad] //= 4
@@ -142,6 +192,11 @@ class _Axes:
         if degrees:
             dot = round(16 * (x + width + 5 * size)), round(16 * (y - height + 2 * size))
             cv2.circle(canvas, dot, round(16 * max(1.5, 3.5 * size)), *style, 4)
+
+    def _write_from(self, canvas: np.ndarray, text: str, column: int, row: float) -> None:
+        """Write text that begins at a column, about a row."""
+        (width, _), _ = cv2.getTextSize(text, FONT, self.font_size, 1)
+        self._write(canvas, text, (column + width / 2, row))
 
 
 def _tick_step(span: float, parts: float, steps) -> float:

@@ -14,14 +14,24 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_whole_number, shown
+from sonar_gl.core.checks import check_choice, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 
 MAX_HEIGHT = 16000  # cv2.remap counts pixels in 16 bits, and a picture may be twice as wide as high
 MAX_BEAMS = 32000  # rows of an array that cv2.remap can count
 SINGLE_BEAM_RAD = math.radians(1.0)  # width of a single beam if the ping has no sonar
 _BLOCK_ROWS = 64  # rows of pixels computed at a time, which takes 20 MB less than all at once
+# Colours of the kinds that sonar vendors' viewers offer, evenly spread from 0 to full scale and interpolated. They look
+# alike, but are nobody's own tables. In each, brightness rises all the way, so that it can be read as counts.
+ANCHORS = {
+    "gray": "000000 ffffff",
+    "copper": "000000 40200c 8c4a18 d08840 f4c888 fff8e8",
+    "amber": "000000 4c2600 985000 dc8800 ffbe30 fff0b0",
+    "ice": "000000 0a2048 185090 3c94c8 96d4ec f4ffff",
+}
+DEFAULT_COLORMAP = "copper"  # what most viewers show at first
 _OUTSIDE = -16.0  # map coordinate of pixels outside the fan: so far off the array that no echo leaks in
 
 
@@ -145,59 +155,43 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
     )
 
 
-def fan_image(ping: Ping, height: int = 800, scale: str = "db", db_range=(-60.0, 0.0)) -> np.ndarray:
+def fan_image(ping: Ping, height: int = 800, counts: Counts | None = None) -> np.ndarray:
     """Return the picture of a ping seen from above: forward up, port on the left, sonar at the bottom.
 
     Parameters
     ----------
     ping : intensity (B, K), linear; azimuth_rad (B,), rising, evenly spaced or not; range_m (K,)
     height : pixels; the width follows from the fan
-    scale : "db" maps 10 log10(intensity) from db_range to 0..1; "linear" clips the intensity to 0..1. Both
-        scales are fixed, so that pictures of a sequence can be compared
-    db_range : (darkest, brightest) in dB, 0 dB = intensity 1
+    counts : law by which intensities become brightness; None for that of the ping's sonar. With a fixed gain, pictures
+        of a sequence can be compared
 
     Returns
     -------
-    array of shape (H, W), float32, 0..1; 0 outside the fan
+    array of shape (H, W), float32, 0..1: counts as a share of full scale, not rounded; 0 outside the fan
 
     Raises
     ------
     Error
-        if height, scale or db_range are out of bounds.
+        if the height is out of bounds.
 
     Notes
     -----
-    A pixel is the bilinear interpolation of the polar array, in dB for the scale "db". If bins or beams are
-    finer than pixels, the linear intensity is first averaged over about a pixel: bins and beams by area, then
-    at range r over 1 / (r Δψ) beams. So an echo one bin or one beam wide is spread over a pixel, never lost
-    between pixels. The fan ends half a bin and half a beam spacing outside the outer ones, and their values
-    extend to its edge. The ends of a 360° fan are joined.
+    The law acts on polar bins, as in the device, and a pixel is the bilinear interpolation of their counts, as in a
+    viewer. Counts are not rounded before, which would only round twice. If bins or beams are finer than pixels, the
+    linear intensity is first averaged over about a pixel: bins and beams by area, then at range r over 1 / (r Δψ)
+    beams. So an echo one bin or one beam wide is spread over a pixel, never lost between pixels. Automatic gain is
+    that of the ping's own bins, whatever the height. The fan ends half a bin and half a beam spacing outside the outer
+    ones, and their values extend to its edge. The ends of a 360° fan are joined.
     """
-    check_choice("scale of a fan image", scale, ("db", "linear"))
-    try:
-        low_db, high_db = (float(value) for value in db_range)
-    except (TypeError, ValueError, OverflowError):
-        raise Error(
-            f"db_range must be two numbers, darkest and brightest dB (got {shown(db_range)})"
-        ) from None
-    if not (math.isfinite(low_db) and math.isfinite(high_db) and low_db < high_db):
-        raise Error(
-            f"db_range must rise from the darkest to the brightest dB (got {low_db:g} and {high_db:g})"
-        )
-    geometry = fan_geometry(ping, height)
+    geometry, law = fan_geometry(ping, height), ping.counts_law(counts)
     plan = _plan(geometry, ping.intensity.shape, azimuth_key(ping))
     polar = np.ascontiguousarray(ping.intensity, np.float32)
     if polar.shape != plan.shape:
         polar = cv2.resize(polar, plan.shape[::-1], interpolation=cv2.INTER_AREA)
-    else:
-        polar = polar.copy()  # the following steps work in place
+    elif plan.bands:
+        polar = polar.copy()  # means are taken in place
     _average_beams(polar, plan.bands, geometry.full_circle)
-    if scale == "db":
-        cv2.max(polar, 10 ** (low_db / 10), dst=polar)
-        cv2.log(polar, dst=polar)
-        polar *= 10 / math.log(10) / (high_db - low_db)
-        polar -= low_db / (high_db - low_db)
-    np.clip(polar, 0.0, 1.0, out=polar)
+    polar = law.share(polar)
     if geometry.full_circle:  # a beam of the other end on each side, which the map takes into account
         polar = cv2.copyMakeBorder(polar, 1, 1, 0, 0, cv2.BORDER_WRAP)
     return cv2.remap(polar, *plan.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
@@ -276,29 +270,33 @@ def _average_beams(polar: np.ndarray, bands: tuple[_Band, ...], full_circle: boo
             polar[:, first:end] = cv2.blur(part, (1, n_beams), borderType=cv2.BORDER_REFLECT)
 
 
-@lru_cache(maxsize=1)
 def colormaps() -> tuple[str, ...]:
-    """Return the names that `colorize` knows: "gray" and OpenCV's colour maps in lower case."""
-    return ("gray", *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
+    """Return the names that `colorize` knows: those of ANCHORS, and OpenCV's colour maps in lower case."""
+    return (*ANCHORS, *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
 
 
 @lru_cache(maxsize=32)
-def _colours(name: str) -> np.ndarray:
+def colours(name: str) -> np.ndarray:
     """Return a colour map's table, (256, 1, 3) uint8 RGB."""
-    table = np.arange(256, dtype=np.uint8)[:, None]
-    if name != "gray":
-        table = cv2.applyColorMap(table, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
-    return np.ascontiguousarray(np.broadcast_to(table.reshape(256, 1, -1), (256, 1, 3)))
+    check_choice("colour map", name, colormaps())
+    if name not in ANCHORS:
+        ramp = np.arange(256, dtype=np.uint8)[:, None]
+        return np.ascontiguousarray(
+            cv2.applyColorMap(ramp, getattr(cv2, "COLORMAP_" + name.upper()))[:, :, ::-1]
+        )
+    anchors = np.array([[int(one[k : k + 2], 16) for k in (0, 2, 4)] for one in ANCHORS[name].split()])
+    at = np.linspace(0, 255, len(anchors))
+    table = np.stack([np.interp(np.arange(256), at, channel) for channel in anchors.T], axis=-1)
+    return np.rint(table).astype(np.uint8)[:, None]
 
 
-def colorize(image: np.ndarray, name: str = "jet") -> np.ndarray:
+def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
     """Return the (H, W, 3) uint8 RGB picture of `image` (H, W), float 0..1, in one of the `colormaps`.
 
     Raises Error if the name is unknown or the image has another shape or type.
     """
-    check_choice("colour map", name, colormaps())
-    image = np.asarray(image)
+    table, image = colours(name), np.asarray(image)
     if image.ndim != 2 or image.dtype.kind != "f":
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
     levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32, copy=False), alpha=255)
-    return cv2.applyColorMap(levels, _colours(name))
+    return cv2.applyColorMap(levels, table)

@@ -77,9 +77,7 @@ def png_bytes(picture: np.ndarray) -> bytes:
     ----------
     picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1, stored in 8 bits; or (H, W) uint16, 16-bit gray
     """
-    picture = np.asarray(picture)
-    if not (picture.ndim == 2 and picture.dtype == np.uint16):
-        picture = eight_bit(picture, "a PNG")
+    picture = whole_numbers(picture, "a PNG")
     if picture.ndim == 3:
         picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture))
@@ -264,6 +262,13 @@ def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
                 f"frame {index} of an animation must have the first one's shape {shape} (got {frame.shape})"
             )
         yield np.ascontiguousarray(frame)
+
+
+def whole_numbers(picture: np.ndarray, what: str) -> np.ndarray:
+    """Return 16-bit gray, (H, W) uint16, as it is, and any other picture as `eight_bit` does."""
+    picture = np.asarray(picture)
+    is_16_bit = picture.ndim == 2 and picture.dtype == np.uint16 and picture.size
+    return picture if is_16_bit else eight_bit(picture, what)
 
 
 def eight_bit(picture: np.ndarray, what: str) -> np.ndarray:

@@ -9,9 +9,10 @@ import numpy as np
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.demarco2015 import demarco_image
-from sonar_gl.imaging.fan_image import colorize, fan_image
+from sonar_gl.imaging.fan_image import colorize, colours, fan_image
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 
 DARK_BLUE = 128  # the first colour of Jet
 
@@ -22,24 +23,24 @@ class FanStyle:
 
     Parameters
     ----------
-    height, scale, db_range : of `fan_image`
+    height, counts : of `fan_image`
     colormap : of `colorize`
     axes : whether the picture has `draw_axes`
     """
 
     height: int
-    scale: str
-    db_range: tuple[float, float]
     colormap: str
     axes: bool
+    counts: Counts | None = None
 
     def __post_init__(self):
-        colorize(np.zeros((1, 1), np.float32), self.colormap)
+        colours(self.colormap)
 
     def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
         """Return the (H, W, 3) uint8 RGB picture of a ping."""
-        picture = colorize(fan_image(ping, self.height, self.scale, self.db_range), self.colormap)
-        return draw_axes(picture, ping) if self.axes else picture
+        law = ping.counts_law(self.counts)
+        picture = colorize(fan_image(ping, self.height, law), self.colormap)
+        return draw_axes(picture, ping, self.colormap, law) if self.axes else picture
 
 
 def shows_echo(picture: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.toml import read_toml
+from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
@@ -36,7 +37,7 @@ CHOICES = {  # field: allowed names
     "elevation_taper": TAPERS,
     "pulse_taper": ("uniform", "hamming"),
 }
-UNPARSED = "name", "beam_azimuths_deg", "source"  # fields that a command line cannot set
+UNPARSED = "name", "beam_azimuths_deg", "source", "counts"  # fields that a command line cannot set
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Sonar:
         resolution cell is as long as a bin
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
+    counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
 
     Raises
     ------
@@ -97,9 +99,13 @@ class Sonar:
     transmit_width_deg: float | None = None
     bandwidth_hz: float | None = None
     pulse_taper: str = "hamming"
+    counts: Counts = DEFAULT_COUNTS
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
+        if not isinstance(self.counts, Counts):  # a table of a file
+            with errors_at(location):
+                object.__setattr__(self, "counts", DEFAULT_COUNTS.changed(self.counts))
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
         for key, low, high, hint in (
@@ -264,7 +270,7 @@ def _presets() -> dict[str, Sonar]:
 def _read_tables(path: Path) -> dict[str, dict]:
     """Return the tables of a file by name; top-level keys are one table, named after the file."""
     data = read_toml(path, "the sonar's file")
-    tables = {key: value for key, value in data.items() if isinstance(value, dict)}
+    tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
     if not tables:

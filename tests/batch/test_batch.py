@@ -20,6 +20,7 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
+from sonar_gl.batch.outputs import bright_bodies
 from sonar_gl.batch.parts import begin, create_store, finalize, make_part
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
@@ -311,7 +312,12 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
             (image,) = coco.loadImgs(number)
             picture = cv2.imread(str(folder / "images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
             mask = cv2.imread(str(folder / "masks" / image["file_name"]), cv2.IMREAD_UNCHANGED)
-            assert np.array_equal(mask, np.where(picture > 0, body_map(ping, 100), 0))
+            bodies = body_map(bright_bodies(ping, requests.job.labels), 100)
+            assert np.array_equal(mask, np.where(picture > 0, bodies, 0))
+            law = sg.Counts(**image["counts"])
+            assert law == ping.counts_law() and np.array_equal(
+                picture, law.counts_of(sg.fan_image(ping, 100, law))
+            )
             annotations = coco.loadAnns(coco.getAnnIds(number))
             assert {a["body_id"] for a in annotations} == set(np.unique(mask)) - {0}
             for annotation in annotations:
@@ -326,7 +332,7 @@ def test_pictures_and_npz_files_are_those_of_a_simulator(small, pings):
         assert np.array_equal(loaded.intensity, ping.intensity)
         assert loaded.meta["ping_number"] == number
         picture = cv2.imread(str(small / "out" / "png" / f"{name}.png"))[..., ::-1]
-        assert np.array_equal(picture, sg.colorize(sg.fan_image(ping, 60), "jet"))
+        assert np.array_equal(picture, sg.colorize(sg.fan_image(ping, 60)))
     film = cv2.VideoCapture(str(small / "out" / "level.mp4"))
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == N
 
@@ -581,7 +587,19 @@ BAD = [
         ".yaw_rad: should lie in -6.283..6.283 (got 90.0)\n",
     ),
     ('kind = "sector"', 'kind = ["sector"]', "poses[0]: kind must be one of trajectory, lawnmower"),
-    ("[labels]", "[pictures]\ndb_range = [0, -60]\n[labels]", "pictures.db_range: should be [darkest,"),
+    (
+        "[labels]",
+        "[pictures]\ndb_range = [0, -60]\n[labels]",
+        "pictures.db_range is no key any more; give counts",
+    ),
+    ("[labels]", "[ros]\nbits = 16\n[labels]", "ros.bits is no key any more; give counts = { bits = 16 }"),
+    (
+        "[labels]",
+        "[pictures]\ncounts = { low_db = 0, high_db = -60 }\n[labels]",
+        "pictures.counts: counts: low_db must be less than high_db (got 0 and -60)",
+    ),
+    ("[labels]", "[coco]\ncounts = { gain = 3 }\n[labels]", "coco.counts: counts: unknown key (got 'gain'"),
+    ("[labels]", "[coco]\ncounts = 3\n[labels]", "coco.counts: should be a table, such as { law"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -18,16 +19,17 @@ from sonar_gl.batch.ros import (
     BagSettings,
     CameraRecord,
     PingRecord,
+    by_range,
     finish_bag,
     message_types,
     nanoseconds,
-    quantize,
     write_part,
 )
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command
 from sonar_gl.core.poses import pose
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar
 
 AZIMUTH = np.array([-0.6, -0.25, 0.1, 0.5])  # rising, uneven, more to starboard than to port
@@ -172,38 +174,22 @@ def test_the_frames_have_the_documented_directions(tmp_path):
     }
 
 
-def test_quantization_of_each_kind():
-    intensity = np.array([[0, 1e-9, 1e-6, 1e-3], [0.5, 1.0, 1.004, 7.0]], np.float32)
-    for bits, dtype in ((8, "u1"), (16, "<u2"), (32, "<u4")):
-        top = 2**bits - 1
-        found = quantize(intensity, bits, "db", (-60.0, 0.0))
-        assert found.dtype == np.dtype(dtype) and found.flags.c_contiguous and found.shape == (4, 2)
-        decibels = np.array([-60, -60, -60, -30, 10 * math.log10(0.5), 0, 0, 0]).reshape(2, 4)
-        expected = ((decibels + 60) / 60 * top)[::-1].T
-        # half a level, and the rounding of float32
-        np.testing.assert_allclose(found, expected, atol=0.5 + top * 2e-7, rtol=0)
-        assert found.max() == top and found.min() == 0
-        found = quantize(intensity, bits, "linear", (-60.0, 0.0))
-        expected = (intensity.clip(0, 1).astype(np.float64) * top)[::-1].T
-        np.testing.assert_allclose(found, expected, atol=0.5, rtol=0)
-    assert quantize(intensity, 8, "db", (-30.0, 3.0))[:, 0].tolist() == [209, 232, 232, 255]
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (4, 1), (1, 4), (5, 2)])
-def test_quantization_of_few_bins(shape):
-    """OpenCV treats some small arrays as scalars."""
-    decibels = -np.arange(math.prod(shape), dtype=float).reshape(shape)
-    found = quantize(10 ** (decibels / 10), 8, "db", (-60.0, 0.0))
-    np.testing.assert_allclose(found, ((decibels + 60) / 60 * 255)[::-1].T, atol=0.501)  # half a level
+def test_counts_go_range_by_range_from_port(shape):
+    counts = np.arange(math.prod(shape), dtype=np.uint16).reshape(shape)
+    found = by_range(counts)
+    assert found.flags.c_contiguous and found.dtype == np.dtype("<u2")
+    np.testing.assert_array_equal(found, counts[::-1].T)
 
 
-@pytest.mark.parametrize(("bits", "dtype"), [(16, 2), (32, 4)])
-def test_several_bytes_are_little_endian(tmp_path, bits, dtype):
-    settings = BagSettings(bits=bits, scale="linear")
-    image = only(by_mcap(write(tmp_path, record(), settings=settings)), "/p900_45/projected_image").image
+@pytest.mark.parametrize(("bits", "dtype"), [(8, 0), (16, 2)])
+def test_a_bag_has_the_counts_of_the_sonar(tmp_path, bits, dtype):
+    law = Counts("power", exponent=0.5, bits=bits)
+    ping = make_ping(sonar=replace(IMAGING_SONAR, counts=law))
+    image = only(by_mcap(write(tmp_path, record(ping=ping))), "/p900_45/projected_image").image
     assert (image.dtype, image.is_bigendian) == (dtype, False)
     data = np.frombuffer(bytes(image.data), f"<u{bits // 8}").reshape(3, 4)
-    np.testing.assert_array_equal(data, quantize(make_ping().intensity, bits, "linear", (-60, 0)))
+    np.testing.assert_array_equal(data, by_range(law.apply(ping.intensity)))
 
 
 def test_times_are_the_nearest_nanosecond():
@@ -226,11 +212,12 @@ def test_times_are_the_nearest_nanosecond():
 def test_pictures_gray_and_coloured(tmp_path, read):
     rng = np.random.default_rng(1)
     gray, colour = rng.random((3, 5)).astype(np.float32), rng.integers(0, 256, (3, 5, 3), np.uint8)
-    for picture, encoding, step in ((gray, "mono8", 5), (colour, "rgb8", 15)):
+    deep = rng.integers(0, 65536, (3, 5), np.uint16)
+    for picture, encoding, step in ((gray, "mono8", 5), (deep, "mono16", 10), (colour, "rgb8", 15)):
         image = only(read(write(tmp_path, record(picture=picture))), "/p900_45/image")
         assert (image.height, image.width, image.encoding, image.step) == (3, 5, encoding, step)
         assert image.is_bigendian == 0 and image.header.frame_id == "p900_45_beams"
-        expected = picture if encoding == "rgb8" else np.rint(picture * 255).astype(np.uint8)
+        expected = picture if encoding != "mono8" else np.rint(picture * 255).astype(np.uint8)
         assert bytes(image.data) == expected.tobytes()
 
 
@@ -413,10 +400,6 @@ def test_invalid_records_are_refused(tmp_path):
     ("settings", "why"),
     [
         ({"y_sign": "left"}, "unknown y_sign of a ROS bag (got 'left'"),
-        ({"scale": "log"}, "unknown scale of a ROS bag (got 'log'"),
-        ({"bits": 12}, "must be 8, 16 or 32 (got 12)"),
-        ({"db_range": (0, -60)}, "must rise (got 0 and -60)"),
-        ({"db_range": (0,)}, "must have shape (2) (got (1,))"),
     ],
 )
 def test_invalid_settings_are_refused(settings, why):

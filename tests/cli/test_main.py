@@ -241,15 +241,28 @@ def test_labels_name_bodies():
 def test_fan_options_change_the_picture():
     render("--format", "npz")
     got = ping()
+
+    def draw(counts):
+        return sg.colorize(sg.fan_image(got, 60, counts))
+
     for options, wanted in (
         (("--height", 90), sg.colorize(sg.fan_image(got, 90))),
-        (("--scale", "linear"), sg.colorize(sg.fan_image(got, 60, "linear"))),
-        (("--db-range", "-40 -10"), sg.colorize(sg.fan_image(got, 60, db_range=(-40, -10)))),
+        (("--counts", "law=power,exponent=1"), draw(sg.Counts("power", exponent=1.0))),
+        (("--counts", "low_db=-40,high_db=-10"), draw(sg.Counts(low_db=-40, high_db=-10))),
+        (("--counts", "gain_percentile=90"), draw(sg.Counts(gain_percentile=90))),
         (("--colormap", "viridis"), sg.colorize(sg.fan_image(got, 60), "viridis")),
-        (("--axes",), sg.draw_axes(sg.colorize(sg.fan_image(got, 60)), got)),
+        (("--axes",), sg.draw_axes(sg.colorize(sg.fan_image(got, 60)), got, "copper")),
     ):
         render(*options, "--format", "png")
         np.testing.assert_array_equal(cv2.imread("tank.png")[..., ::-1], wanted, err_msg=str(options))
+
+
+def test_counts_are_recorded_and_presets_have_their_own():
+    render("--format", "npz", "--counts", "law=power,gain_percentile=97,bits=16")
+    assert ping().sonar.counts == sg.Counts("power", gain_percentile=97, bits=16)
+    assert ping().counts().dtype == np.uint16
+    render("--format", "npz", "--sonar", "oculus-m1200d-hf", "--bins", 80, "--counts", "gain_db=40")
+    assert ping().sonar.counts == sg.Counts("power", gain_db=40)
 
 
 def test_demarco_style_is_the_founding_papers_picture():
@@ -685,10 +698,17 @@ def test_numbers_out_of_range():
         == "height of a fan image must be a whole number in 1..16000 (got 0; give pixels)"
     )
     assert refused("--seed", -1) == "seed must be a whole number, 0 or more (got -1)"
-    assert refused("--db-range", "-60") == "--db-range must be 2 numbers, 'darkest brightest' (got 1: '-60')"
-    assert refused("--db-range", "0 -60") == (
-        "db_range must rise from the darkest to the brightest dB (got 0 and -60)"
+    assert refused("--counts", "low_db=0,high_db=-60") == (
+        "--counts 'low_db=0,high_db=-60': counts: low_db must be less than high_db (got 0 and -60)"
     )
+    assert refused("--counts", "exponent=0.3") == (
+        "--counts 'exponent=0.3': counts: exponent needs the law 'power' (got the law 'db')"
+    )
+    assert "did you mean 'gain_db'" in refused("--counts", "gain_bd=3")
+    assert refused("--db-range", "-50 0") == (
+        '--db-range is no option any more; give --counts "law=db,low_db=-50,high_db=0"'
+    )
+    assert refused("--scale", "db").startswith("--scale is no option any more; give --counts law=db, or ")
     assert refused("--poses", "dive.csv", "--format", "gif", "--fps", 0) == (
         "fps of an animation must lie in 0.01..120 (got 0)"
     )
@@ -704,8 +724,7 @@ def test_options_that_do_not_go_together():
         (("--form", "printed"), "--form needs --style demarco2015 (got --style fan)"),
         (("--join", "circles"), "--join needs --style demarco2015 (got --style fan)"),
         ((*paper, "--axes"), "--axes needs --style fan (got --style demarco2015)"),
-        ((*paper, "--scale", "db"), "--scale needs --style fan (got --style demarco2015)"),
-        ((*paper, "--db-range", "-9 0"), "--db-range needs --style fan (got --style demarco2015)"),
+        ((*paper, "--counts", "law=db"), "--counts needs --style fan (got --style demarco2015)"),
         ((*paper, "--colormap", "hot"), "--colormap needs --style fan (got --style demarco2015)"),
         (
             ("--pose", "0 0 0 0 0 0", "--poses", "dive.csv"),

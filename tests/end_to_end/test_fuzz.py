@@ -189,7 +189,7 @@ def test_any_sonar(numbers):
 @LIGHT
 @given(
     option=st.sampled_from(
-        ["--range", "--bins", "--tolerance", "--height", "--seed", "--pose", "--db-range"]
+        ["--range", "--bins", "--tolerance", "--height", "--seed", "--pose", "--counts=low_db"]
     ),
     value=st.one_of(odd_numbers.map(repr), st.text("0123456789.-+e x", max_size=8)),
 )

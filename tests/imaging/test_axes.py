@@ -1,11 +1,16 @@
 """Axes: margin, arcs, spokes and labels of a fan image."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sonar_gl.core.errors import Error
+from sonar_gl.imaging import axes
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.fan_image import colorize, fan_geometry, fan_image
+from sonar_gl.sonar.counts import Counts
+from sonar_gl.sonar.sonar import Sonar
 from tests.support.fan_ping import fan_ping
 
 
@@ -54,6 +59,44 @@ def test_outside_the_fan_it_is_black():
     drawn = draw_axes(np.full((300, 300, 3), 200, np.uint8), ping)
     margin = (len(drawn) - 300) // 2
     assert not drawn[pixels(ping, margin, [0, 0, 40], [3.0, 4.5, 10.0])].any()
+
+
+def test_the_bar_has_all_colours_and_stands_beside_the_axes():
+    ping = fan_ping(60, range_m=(5.0, 20.0), fill=0.01)
+    picture = colorize(fan_image(ping, 300), "ice")
+    plain, drawn = draw_axes(picture, ping), draw_axes(picture, ping, "ice")
+    assert drawn.shape[0] == plain.shape[0] and drawn.shape[1] > plain.shape[1] + 60
+    margin = (len(plain) - 300) // 2
+    assert (drawn[margin:-margin, : plain.shape[1]] == plain[margin:-margin]).all()  # but for the title
+    strip = drawn[:, plain.shape[1] :]
+    bar = strip[len(strip) // 4 : len(strip) * 3 // 4, 8]
+    wanted = colorize(np.linspace(1, 0, 256, dtype=np.float32)[:, None], "ice")[:, 0]
+    at = np.rint(np.linspace(0, 255, len(bar))).astype(int)
+    assert abs(bar.astype(int) - wanted[at]).max() <= 8  # two steps
+
+
+def test_what_the_title_and_the_bar_say(monkeypatch):
+    """The texts, as they go to OpenCV."""
+    texts = []
+    draw = axes.cv2.putText
+    monkeypatch.setattr(axes.cv2, "putText", lambda *more: texts.append(more[1]) or draw(*more))
+    ping = fan_ping(60, range_m=(5.0, 20.0), fill=0.01)
+    sonar = Sonar("mine", 900e3, *ping.intensity.shape, 60.0, 20.0, 1.0, 5.0, 20.0)
+    ping, picture = replace(ping, sonar=sonar), colorize(fan_image(ping, 300))
+    draw_axes(picture, ping)
+    assert {"mine, 5 to 20 m", "port", "starboard"} <= set(texts) and "counts" not in texts
+    texts.clear()
+    draw_axes(picture, ping, "copper", Counts(low_db=-50, high_db=-10, gain_db=6))
+    assert {"mine, 5 to 20 m, gain +6.0 dB", "counts", "0  -56 dB", "64", "128", "255  -16 dB"} <= set(texts)
+    texts.clear()
+    draw_axes(picture, ping, "copper", Counts("power", gain_percentile=99, bits=16))
+    assert {"mine, 5 to 20 m, gain +20.0 dB", "0", "32768", "65535"} <= set(texts)
+
+
+def test_a_title_fits_a_narrow_picture():
+    ping = fan_ping(2, range_m=(5.0, 20.0), fill=0.01)
+    drawn = draw_axes(colorize(fan_image(ping, 300)), ping, "gray")
+    assert not drawn[:, :2].any() and not drawn[:, -2:].any()
 
 
 def test_pictures_of_other_fans():

@@ -10,10 +10,12 @@ import pytest
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import FanGeometry, colorize, colormaps, fan_geometry, fan_image
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar
 from tests.support.fan_ping import fan_ping
 
 HALF_PIXEL = 0.5
+LINEAR = Counts("power", exponent=1.0)
 
 
 def centroid(image):
@@ -44,7 +46,7 @@ def test_isotropic_within_half_a_pixel(fov_deg, height):
             x0, y0 = x[beam, bin_], y[beam, bin_]
             ping.intensity[:] = np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * 0.15**2))
             ping.intensity[ping.intensity < 1e-3] = 0
-            image = fan_image(ping, height, scale="linear")
+            image = fan_image(ping, height, counts=LINEAR)
             geometry = fan_geometry(ping, height)
             assert image.shape == (geometry.height, geometry.width) == (height, geometry.width)
             # from first principles, without geometry.pixel
@@ -71,13 +73,13 @@ def test_db_scale_is_fixed():
     assert fan_image(fan_ping(fill=7.0), 200).max() == 1.0
     assert not fan_image(fan_ping(fill=1e-6), 200).any()
     assert not fan_image(fan_ping(fill=0.0), 200).any()
-    wide = fan_image(fan_ping(fill=1e-3), 200, db_range=(-40, -20))
+    wide = fan_image(fan_ping(fill=1e-3), 200, counts=Counts(low_db=-40, high_db=-20))
     assert wide[inside] == pytest.approx(0.5, abs=1e-4)
 
 
 @pytest.mark.parametrize(("fill", "value"), [(0.25, 0.25), (3.0, 1.0), (-1.0, 0.0)])
 def test_linear_scale(fill, value):
-    image = fan_image(fan_ping(fill=fill), 200, scale="linear")
+    image = fan_image(fan_ping(fill=fill), 200, counts=LINEAR)
     assert image.dtype == np.float32 and image.max() == pytest.approx(value, abs=1e-6)
 
 
@@ -106,10 +108,10 @@ def test_full_circle_has_no_seam():
     """A pattern that is smooth round the circle is as smooth astern as ahead."""
     ping = fan_ping(360, n_beams=48)
     ping.intensity[:] = (0.5 + 0.4 * np.sin(2 * ping.azimuth_rad))[:, None]
-    image = fan_image(ping, 400, scale="linear")
+    image = fan_image(ping, 400, counts=LINEAR)
     turned = fan_ping(360, n_beams=48)
     turned.intensity[:] = np.roll(ping.intensity, 24, axis=0)
-    assert fan_image(turned, 400, scale="linear")[::-1, ::-1] == pytest.approx(image, abs=0.01)
+    assert fan_image(turned, 400, counts=LINEAR)[::-1, ::-1] == pytest.approx(image, abs=0.01)
     steps = np.abs(np.diff(image[250:380], axis=1))[:, 150:250]
     assert (image[250:380, 150:250] > 0.05).all() and steps.max() < 0.02
 
@@ -117,7 +119,7 @@ def test_full_circle_has_no_seam():
 def test_target_on_the_seam_stays_one_target():
     ping = fan_ping(360, n_beams=64)
     ping.intensity[[0, -1], 150] = 1.0
-    column, row = centroid(fan_image(ping, 401, scale="linear"))
+    column, row = centroid(fan_image(ping, 401, counts=LINEAR))
     geometry = fan_geometry(ping, 401)
     assert (column, row) == pytest.approx(geometry.pixel(math.pi, ping.range_m[150]), abs=HALF_PIXEL)
 
@@ -127,7 +129,7 @@ def test_uneven_table_of_beams():
     for beam in (4, 40, 70):
         ping = fan_ping(azimuth_rad=table, n_bins=100)
         ping.intensity[beam, 70] = 1.0
-        image = fan_image(ping, 800, scale="linear")
+        image = fan_image(ping, 800, counts=LINEAR)
         row, column = np.unravel_index(image.argmax(), image.shape)
         expected = fan_geometry(ping, 800).pixel(table[beam], ping.range_m[70])
         assert np.hypot(column - expected[0], row - expected[1]) < 2.0  # the peak is flat within a beam
@@ -178,7 +180,7 @@ def test_one_bin_is_as_long_as_the_sonars():
 
 def test_more_beams_than_cv2_can_count():
     ping = fan_ping(60, 40000, 4, fill=0.5)
-    assert fan_image(ping, 100, scale="linear").max() == pytest.approx(0.5, abs=1e-5)
+    assert fan_image(ping, 100, counts=LINEAR).max() == pytest.approx(0.5, abs=1e-5)
 
 
 @pytest.mark.parametrize("height", [25, 60, 100, 333])
@@ -210,7 +212,7 @@ def test_thin_ray_is_never_lost(height):
 def test_speckle_keeps_its_mean_when_pixels_are_coarse():
     ping = fan_ping(90, 1024, 4000)
     ping.intensity[:] = np.random.default_rng(0).exponential(0.3, ping.intensity.shape)
-    image = fan_image(ping, 100, scale="linear")
+    image = fan_image(ping, 100, counts=LINEAR)
     assert image[image > 0].mean() == pytest.approx(0.3, rel=0.02)
 
 
@@ -229,11 +231,9 @@ def test_fast_enough():
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [
-        ({"scale": "dB"}, "unknown scale of a fan image (got 'dB'; did you mean 'db'?)"),
+        ({"counts": "db"}, 'counts must be a Counts (got str; such as Counts("power", exponent=0.26))'),
         ({"height": 0}, "height of a fan image must be a whole number in 1..16000 (got 0; give pixels)"),
         ({"height": 9.5}, "height of a fan image must be a whole number in 1..16000 (got 9.5; give pixels)"),
-        ({"db_range": (0, -60)}, "db_range must rise from the darkest to the brightest dB (got 0 and -60)"),
-        ({"db_range": -60}, "db_range must be two numbers, darkest and brightest dB (got -60)"),
     ],
 )
 def test_wrong_arguments(keywords, message):
@@ -251,13 +251,39 @@ def test_arrays_that_do_not_match():
     )
 
 
-@pytest.mark.parametrize("scale", ["db", "linear"])
-def test_the_ping_stays_as_it_is(scale):
-    """With few beams and bins the scale applies to the array itself, without averaging."""
+@pytest.mark.parametrize("counts", [Counts(), LINEAR, Counts("power", gain_percentile=50)])
+def test_the_ping_stays_as_it_is(counts):
+    """With few beams and bins the law applies to the array itself, without averaging."""
     ping = fan_ping(n_beams=16, n_bins=20, range_m=(10.0, 20.0), fill=7.0)
     ping.intensity.setflags(write=False)
-    image = fan_image(ping, 400, scale)
-    assert (ping.intensity == 7).all() and image.max() == 1
+    image = fan_image(ping, 400, counts)
+    assert (ping.intensity == 7).all() and image.max() == pytest.approx(1, abs=1e-6)
+
+
+def test_counts_are_those_of_the_sonar_unless_given():
+    ping = fan_ping(fill=0.25)
+    sonar = Sonar("any", 900e3, *ping.intensity.shape, 60.0, 20.0, 1.0, 0.0, 30.0, counts={"law": "power"})
+    ping = replace(ping, sonar=sonar)
+    assert fan_image(ping, 100).max() == pytest.approx(0.25**0.26, abs=1e-5)
+    assert fan_image(ping, 100, LINEAR).max() == pytest.approx(0.25, abs=1e-6)
+
+
+def test_pixels_interpolate_counts_of_bins_and_not_their_intensity():
+    """Halfway between two bins of 0 and 81, a viewer shows the mean of what the device sent."""
+    ping = fan_ping(n_beams=16, n_bins=20, range_m=(10.0, 20.0))
+    ping.intensity[:, 10:] = 1.0
+    image, geometry = fan_image(ping, 1000, Counts("power", exponent=0.25)), fan_geometry(ping, 1000)
+    column, row = geometry.pixel(0.0, (ping.range_m[9] + ping.range_m[10]) / 2)
+    assert image[round(float(row)), round(float(column))] == pytest.approx(0.5, abs=0.05)
+
+
+def test_automatic_gain_does_not_depend_on_the_height():
+    ping = fan_ping(n_beams=256, n_bins=900)
+    ping.intensity[:] = np.random.default_rng(0).exponential(1e-4, ping.intensity.shape)
+    law = Counts("power", gain_percentile=99)
+    settled = ping.counts_law(law)
+    for height in (60, 900):
+        assert (fan_image(ping, height, law) == fan_image(ping, height, settled)).all()
 
 
 def test_pictures_do_not_share_memory():
@@ -281,13 +307,17 @@ def test_colours_of_arrays_that_are_not_contiguous():
 
 
 def test_colours():
-    assert colormaps()[0] == "gray" and {"jet", "inferno", "viridis", "twilight_shifted"} <= set(colormaps())
+    assert colormaps()[:4] == ("gray", "copper", "amber", "ice")
+    assert {"jet", "inferno", "viridis", "twilight_shifted"} <= set(colormaps())
     ramp = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
     for name in colormaps():
         picture = colorize(ramp, name)
         assert picture.shape == (16, 16, 3) and picture.dtype == np.uint8
     assert (colorize(ramp, "gray").reshape(256, 3) == np.arange(256)[:, None]).all()
     jet = colorize(ramp, "jet").reshape(256, 3).astype(int)
+    for name in colormaps()[:4]:  # a brighter pixel has more counts
+        brightness = colorize(ramp, name).reshape(256, 3) @ [0.299, 0.587, 0.114]
+        assert (np.diff(brightness) > 0).all() and brightness[0] == 0 and brightness[-1] > 235
     assert jet[0].tolist() == [0, 0, 128] and jet[-1, 0] >= 127 and not jet[-1, 1:].any()  # RGB: blue to red
 
 

@@ -15,14 +15,15 @@ from tests.support.fan_ping import fan_ping
 def test_fan_style(axes):
     ping = fan_ping(60)
     ping.intensity[:] = np.random.default_rng(0).random(ping.intensity.shape)
-    expected = sg.colorize(sg.fan_image(ping, 90, "db", (-30, -3)), "hot")
-    expected = sg.draw_axes(expected, ping) if axes else expected
-    assert (FanStyle(90, "db", (-30, -3), "hot", axes)(None, ping, 5) == expected).all()
+    law = sg.Counts("power", gain_percentile=90)
+    expected = sg.colorize(sg.fan_image(ping, 90, law), "hot")
+    expected = sg.draw_axes(expected, ping, "hot", law) if axes else expected
+    assert (FanStyle(90, "hot", axes, law)(None, ping, 5) == expected).all()
 
 
 def test_unknown_colour_map():
     with pytest.raises(sg.Error, match=r"unknown colour map \(got 'jett'; did you mean 'jet'\?\)"):
-        FanStyle(90, "db", (-60, 0), "jett", False)
+        FanStyle(90, "jett", False)
 
 
 def test_demarco_style_counts_seeds():

@@ -144,12 +144,12 @@ stone = ["rock"]
 
 [coco]
 height = 64
-db_range = [-50.0, 0.0]
+counts = { law = "db", low_db = -50.0, gain_percentile = 99.0 }
 
 [pictures]
 formats = ["png"]
 height = 64
-db_range = [-60.0, 0.0]
+counts = { law = "power", exponent = 0.3, bits = 16 }
 colormap = "jet"
 fps = 5.0
 """

@@ -101,13 +101,13 @@ def picture(scene, sonar) -> np.ndarray:
     parts = {name: part for name, (part, changes) in parts.items() if changes > LEAST_CHANGE}
     height = min(HEIGHT, int(WIDEST / (len(parts) + 1) / 0.9))
     top_db = 10 * np.log10(float(whole.intensity.max()))
-    limits = top_db - SPAN_DB, top_db
-    image = sg.colorize(sg.fan_image(whole, height, "db", limits), "jet")
+    law = sg.Counts(low_db=top_db - SPAN_DB, high_db=top_db)
+    image = sg.colorize(sg.fan_image(whole, height, law), "jet")
     panels = [(sg.draw_axes(image, whole), "everything on")]
     for name, part in parts.items():
         signed = whole.intensity.astype(np.float64) - part.intensity
         more, less = (
-            sg.fan_image(replace(whole, intensity=side.clip(0).astype(np.float32)), height, "db", limits)
+            sg.fan_image(replace(whole, intensity=side.clip(0).astype(np.float32)), height, law)
             for side in (signed, -signed)
         )
         colour = 1 - np.stack([less, np.maximum(more, less), more], axis=-1)

@@ -24,6 +24,7 @@ PICTURES = DOCS / "pictures"
 SEED = 0
 TIME_S = 4.0  # the divers have just breathed out
 MAX_BYTES = 120_000
+COLORMAP = "copper"  # of fan images; the founding paper's are Jet
 
 
 class Comparison(NamedTuple):
@@ -57,12 +58,17 @@ def draw(pair: Comparison):
         # "constant" is what eq. (4) comes to in its author's published code; as printed, near echoes are dark
         paper = sg.demarco_image(simulator, pose, SEED, height=pair.height, range_law="constant")
         ping = simulator.ping(pose, sg.Noise.physical(), SEED)
-    physical = sg.draw_axes(sg.colorize(sg.fan_image(ping, pair.height), "jet"), ping)
+    physical = fan_picture(ping, pair.height)
     # the paper's picture has no axes: the same black margin, so that both fans are of one size
     (rows, columns), (height, width) = paper.shape[:2], physical.shape[:2]
-    above, left = (height - rows) // 2, (width - columns) // 2
-    margin = ((above, height - rows - above), (left, width - columns - left), (0, 0))
+    above = (height - rows) // 2  # and as much on the left; on the right is the bar of colours
+    margin = ((above, height - rows - above), (above, width - columns - above), (0, 0))
     return np.pad(paper, margin), physical
+
+
+def fan_picture(ping: sg.Ping, height: int) -> np.ndarray:
+    """Return a fan image with axes, RGB."""
+    return sg.draw_axes(sg.colorize(sg.fan_image(ping, height), COLORMAP), ping, COLORMAP)
 
 
 def draw_terms(pair: Comparison):
@@ -74,24 +80,24 @@ def draw_terms(pair: Comparison):
     for acoustics, noise in ((bare, bare_noise), (full, sg.Noise(speckle=True, electronic_db=-80.0))):
         with sg.Simulator(scene, sonar, acoustics) as simulator:
             ping = simulator.ping(scene.sonar_pose, noise, SEED, time_s=TIME_S)
-        out.append(sg.draw_axes(sg.colorize(sg.fan_image(ping, pair.height), "jet"), ping))
+        out.append(fan_picture(ping, pair.height))
     return out
 
 
-def palette() -> Image.Image:
-    """Return the palette of both styles: Jet in 120 steps, the same under the axes' lines, and grays."""
-    jet = sg.colorize(np.linspace(0, 1, 120)[None], "jet")[0]
-    lines = jet[::2] * 0.55 + 255 * 0.45
-    faint = jet[::4] * 0.8
+def palette(colormap: str) -> Image.Image:
+    """Return the palette of a picture: its colours in 120 steps, the same under the axes' lines, and grays."""
+    colours = sg.colorize(np.linspace(0, 1, 120)[None], colormap)[0]
+    lines = colours[::2] * 0.55 + 255 * 0.45
+    faint = colours[::4] * 0.8
     grays = np.linspace(0, 255, 46)[:, None].repeat(3, axis=1)
     out = Image.new("P", (1, 1))
-    out.putpalette(np.rint(np.concatenate([jet, lines, faint, grays])).astype(np.uint8).tobytes())
+    out.putpalette(np.rint(np.concatenate([colours, lines, faint, grays])).astype(np.uint8).tobytes())
     return out
 
 
-def png(picture: np.ndarray) -> bytes:
+def png(picture: np.ndarray, colormap: str) -> bytes:
     """Return the picture as a PNG with a palette: speckle in full colour takes three times the bytes."""
-    image = Image.fromarray(picture).quantize(palette=palette(), dither=Image.Dither.NONE)
+    image = Image.fromarray(picture).quantize(palette=palette(colormap), dither=Image.Dither.NONE)
     data = io.BytesIO()
     image.save(data, format="PNG", optimize=True)
     return data.getvalue()
@@ -113,7 +119,8 @@ def main():
         pair = COMPARISONS[name]
         pictures = draw_terms(pair) if "without" in pair.styles else draw(pair)
         for style, picture in zip(pair.styles, pictures, strict=True):
-            path, data = options.out / f"{name}_{style}.png", png(picture)
+            colormap = "jet" if style == "demarco2015" else COLORMAP
+            path, data = options.out / f"{name}_{style}.png", png(picture, colormap)
             if len(data) > MAX_BYTES:
                 raise SystemExit(
                     f"{path} would have {len(data)} bytes (at most {MAX_BYTES}; give it less height)"

@@ -1,0 +1,196 @@
+"""The counts that a sonar delivers: how its receiver turns intensity into the whole numbers of an image.
+
+A device sends no intensities but whole numbers of 8 or 16 bits, after a gain and a law that brings an echo of many
+decades into them. The law decides what an image looks like: the same ping has other tones and another histogram with
+another law.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from sonar_gl.core.checks import check_choice, check_number, is_whole_number, shown
+from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.key_values import parse_fields
+
+# fields that one law alone uses
+LAWS = {"power": ("exponent",), "db": ("low_db", "high_db")}
+LEVEL_BOUND_DB = 180.0  # two such levels multiply to 1e±36, which float32 holds
+# bins from which a percentile is taken: in speckle the level of percentile 99 is then known to 0.1 dB
+PERCENTILE_BINS = 1 << 14
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The law by which a sonar turns intensity I, linear, into counts 0..2^bits − 1; larger values are clipped.
+
+    Parameters
+    ----------
+    law : "power": counts = full scale · (g I)^exponent; or "db": counts rise evenly with 10 log10(g I), from 0 at
+        `low_db` to full scale at `high_db`
+    exponent : of the law "power", 0.01..2: 1 is linear in power, 0.5 is amplitude, 0.25 its square root
+    low_db, high_db : window of the law "db"
+    gain_db : fixed gain 10 log10(g)
+    gain_percentile : automatic gain, in place of a fixed one: in each ping, g brings the level at this percentile of
+        the bins that have an echo to full scale, 0..100; None for the fixed gain
+    bits : 8 or 16
+
+    Raises
+    ------
+    Error
+        if a field is invalid.
+
+    Notes
+    -----
+    Full scale is g I = 1 by the law "power" and `high_db` by the law "db". Without gain, I = 1 is the echo of a sphere
+    about the sonar that returns all of it (`Ping.intensity`).
+
+    >>> law = Counts("power", exponent=0.5)
+    >>> law.apply(np.array([0.0, 0.25, 1.0, 7.0], np.float32)).tolist()
+    [0, 128, 255, 255]
+    >>> Counts(low_db=-40).intensity_of([0, 255]).tolist()
+    [9.999999747378752e-05, 1.0]
+    """
+
+    law: str = "db"
+    exponent: float = 0.26
+    low_db: float = -60.0
+    high_db: float = 0.0
+    gain_db: float = 0.0
+    gain_percentile: float | None = None
+    bits: int = 8
+
+    def __post_init__(self):
+        check_choice("law", self.law, LAWS, "counts")
+        check_number("counts: exponent", self.exponent, 0.01, 2.0)
+        for key in ("low_db", "high_db", "gain_db"):
+            check_number(f"counts: {key}", getattr(self, key), -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB")
+        if self.low_db >= self.high_db:
+            raise Error(
+                f"counts: low_db must be less than high_db (got {self.low_db:g} and {self.high_db:g})"
+            )
+        if self.gain_percentile is not None:
+            check_number("counts: gain_percentile", self.gain_percentile, 0.0, 100.0)
+            if self.gain_db:
+                raise Error(
+                    "counts: gain_db and gain_percentile exclude each other "
+                    f"(got {self.gain_db:g} and {self.gain_percentile:g}; leave one out)"
+                )
+        if not is_whole_number(self.bits) or self.bits not in (8, 16):
+            raise Error(f"counts: bits must be 8 or 16 (got {shown(self.bits)})")
+
+    @property
+    def full_scale(self) -> int:
+        """The largest count."""
+        return 2**self.bits - 1
+
+    def changed(self, values: Mapping) -> Counts:
+        """Return this law with other values of some fields, as a file or an option gives them.
+
+        A gain that is given replaces the other kind of gain. Raises Error for an unknown field, and for one that this
+        law does not use if the values name no law.
+
+        >>> Counts("power", gain_percentile=99).changed({"gain_db": 20})
+        Counts(law='power', exponent=0.26, low_db=-60.0, high_db=0.0, gain_db=20, gain_percentile=None, bits=8)
+        """
+        known = [field.name for field in fields(self)]
+        if not isinstance(values, Mapping):
+            raise Error(
+                f'counts must be a table such as {{ law = "db", low_db = -50 }} (got {shown(values)})'
+            )
+        for key in values:
+            if key not in known:
+                raise Error(f"counts: unknown key (got {key!r}; {nearest_names(str(key), known)})")
+        gains = {"gain_db": 0.0, "gain_percentile": None}
+        reset = gains if not gains.keys().isdisjoint(values) else {}
+        out = replace(self, **{**reset, **values})
+        for law, keys in LAWS.items():
+            for key in keys:
+                if key in values and law != out.law and "law" not in values:
+                    raise Error(f"counts: {key} needs the law {law!r} (got the law {out.law!r})")
+        return out
+
+    def parse_changes(self, option: str, text: str) -> Counts:
+        """Return this law with the changes of `key=value,...`, the text of an option; raises Error like `changed`.
+
+        >>> Counts().parse_changes("--counts", "low_db=-50,gain_percentile=99").gain_percentile
+        99.0
+        """
+        _, values = parse_fields(option, text, Counts)
+        with errors_at(f"{option} {text!r}"):
+            return self.changed(values)
+
+    def settle(self, intensity: np.ndarray) -> Counts:
+        """Return this law with the automatic gain of a ping as a fixed one; a law without automatic gain as it is.
+
+        Parameters
+        ----------
+        intensity : (B, K) linear; without any echo the gain is 0 dB
+        """
+        if self.gain_percentile is None:
+            return self
+        flat, step = intensity.ravel(), max(1, intensity.size // PERCENTILE_BINS)
+        while math.gcd(step, intensity.shape[-1]) > 1:  # else the same bins of all beams, and no others
+            step += 1
+        sample = flat[::step]
+        sample = sample[sample > 0]
+        level_db = 10 * math.log10(np.percentile(sample, self.gain_percentile)) if sample.size else 0.0
+        gain_db = (self.high_db if self.law == "db" else 0.0) - level_db if sample.size else 0.0
+        gain_db = min(max(gain_db, -LEVEL_BOUND_DB), LEVEL_BOUND_DB)
+        return replace(self, gain_db=gain_db, gain_percentile=None)
+
+    def share(self, intensity: np.ndarray) -> np.ndarray:
+        """Return the share of full scale, float32 0..1 and not rounded, of intensities, (N, M) or (N,).
+
+        Automatic gain is that of these intensities.
+        """
+        import cv2  # its functions take a tenth of NumPy's time; what only lists sonars need not wait for it
+
+        law, intensity = self.settle(intensity), np.asarray(intensity, np.float32)
+        if law.law == "power":
+            full = 10 ** (-law.gain_db / 10)  # intensity of full scale
+            share = np.clip(intensity, np.float32(0), np.float32(full), order="C")
+            flat = share.reshape(1, -1)
+            cv2.pow(flat, law.exponent, dst=flat)
+            flat *= full**-law.exponent
+        else:
+            dark_db, window_db = law.low_db - law.gain_db, law.high_db - law.low_db
+            share = np.maximum(intensity, np.float32(10 ** (dark_db / 10)), order="C")
+            flat = share.reshape(1, -1)
+            cv2.log(flat, dst=flat)
+            flat *= 10 / math.log(10) / window_db
+            flat -= dark_db / window_db
+        return np.clip(share, 0, 1, out=share)
+
+    def apply(self, intensity: np.ndarray) -> np.ndarray:
+        """Return the counts of intensities, (N, M) or (N,), uint8 or uint16 by `bits`, rounded to the nearest."""
+        return self.counts_of(self.share(intensity))
+
+    def counts_of(self, share: np.ndarray) -> np.ndarray:
+        """Return shares of full scale, float 0..1, as counts, uint8 or uint16."""
+        return (share * np.float32(self.full_scale) + np.float32(0.5)).astype(f"uint{self.bits}")
+
+    def intensity_of(self, counts) -> np.ndarray:
+        """Return the intensities, float32, that give these counts, which may be fractions of a count.
+
+        What was clipped is lost: full scale stands for all that is above it, and in the law "db" 0 for all below.
+        Raises Error if the gain is automatic; `settle` finds that of a ping.
+        """
+        if self.gain_percentile is not None:
+            raise Error(
+                f"intensity_of needs a fixed gain (got gain_percentile = {self.gain_percentile:g}; "
+                "Ping.counts_law finds the gain of a ping)"
+            )
+        share = np.asarray(counts, np.float64) / self.full_scale
+        if self.law == "power":
+            intensity = share ** (1 / self.exponent)
+        else:
+            intensity = 10 ** ((self.low_db + share * (self.high_db - self.low_db)) / 10)
+        return (intensity / 10 ** (self.gain_db / 10)).astype(np.float32)
+
+
+DEFAULT_COUNTS = Counts()  # of a sonar that states none
