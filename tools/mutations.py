@@ -438,7 +438,7 @@ MUTATIONS = (
         "self._stages.stage(fewer, SHEAR)",
         PROMISE,
     ),
-    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.7", "\nERROR_FACTOR = 0.85", PROMISE),
+    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", PROMISE),
     Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
     Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
     # noise

@@ -430,7 +430,7 @@ def test_a_generator_of_poses_may_add_bodies():
 
 @pytest.mark.parametrize("step_rad", [0.01, 0.02])
 def test_samples_do_not_flicker_where_they_change_within_a_batch(step_rad):
-    """Pings that were drawn ahead, before the samples changed, are drawn once more: 49 rows, then 41, never back."""
+    """Pings that were drawn ahead, before the samples changed, are drawn once more: 58 rows, then 41, never back."""
     near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
     far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
     poses = [sg.pose(yaw=step_rad * k) for k in range(24)]

@@ -170,7 +170,7 @@ def test_a_sensor_that_states_nothing_has_a_pose_alone(read, text):
         (scan(angles(-9, 9, 50), angles(-30, 0, 9)), "elevation_fov_deg", 30.0,
          "the scan's elevations must lie about 0 (got -30 to 0 deg); turn the sonar by its pose"),
         ("<verticalFOV>0</verticalFOV>", "elevation_fov_deg", 0.01, "vertical aperture must lie in 0.01 to 170"),
-        ("<sonarFreq>1e12</sonarFreq>", "frequency_hz", 1e8, "frequency must lie in 1000 to 1e+08 (got 1e+12)"),
+        ("<sonarFreq>1e12</sonarFreq>", "frequency_hz", 1e8, "frequency must lie in 10000 to 1e+08 (got 1e+12)"),
     ],
 )  # fmt: skip
 def test_what_no_sonar_has_is_replaced_with_one_warning(read, text, field, value, why):
