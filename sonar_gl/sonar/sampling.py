@@ -98,11 +98,6 @@ def typical_level(tolerance: float) -> int:
     return min(max(0, round(LEVELS_PER_HALF * math.log2(finer))), FINEST_LEVEL)
 
 
-def half_of(sampling: Sampling) -> Sampling:
-    """Return half the samples."""
-    return part_of(sampling, 0.5)
-
-
 def part_of(sampling: Sampling, share: float) -> Sampling:
     """Return a share of the samples, fewer in both directions alike."""
     root = math.sqrt(share)

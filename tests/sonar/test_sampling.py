@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.sonar.sampling import extend_rows, half_of, sampling_of_width
+from sonar_gl.sonar.sampling import extend_rows, part_of, sampling_of_width
 
 
 def test_sampling_of_a_width():
@@ -21,9 +21,9 @@ def test_sampling_of_a_width():
 
 
 def test_half_the_samples():
-    half = half_of(sg.Sampling(2.0, 100, "point"))
+    half = part_of(sg.Sampling(2.0, 100, "point"), 0.5)
     assert half == sg.Sampling(2.0 * math.sqrt(0.5), 71, "point")
-    assert half_of(sg.Sampling(2.0, 1)).rows == 1
+    assert part_of(sg.Sampling(2.0, 1), 0.25).rows == 1
 
 
 def test_rows_extend_over_a_higher_aperture():
