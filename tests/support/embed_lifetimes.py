@@ -321,7 +321,7 @@ def many_pings(kind):
     with sg.Simulator(scene, SMALL, sampling=sg.Sampling(1, 8), context="current") as simulator:
         for k in range(WARM_UP + PINGS):
             if k == WARM_UP:
-                alive, resident, used = objects(host.gl), soak.resident_bytes(), soak.allocated()
+                alive, resident, used = objects(host.gl), soak.settled_bytes(), soak.allocated()
             simulator.ping(POSE, labels=k % 10 == 0)
         assert objects(host.gl) == alive
         soak.check_growth(used, resident, PINGS)
