@@ -154,7 +154,8 @@ def cost(name: str) -> str:
                 {"both": contender(with_multipath), "direct": contender(without_it)}, ROUNDS, warm_up=1
             )
             sources = internals.count_image_sources(with_multipath, pose)
-    more = harness.ratio(times["both"] - times["direct"], times["direct"])
+    # below 0 it is the variation of the times
+    more = max(harness.ratio(times["both"] - times["direct"], times["direct"]), 0.0)
     reflectors = planar_reflectors(scene, 2 * np.pi * sonar.frequency_hz / acoustics.sound_speed())
     each = f", {more / sources:.2f} per reflector" if sources else ""
     return (
