@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import click
 
@@ -57,9 +58,11 @@ def materials_text() -> str:
         one = materials()[name]
         sources.setdefault(one.source, []).append(name)
         rows += [_material_row(other, one) for other in names]
-    formatter = click.HelpFormatter(width=100)
-    formatter.write_dl([(", ".join(names), source) for source, names in sources.items()], col_max=24)
-    return f"{table_text(header, rows)}\n\n{MATERIALS_NOTE}\n\n{formatter.getvalue()}".rstrip("\n")
+    paragraphs = (
+        textwrap.fill(f"{', '.join(names)}: {source}", 98, subsequent_indent="    ")
+        for source, names in sources.items()
+    )
+    return "\n\n".join((table_text(header, rows), MATERIALS_NOTE, "\n".join(paragraphs)))
 
 
 def _material_row(name: str, one: Material) -> tuple[str, ...]:
