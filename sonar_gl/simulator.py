@@ -208,7 +208,7 @@ class Simulator:
         -------
         points : (rows', columns', 3) float32, metres, sonar frame; NaN where nothing was met. About as many
             as asked for: beyond one perspective view, columns' is a multiple of the views
-        echo : (rows', columns') float32, μ cos θ
+        echo : (rows', columns') float32, μ cos θ, where μ includes the |R|² of specular lobes, at most 1
         """
         with self._run.drawing():
             return point_cloud(self.world.engine, self.sonar, check_pose(pose), columns, rows)

@@ -284,6 +284,12 @@ MUTATIONS = (
         MULTIPATH,
         (("(np.abs(offsets - offset) < reach)", "(np.abs(offsets - offset) < np.inf)"),),
     ),
+    Mutation(
+        "cloud/lobes are lost",
+        "total = min(mean + body.specular, 1.0)",
+        "total = mean",
+        ("test_simulator",),
+    ),
     # small triangles, filled in on the CPU
     Mutation(
         "triangles/grid of the driver",

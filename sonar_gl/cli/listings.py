@@ -1,12 +1,24 @@
-"""The commands `scenes` and `sonars`: lists of what is known by name."""
+"""The commands `scenes`, `sonars` and `materials`: lists of what is known by name."""
 
 from __future__ import annotations
 
+import math
+import textwrap
+
 import click
 
+from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.cli.report import table_text
 from sonar_gl.scene.load import bundled_scenes, scene_description
+from sonar_gl.scene.materials import Material, materials
 from sonar_gl.sonar.sonar import presets
+
+LEAST_ECHO = 1e-6  # listed; a perfect mirror has no diffuse part, and next to nothing off its lobe
+MATERIALS_NOTE = """\
+impedance: over that of the water. |R|^2: intensity reflection coefficient at normal incidence,
+the sum of a diffuse part and of a specular lobe, whose width is the rms slope of the facets.
+dB: echo per steradian at an angle of incidence, 0 dB for a diffuse part of 1 at 0 degrees.
+Height: rms height of the roughness, which divides |R|^2 at 900 kHz; rough materials have no lobe."""
 
 
 def scenes_text() -> str:
@@ -31,3 +43,44 @@ def sonars_text() -> str:
         for name, sonar in presets().items()
     ]
     return table_text(header, rows)
+
+
+def materials_text() -> str:
+    """Return the materials: impedance, reflection, echo at two angles of incidence, roughness; and sources."""
+    header = (
+        *("material", "impedance", "|R|^2", "diffuse", "lobe", "slope, rad"),
+        *("dB at 0 deg", "at 60 deg", "height, mm"),
+    )
+    rows, named, sources = [], {}, {}
+    for name, one in materials().items():
+        named.setdefault(one.name, []).append(name)
+    for name, names in named.items():
+        one = materials()[name]
+        sources.setdefault(one.source, []).append(name)
+        rows += [_material_row(other, one) for other in names]
+    paragraphs = (
+        textwrap.fill(f"{', '.join(names)}: {source}", 98, subsequent_indent="    ")
+        for source, names in sources.items()
+    )
+    return "\n\n".join((table_text(header, rows), MATERIALS_NOTE, "\n".join(paragraphs)))
+
+
+def _material_row(name: str, one: Material) -> tuple[str, ...]:
+    lobe, slope = ("-", "-") if not one.specular else (f"{one.specular:.3f}", f"{one.roughness_rad:g}")
+    return (
+        name,
+        f"{one.impedance_ratio:.3g}",
+        f"{one.reflectivity + one.specular:.3f}",
+        f"{one.reflectivity:.3f}",
+        lobe,
+        slope,
+        *(_echo_text(one, math.radians(angle_deg)) for angle_deg in (0, 60)),
+        "rough" if one.height_m is None else f"{1e3 * one.height_m:g}",
+    )
+
+
+def _echo_text(one: Material, incidence_rad: float) -> str:
+    cos = math.cos(incidence_rad)
+    lobe = float(specular_lobe(cos, one.specular, one.roughness_rad)) if one.specular else 0.0
+    echo = one.reflectivity * cos + lobe
+    return f"{10 * math.log10(echo):.1f}" if echo > LEAST_ECHO else "-"

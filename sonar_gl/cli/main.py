@@ -252,6 +252,15 @@ def sonars():
     echo(cli.listings.sonars_text())
 
 
+@main.command(epilog="Example: sonar-gl materials", short_help="List the materials.")
+def materials():
+    """List the materials: reflection, specular lobe, roughness, echo at two angles, and sources of the numbers.
+
+    A scene names one by <sonar_gl:material>, a body in Python by Body(reflectivity="steel").
+    """
+    echo(cli.listings.materials_text())
+
+
 DOCTOR_EPILOG = """\b
 Examples:
   sonar-gl doctor

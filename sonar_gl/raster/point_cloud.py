@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sonar_gl.raster.engine import RasterEngine
+from sonar_gl.raster.scene_meshes import SceneMeshes
+from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -19,7 +21,8 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, pose, columns: int, rows: in
     sonar = replace(sonar, n_beams=columns, beam_azimuths_deg=None, beam_spacing="angle")
     reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
     fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
-    (view,) = engine.make_renderer(fan, False, engine.make_room()).render([pose], full=True)
+    renderer = engine.make_renderer(fan, False, engine.make_room())
+    (view,) = renderer.render([pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []
     for sector, plane_echo, _ in view.sectors:
         u, v = sector.sample_coordinates()
@@ -33,3 +36,19 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, pose, columns: int, rows: in
         points.append(rays[:, inner][:, ::-1].astype(np.float32))
         echoes.append(np.where(missed, 0, echo)[:, inner][:, ::-1])
     return np.concatenate(points, axis=1), np.concatenate(echoes, axis=1)
+
+
+def _diffuse(meshes: SceneMeshes) -> SceneState:
+    """Return the state of a scene whose bodies scatter diffusely what their specular lobes reflect, too.
+
+    A ray sensor has one reflectivity a body, and without its lobe steel would be as dark as sand.
+    """
+    reflectivity = meshes.reflectivity.copy()
+    for number, body in enumerate(meshes.bodies):
+        if body.specular > 0:
+            mean = float(np.mean(body.reflectivity))
+            total = min(mean + body.specular, 1.0)
+            # where faces have reflectivities of their own, the number is a factor on them
+            is_factor = np.ndim(body.reflectivity) > 0 and mean > 0
+            reflectivity[number] = total / mean if is_factor else total
+    return replace(meshes.state, reflectivity=reflectivity)

@@ -31,6 +31,7 @@ class Material:
     ----------
     name : heading of its table in materials.toml
     density_ratio, speed_ratio, loss : as `rayleigh_reflection` takes them
+    impedance_ratio : impedance over that of the water
     reflectivity : μ of the diffuse echo, 0..1; all of |R|² if the surface is rough
     specular : strength of the specular lobe, 0..1; 0 if the surface is rough
     roughness_rad : rms slope, along any one direction, of the facets that make the lobe
@@ -42,6 +43,7 @@ class Material:
     density_ratio: float | None
     speed_ratio: float | None
     loss: float | None
+    impedance_ratio: float
     reflectivity: float
     specular: float
     roughness_rad: float | None
@@ -65,7 +67,8 @@ def material(name: str) -> Material:
         raise Error(f"a material must be a name (got {shown(name)}; such as {next(iter(known))!r})")
     key = "_".join(name.casefold().replace("-", " ").replace("_", " ").split())
     if key not in known:
-        raise Error(f"unknown material (got {name!r}; {nearest_names(key, known)})")
+        hint = f"{nearest_names(key, known)}; `sonar-gl materials` lists them"
+        raise Error(f"unknown material (got {name!r}; {hint})")
     return known[key]
 
 
@@ -86,13 +89,14 @@ def _from_table(name: str, table: dict) -> Material:
     density, speed = table.get("density_ratio"), table.get("speed_ratio")
     loss = None if density is None else table.get("loss", 0.0)
     if density is None:
-        z = table["impedance_ratio"]
-        intensity = ((z - 1) / (z + 1)) ** 2
+        impedance = table["impedance_ratio"]
+        intensity = ((impedance - 1) / (impedance + 1)) ** 2
     else:
+        impedance = density * speed
         intensity = abs(complex(rayleigh_reflection(np.pi / 2, density, speed, loss))) ** 2
     coherent, height = 0.0, table.get("height_m")
     if height is not None:
         coherent = float(coherent_loss(np.pi / 2, height, WAVENUMBER_RAD_M)) ** 2
     diffuse, specular = intensity * (1 - coherent), intensity * coherent
     slope = table.get("roughness_rad")
-    return Material(name, density, speed, loss, diffuse, specular, slope, height, table["source"])
+    return Material(name, density, speed, loss, impedance, diffuse, specular, slope, height, table["source"])

@@ -26,6 +26,7 @@ from sonar_gl.cli import plan
 from sonar_gl.core.poses import pose_numbers, read_poses
 from sonar_gl.gl import context as gl
 from sonar_gl.imaging import files as export
+from sonar_gl.scene.materials import materials
 from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
@@ -437,6 +438,22 @@ def test_sonars_lists_every_preset():
     assert max(map(len, out.splitlines())) <= 80
 
 
+def test_materials_lists_every_material_with_its_reflection_echo_and_source():
+    status, out, _ = run("materials")
+    assert status == 0
+    table, note, sources = out.rstrip("\n").split("\n\n")
+    lines = {line.split()[0]: " ".join(line.split()[1:]) for line in table.splitlines()[1:]}
+    assert sorted(lines) == sorted(materials())
+    # |R|² of the impedances; 10 log of 0.760 / (8 · 0.1²) + 0.116, and of 0.116 cos 60° where the lobe has ended
+    assert lines["steel"] == "30.1 0.875 0.116 0.760 0.1 9.8 -12.4 0.05"
+    assert lines["sand"] == lines["medium_sand"] == "2.17 0.137 0.137 - - -8.6 -11.6 rough"
+    assert lines["water_surface"].endswith(" 9.4 - 0")  # a mirror scatters nothing to 60°
+    assert "900 kHz" in note
+    listed = " ".join(sources.split())
+    assert all(one.source in listed for one in materials().values())
+    assert max(map(len, out.splitlines())) <= 100
+
+
 HEAVY = [
     "numpy",
     "scipy",
@@ -512,7 +529,7 @@ def test_lists_are_quick_for_they_load_no_numba():
     code = """
 import sys
 from sonar_gl.cli.main import main
-for name in ("scenes", "sonars"):
+for name in ("scenes", "sonars", "materials"):
     main([name], standalone_mode=False)
 print("loaded", *(name for name in ("numba", "moderngl", "cv2", "trimesh") if name in sys.modules))
 """

@@ -281,6 +281,28 @@ def test_point_cloud_lies_on_the_bodies():
     assert np.abs(azimuth).max() <= math.radians(30) + 1e-6
 
 
+def test_a_point_cloud_takes_specular_lobes_as_diffuse():
+    """A wall returns |R|² cos θ, whatever part of it is specular."""
+    wall = trimesh.creation.box((0.2, 40, 40))
+    x, y, _ = wall.triangles_center.T
+    # two triangles make the side that is seen; the others bring the mean to 0.2
+    by_face = np.select([x > -0.09, y > 0], [0.2, 0.3], 0.1)
+    for given, expected in (
+        ({"reflectivity": 0.5}, {0.5}),
+        ({"reflectivity": 0.5, "specular": 0.25}, {0.75}),
+        ({"reflectivity": 0.0, "specular": 0.25}, {0.25}),
+        ({"reflectivity": 0.5, "specular": 0.75}, {1.0}),
+        ({"reflectivity": by_face, "specular": 0.2}, {0.2, 0.6}),
+    ):
+        scene = sg.Scene([sg.Body("wall", wall, sg.pose(6.1, 0, 0), **given)])
+        with sg.Simulator(scene, SONAR) as it:
+            points, echo = it.point_cloud(np.eye(4), columns=41, rows=11)
+        cos = points[..., 0] / np.linalg.norm(points, axis=-1)
+        hit = np.isfinite(cos)  # others are beyond the field of view
+        # float32: 1/x of the depth + normal pass, and μ
+        assert set(np.round((echo / cos)[hit], 5).astype(float).round(5).tolist()) == expected
+
+
 def test_demarco_image_has_forward_up_and_port_left():
     with simulator(sonar=replace(SONAR, range_max_m=10.0)) as it:
         picture = sg.demarco_image(it, np.eye(4), seed=1, noise=sg.Noise(cloud_gaussian_m=0.01, median=0))

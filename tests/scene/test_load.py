@@ -66,6 +66,16 @@ def test_the_sonar_of_every_bundled_scene_is_under_water():
         assert scene.surface_z_m is None or scene.sonar_pose[2, 3] < scene.surface_z_m, name
 
 
+def test_bundled_scenes_name_materials_and_return_no_more_than_arrives():
+    names = set()
+    for name in bundled_scenes():
+        for body in load_scene(name).bodies:
+            assert np.max(body.reflectivity) + body.specular <= 1, (name, body.name)
+            names.add(body.material)
+    # None: shapes of several materials that are one body, the suit and the fins of the swimming diver
+    assert names == {"medium_sand", "concrete", "smooth_concrete", "steel", "brass", "foam_neoprene", None}
+
+
 @pytest.fixture
 def two_scenes(tmp_path, monkeypatch):
     for name in ("pylon", "harbour"):

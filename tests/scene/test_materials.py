@@ -25,7 +25,7 @@ AT_NORMAL = {  # |R| at normal incidence, from impedances
     "steel": 0.936, "aluminium": 0.835, "granite": 0.812, "glass": 0.802, "concrete": 0.683, "ice": 0.392,
     "sand": 0.370, "pvc": 0.362, "acrylic": 0.357, "oak": 0.304, "neoprene": 0.153, "wet_wood": 0.129,
     "rubber": 0.100, "mud": 0.059, "muscle": 0.047, "rho-c rubber": 0.001, "foam_neoprene": 0.878,
-    "air": 0.9995,
+    "air": 0.9995, "brass": 0.927, "lead": 0.882, "polyethylene": 0.194, "fibreglass": 0.498,
 }  # fmt: skip
 
 
@@ -112,7 +112,12 @@ def test_names_ignore_case_and_hyphens_and_materials_are_frozen():
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("stel", "did you mean 'steel'"), ("", "known are"), (7, "must be a name")]
+    ("name", "words"),
+    [
+        ("stel", r"did you mean 'steel' or 'silt'\?; `sonar-gl materials` lists them\)$"),
+        ("", "known are"),
+        (7, "must be a name"),
+    ],
 )
 def test_unknown_materials_are_refused(name, words):
     with pytest.raises(Error, match=words):

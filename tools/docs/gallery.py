@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +35,15 @@ class Comparison(NamedTuple):
     sonar: str
     range_m: float
     height: int = 480
-    styles: tuple = ("demarco2015", "physical")
+    styles: tuple[str, str] = ("demarco2015", "physical")
+
+
+class Model(NamedTuple):
+    """What a style other than the founding paper's draws: the acoustics, the noise and the time of a ping."""
+
+    acoustics: sg.Acoustics
+    noise: sg.Noise
+    time_s: float | None = None
 
 
 COMPARISONS = {
@@ -49,39 +58,45 @@ COMPARISONS = {
     "diver_breath": Comparison("diver_swimming", "p900-45", 10.0, 480, ("without", "with")),
 }
 
+PHYSICAL = Model(sg.Acoustics.physical(elevation_pattern="line_array", pulse=True), sg.Noise.physical())
+REFLECTED = replace(PHYSICAL.acoustics, multipath="incoherent")
+BARE = sg.Acoustics.physical(elevation_pattern="box", pulse=False, bubbles=False)
+MODELS = {
+    "physical": PHYSICAL,
+    "without": Model(BARE, sg.Noise(speckle=True), TIME_S),
+    "with": Model(REFLECTED, sg.Noise(speckle=True, electronic_db=-80.0), TIME_S),
+}
 
-def draw(pair: Comparison):
-    """Return the founding paper's picture and one of profile `physical` with noise and axes, RGB."""
+
+def draw(pair: Comparison) -> list[np.ndarray]:
+    """Return the pictures of a pair, RGB, all of one size."""
     scene, sonar = sg.load_scene(pair.scene), sg.load_sonar(pair.sonar).with_range(pair.range_m)
     pose = scene.sonar_pose
-    with sg.Simulator(scene, sonar) as simulator:
-        # "constant" is what eq. (4) comes to in its author's published code; as printed, near echoes are dark
-        paper = sg.demarco_image(simulator, pose, SEED, height=pair.height, range_law="constant")
-        ping = simulator.ping(pose, sg.Noise.physical(), SEED)
-    physical = fan_picture(ping, pair.height)
-    # the paper's picture has no axes: the same black margin, so that both fans are of one size
-    (rows, columns), (height, width) = paper.shape[:2], physical.shape[:2]
+    pictures = []
+    for style in pair.styles:
+        model = MODELS.get(style, PHYSICAL)
+        with sg.Simulator(scene, sonar, model.acoustics) as simulator:
+            if style == "demarco2015":
+                # "constant" is what eq. (4) comes to in its author's published code; as printed, near echoes are dark
+                picture = sg.demarco_image(simulator, pose, SEED, height=pair.height, range_law="constant")
+            else:
+                ping = simulator.ping(pose, model.noise, SEED, time_s=model.time_s)
+                picture = fan_picture(ping, pair.height)
+        pictures.append(picture)
+    height, width = np.max([picture.shape[:2] for picture in pictures], axis=0)
+    return [with_margin(picture, height, width) for picture in pictures]
+
+
+def with_margin(picture: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return a picture with the black margin of axes, which the founding paper's has not."""
+    rows, columns = picture.shape[:2]
     above = (height - rows) // 2  # and as much on the left; on the right is the bar of colours
-    margin = ((above, height - rows - above), (above, width - columns - above), (0, 0))
-    return np.pad(paper, margin), physical
+    return np.pad(picture, ((above, height - rows - above), (above, width - columns - above), (0, 0)))
 
 
 def fan_picture(ping: sg.Ping, height: int) -> np.ndarray:
     """Return a fan image with axes, RGB."""
     return sg.draw_axes(sg.colorize(sg.fan_image(ping, height), COLORMAP), ping, COLORMAP)
-
-
-def draw_terms(pair: Comparison):
-    """Return pictures without and with multipath, bubbles, receiver noise and a beam in elevation, RGB."""
-    scene, sonar = sg.load_scene(pair.scene), sg.load_sonar(pair.sonar).with_range(pair.range_m)
-    bare, bare_noise = sg.Acoustics.physical(bubbles=False), sg.Noise(speckle=True)
-    full = sg.Acoustics.physical(multipath="incoherent", elevation_pattern="gaussian")
-    out = []
-    for acoustics, noise in ((bare, bare_noise), (full, sg.Noise(speckle=True, electronic_db=-80.0))):
-        with sg.Simulator(scene, sonar, acoustics) as simulator:
-            ping = simulator.ping(scene.sonar_pose, noise, SEED, time_s=TIME_S)
-        out.append(fan_picture(ping, pair.height))
-    return out
 
 
 def palette(colormap: str) -> Image.Image:
@@ -117,8 +132,7 @@ def main():
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.pairs or COMPARISONS:
         pair = COMPARISONS[name]
-        pictures = draw_terms(pair) if "without" in pair.styles else draw(pair)
-        for style, picture in zip(pair.styles, pictures, strict=True):
+        for style, picture in zip(pair.styles, draw(pair), strict=True):
             colormap = "jet" if style == "demarco2015" else COLORMAP
             path, data = options.out / f"{name}_{style}.png", png(picture, colormap)
             if len(data) > MAX_BYTES:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,14 +19,28 @@ import numpy as np
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 COMMAND = "Generated: python -m tools.docs.make_scenes"
 
-# laser_retro, 0..255, and the colour that Gazebo shows
-MATERIALS = {
-    "suit": (90, "0.16 0.18 0.22 1"),
-    "rubber": (140, "0.75 0.62 0.10 1"),
-    "concrete": (180, "0.55 0.55 0.52 1"),
-    "brass": (230, "0.72 0.56 0.24 1"),
-    "steel": (230, "0.45 0.47 0.50 1"),
-    "sand": (60, "0.62 0.55 0.40 1"),
+
+class Surface(NamedTuple):
+    """What a shape is made of: a material of sonar_gl, the colour that Gazebo shows, and a laser_retro.
+
+    laser_retro, 0..255, overrides the diffuse part of the material.
+    """
+
+    material: str
+    colour: str
+    retro: int | None = None
+
+
+SURFACES = {
+    "suit": Surface("foam_neoprene", "0.16 0.18 0.22 1"),
+    "glove": Surface("foam_neoprene", "0.75 0.62 0.10 1"),
+    "hose": Surface("foam_neoprene", "0.20 0.20 0.20 1"),  # full of gas, behind a wall thin to sound
+    "fin": Surface("rubber", "0.75 0.62 0.10 1"),
+    "brass": Surface("brass", "0.72 0.56 0.24 1"),
+    "steel": Surface("steel", "0.45 0.47 0.50 1"),
+    "sand": Surface("sand", "0.62 0.55 0.40 1"),
+    # so smooth that it reflects; by its laser_retro the diffuse part is weaker than that of bare concrete
+    "tiles": Surface("smooth_concrete", "0.62 0.55 0.40 1", 60),
 }
 
 
@@ -51,19 +66,21 @@ def geometry(parent, shape: str, **sizes):
         add(inner, tag, value if isinstance(value, str) else numbers(*np.ravel(value)))
 
 
-def place(link, name: str, material: str, shape: str, position=(0, 0, 0), rotation=(0, 0, 0), **sizes):
+def place(link, name: str, surface: str, shape: str, position=(0, 0, 0), rotation=(0, 0, 0), **sizes):
     """Add one shape to a link: its collision, and a visual like it."""
-    retro, colour = MATERIALS[material]
+    material, colour, retro = SURFACES[surface]
     for tag in ("collision", "visual"):
         part = add(link, tag, name=name)
         if np.any(position) or np.any(rotation):
             add(part, "pose", numbers(*position, *rotation))
         geometry(part, shape, **sizes)
-        add(part, "laser_retro", str(retro))
+        if retro is not None:
+            add(part, "laser_retro", str(retro))
         if tag == "visual":
             paint = add(part, "material")
             add(paint, "ambient", colour)
             add(paint, "diffuse", colour)
+        add(part, "sonar_gl:material", material)
 
 
 def model(world, name: str, pose=None):
@@ -86,17 +103,16 @@ def new_world(name: str, sonar_pose):
     return root, world
 
 
-def add_floor(world, z: float, size: float, specular: bool = False):
-    """Add a level floor of sand, or one as bright but so smooth that it reflects sound specularly."""
-    link = model(world, "floor", (0, 0, z, 0, 0, 0))
-    place(link, "floor", "sand", "plane", normal=(0, 0, 1), size=(size, size))
-    for element in link if specular else ():
-        add(element, "sonar_gl:material", "smooth_concrete")
-
-
 def add_pool(world, floor: float, depth: float = 3.0):
     """Add a smooth floor, and the calm water's surface above it."""
-    add_floor(world, floor, 40, specular=True)
+    place(
+        model(world, "floor", (0, 0, floor, 0, 0, 0)),
+        "floor",
+        "tiles",
+        "plane",
+        normal=(0, 0, 1),
+        size=(40, 40),
+    )
     add(world, "sonar_gl:surface", f"{floor + depth:g}")
 
 
@@ -128,11 +144,11 @@ def turn(axis, side=(0, 1, 0)) -> np.ndarray:
     return np.array([np.arctan2(y[2], z[2]), -np.arcsin(np.clip(x[2], -1, 1)), np.arctan2(x[1], x[0])])
 
 
-def rod(link, name, material, shape, start, end, radius):
+def rod(link, name, surface, shape, start, end, radius):
     """Add a capsule or cylinder from one joint to another."""
     start, end = np.array(start, float), np.array(end, float)
     length = np.linalg.norm(end - start)
-    place(link, name, material, shape, (start + end) / 2, turn(end - start), radius=radius, length=length)
+    place(link, name, surface, shape, (start + end) / 2, turn(end - start), radius=radius, length=length)
 
 
 # Upright body frame: x forward, y to the left, z to the head, soles at 0. Pairs: left, right.
@@ -159,7 +175,10 @@ SWIMMING = {
 
 
 def add_diver(world, posture: dict, pose, centre=(0, 0, 0)):
-    """Add the model `diver`: one link of some thirty shapes; `centre` of the body frame goes to `pose`."""
+    """Add the model `diver`: one link of some thirty shapes; `centre` of the body frame goes to `pose`.
+
+    Suit, brass and steel are three bodies, since their specular lobes differ.
+    """
     link = model(world, "diver", pose)
 
     def at(*point):
@@ -193,10 +212,10 @@ def add_diver(world, posture: dict, pose, centre=(0, 0, 0)):
     add_breath(link, head + 0.13 * gaze + np.array([0, 0, 0.12]))
 
     # air: plate, tank, valve, and the hose over the right shoulder to the helmet
-    place(link, "back_plate", "rubber", "box", at(-0.15, 0, 1.22), size=(0.06, 0.26, 0.42))
+    place(link, "back_plate", "steel", "box", at(-0.15, 0, 1.22), size=(0.06, 0.26, 0.42))
     rod(link, "tank", "steel", "capsule", at(-0.26, 0, 1.00), at(-0.26, 0, 1.42), 0.095)
     rod(link, "valve", "steel", "cylinder", at(-0.26, 0, 1.50), at(-0.26, 0, 1.58), 0.03)
-    rod(link, "hose", "rubber", "capsule", at(-0.26, -0.01, 1.56), at(-0.09, -0.07, 1.66), 0.022)
+    rod(link, "hose", "hose", "capsule", at(-0.26, -0.01, 1.56), at(-0.09, -0.07, 1.66), 0.022)
 
     for i, (side, sign) in enumerate((("left", 1), ("right", -1))):
         elbow, wrist = joint("elbow", i), joint("wrist", i)
@@ -204,7 +223,7 @@ def add_diver(world, posture: dict, pose, centre=(0, 0, 0)):
         rod(link, f"forearm_{side}", "suit", "capsule", elbow, wrist, 0.060)
         reach = (wrist - elbow) / np.linalg.norm(wrist - elbow)
         hand = wrist + 0.10 * reach
-        place(link, f"hand_{side}", "rubber", "ellipsoid", hand, turn(reach), radii=(0.035, 0.05, 0.095))
+        place(link, f"hand_{side}", "glove", "ellipsoid", hand, turn(reach), radii=(0.035, 0.05, 0.095))
 
         knee, ankle, toes = joint("knee", i), joint("ankle", i), np.array(posture["toes"][i])
         rod(link, f"thigh_{side}", "suit", "capsule", joint("hip", i), knee, 0.105)
@@ -212,8 +231,8 @@ def add_diver(world, posture: dict, pose, centre=(0, 0, 0)):
         rod(link, f"shin_{side}", "suit", "capsule", knee, ankle if posture["fins"] else cuff, 0.080)
         if posture["fins"]:
             foot, blade = ankle + 0.10 * toes, ankle + 0.44 * toes
-            place(link, f"foot_{side}", "rubber", "ellipsoid", foot, turn(toes), radii=(0.06, 0.06, 0.17))
-            place(link, f"fin_{side}", "rubber", "box", blade, turn(toes), size=(0.025, 0.23, 0.56))
+            place(link, f"foot_{side}", "fin", "ellipsoid", foot, turn(toes), radii=(0.06, 0.06, 0.17))
+            place(link, f"fin_{side}", "fin", "box", blade, turn(toes), size=(0.025, 0.23, 0.56))
         else:
             cap, sole = ankle + 0.09 * toes - up * 0.04, ankle + 0.09 * toes - up * 0.0875
             level = (0, 0, np.arctan2(toes[1], toes[0]))
