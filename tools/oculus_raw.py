@@ -1,34 +1,26 @@
 """Raw pings of Blueprint Subsea's Oculus sonars, as the device sends them over the network.
 
-The layout is that of the structures in thirdparty/Oculus/Oculus.h of github.com/apl-ocean-engineering/liboculus:
-little-endian, packed without gaps. A message is
-
-- a header of 16 bytes with the length of what follows it,
-- the settings that the ping was asked for, 37 bytes,
-- what the device did, 69 bytes,
-- a bearing for each beam, int16, hundredths of a degree,
-- the picture, range by range, from an offset that the message states.
+`sonar_gl.live.oculus_messages` describes their layout.
 """
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.core.errors import Error
+from sonar_gl.live.oculus_messages import (
+    FIRE_SETTINGS,
+    HEADER,
+    OCULUS_ID,
+    RESULT,
+    RESULT_1,
+    SENDS_GAIN,
+)
 
-OCULUS_ID = 0x4F53  # of every message
-SIMPLE_PING_RESULT = 0x23  # the type of message that holds a picture
-HEADER = struct.Struct("<HHHHHIH")  # id, source, destination, type, version, length of the payload, spare
-FIRE = struct.Struct("<BBBBBdddd")  # mode, rate, network, gamma, flags, range, gain, sound speed, salinity
-# ping, status, frequency, temperature, pressure, sound speed, start time, size of a number, bin, bins, beams, offset of
-# the picture, its bytes, bytes of the message
-RESULT = struct.Struct("<IIddddIBdHHIII")
 SIMPLE_VERSION = 0  # messages of version 2 have longer settings
-SENDS_GAIN = 0x04  # flag: each range begins with its gain, 4 bytes
 GAIN_BYTES = 4
 EIGHT_BITS = 0  # code of the size of a number
 MAX_BYTES = 1 << 28  # some thousand pings; a longer file is no short recording
@@ -71,7 +63,7 @@ def read_pings(path: str | Path) -> list[RawPing]:
     pings, start = [], 0
     while start < len(data):
         end = _message_end(path, data, start)
-        if HEADER.unpack_from(data, start)[3] == SIMPLE_PING_RESULT:
+        if HEADER.unpack_from(data, start)[3] == RESULT:
             pings.append(_read_ping(f"{path}: the message at byte {start}", data[start:end]))
         start = end
     if not pings:
@@ -97,15 +89,15 @@ def _message_end(path: Path, data: bytes, start: int) -> int:
 
 
 def _read_ping(location: str, message: bytes) -> RawPing:
-    """Return the ping of one message of type SIMPLE_PING_RESULT; errors begin with the location."""
+    """Return the ping of one message of type RESULT; errors begin with the location."""
     version = HEADER.unpack_from(message)[4]
     if version != SIMPLE_VERSION:
         raise Error(f"{location} must have version {SIMPLE_VERSION} (got {version})")
-    fixed = HEADER.size + FIRE.size + RESULT.size
+    fixed = HEADER.size + FIRE_SETTINGS.size + RESULT_1.size
     if len(message) < fixed:
         raise Error(f"{location} must have {fixed} bytes before its bearings (got {len(message)})")
-    flags = FIRE.unpack_from(message, HEADER.size)[4]
-    result = RESULT.unpack_from(message, HEADER.size + FIRE.size)
+    flags = FIRE_SETTINGS.unpack_from(message, HEADER.size)[4]
+    result = RESULT_1.unpack_from(message, HEADER.size + FIRE_SETTINGS.size)
     frequency_hz, _temperature, _pressure, speed_m_s = result[2:6]
     number_size, bin_size_m, n_bins, n_beams, offset, picture_bytes, message_bytes = result[7:]
     if number_size != EIGHT_BITS:

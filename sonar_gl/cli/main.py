@@ -16,7 +16,7 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, ENGINE, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, HELP, PING_OPTIONS, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
@@ -309,3 +309,67 @@ def doctor(ctx, report_path, scene, **options):
         cli.doctor.write_report(report_path, found)
         echo(f"wrote {report_path}")
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)
+
+
+EMULATE_EPILOG = """\b
+Examples:
+  sonar-gl emulate oculus pylon
+  sonar-gl emulate oculus ocean_floor --model m750d --poses dive.csv
+  sonar-gl emulate ping360 pylon
+"""
+
+
+def _emulate_options(**more):
+    """Decorate a command that emulates a device: the options of pings that make sense, the network, and `more`."""
+    names = (
+        "pose",
+        "poses",
+        "profile",
+        "acoustics",
+        "engine",
+        "device",
+        "resource_path",
+        "skip_missing",
+        "without",
+    )
+    options = {name: PING_OPTIONS.get(name, {}) for name in (*names, "only", "surface")}
+    options |= {"noise": {"default": "physical"}, "tolerance": {"type": float, "default": 0.05}}
+    options |= {"seed": {"type": int, "default": 0}, "host": {"default": "127.0.0.1"}}
+    options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
+    options |= {"duration": {"type": float, "show_default": "until Ctrl-C"}, **more}
+
+    def decorate(command):
+        for name in reversed([name for name in HELP if name in options]):
+            command = option(name, **options[name])(command)
+        return click.argument("scene")(command)
+
+    return decorate
+
+
+@main.group(epilog=EMULATE_EPILOG, short_help="Speak the network protocol of a real sonar.")
+def emulate():
+    """Simulate a sonar that the programs of a real one use over the network, unchanged."""
+
+
+@emulate.command("oculus", short_help="An Oculus of Blueprint Subsea (TCP 52100, status by UDP 52102).")
+@_emulate_options(
+    model={"type": click.Choice(("m370s", "m750d", "m1200d", "m3000d")), "default": "m1200d"},
+    status_to={"default": "127.0.0.1"},
+)
+def emulate_oculus(scene, **options):
+    """Emulate an Oculus in SCENE: mode, range, gain, gamma, beams and ping rate are those that the program sends.
+
+    A ping that comes late is left out: the ping rate falls. In a sequence of poses the sonar moves in real time, and
+    stays at the last pose.
+    """
+    echo(cli.emulate.oculus(scene, SimpleNamespace(**options)))
+
+
+@emulate.command("ping360", short_help="A Ping360 of Blue Robotics (UDP 9092).")
+@_emulate_options()
+def emulate_ping360(scene, **options):
+    """Emulate a Ping360 in SCENE: each angle that a program asks for is a ping of one beam.
+
+    Angle 0 points ahead, and angles grow clockwise as seen from above. The head turns in no time.
+    """
+    echo(cli.emulate.ping360(scene, SimpleNamespace(**options)))

@@ -38,6 +38,11 @@ HELP = {
     "without": 'Leave out bodies of this name, such as "boat*"; may be repeated.',
     "only": "Leave out all bodies but those of this name; may be repeated.",
     "surface": "Height of the water's surface, metres.",
+    "model": "Model of the device.",
+    "host": "Address to listen at; others than 127.0.0.1 let other machines use the sonar.",
+    "port": "Port to listen at.",
+    "status_to": "Address that receives the device's status, such as 192.168.1.255 for all of a network.",
+    "duration": "Stop after so many seconds.",
     "json": "Print one JSON object instead of text.",
     "out": "Output folder; created if it does not exist.",
 }

@@ -1,0 +1,83 @@
+"""The command `emulate`: a simulated sonar that programs of a real one talk to over the network."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from concurrent.futures import ThreadPoolExecutor
+
+from sonar_gl.cli.common import acoustics_from, poses_from, scene_from
+from sonar_gl.cli.output import echo
+from sonar_gl.core.errors import Error
+from sonar_gl.core.load_numba import load_numba
+from sonar_gl.live.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
+from sonar_gl.live.ping360 import PORT, Ping360Head, Ping360Server
+from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.live.simulated_head import SimulatedHead
+from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+LOCAL = "127.0.0.1", "localhost"
+
+
+def oculus(scene_name: str, options) -> str:
+    """Serve an Oculus until it is stopped; return a line about what was sent."""
+    model = MODELS[options.model]
+
+    def serve(simulation, head):
+        port = DATA_PORT if options.port is None else options.port
+        status_to = None if options.host == "0.0.0.0" else (options.status_to, STATUS_PORT)
+        server = OculusServer(OculusHead(model, head), simulation, options.host, port, status_to)
+        where = "no status, since --host 0.0.0.0 is no address that a program could connect to"
+        if status_to is not None:
+            where = f"status to {options.status_to}:{STATUS_PORT} every second"
+        return server, f"Oculus {options.model.upper()} at {options.host}:{port}; {where}"
+
+    server = _serve(scene_name, options, load_sonar(model.presets[1]), serve)
+    return (
+        f"{server.counts.sent} results sent, {server.counts.missed} missed by programs that read too slowly"
+    )
+
+
+def ping360(scene_name: str, options) -> str:
+    """Serve a Ping360 until it is stopped; return a line about what was sent."""
+
+    def serve(simulation, head):
+        port = PORT if options.port is None else options.port
+        return (
+            Ping360Server(Ping360Head(head), simulation, options.host, port),
+            f"Ping360 at {options.host}:{port} (UDP)",
+        )
+
+    server = _serve(scene_name, options, load_sonar("ping360"), serve)
+    return f"{server.pings} pings sent, {server.dropped} messages dropped as more came than could be answered"
+
+
+def _serve(scene_name: str, options, sonar: Sonar, make_server):
+    """Make the server of a scene, run it for --duration or until Ctrl-C, and return it."""
+    load_numba()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
+    if acoustics is None:
+        raise Error("--acoustics needed is for one sonar at one range; an emulated device changes both")
+    scene = scene_from(scene_name, options)
+    times_s, poses = poses_from(options, scene)
+    if options.host not in LOCAL:
+        echo(f"warning: any machine that reaches {options.host} can use this sonar", err=True)
+    with ThreadPoolExecutor(1, "simulation") as simulation:
+        settings = scene, sonar, acoustics, noise, PoseTrack(poses, times_s), options.tolerance, options.seed
+        head = simulation.submit(SimulatedHead, *settings).result()
+        try:
+            server, line = make_server(simulation, head)
+            echo(f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it", err=True)
+            asyncio.run(asyncio.wait_for(server.run(), options.duration))
+        except (KeyboardInterrupt, asyncio.TimeoutError):
+            pass
+        except OSError as why:
+            raise Error(
+                f"the emulator must be able to listen at {options.host} (got {why.strerror or why}; is another program "
+                "using the port? --port chooses another)"
+            ) from None
+        finally:
+            simulation.submit(head.close).result()
+    return server

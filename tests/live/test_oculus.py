@@ -1,0 +1,255 @@
+"""An emulated Oculus, read by a decoder that was written from the layout of its messages."""
+
+import random
+import socket
+import struct
+import time
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error
+from sonar_gl.live.oculus import MODELS, OculusHead, OculusServer
+from sonar_gl.live.oculus_messages import FireMessage, OculusResult, parse_fire_message, status_message
+from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.live.simulated_head import SimulatedHead
+from tests.support.servers import WAIT_S, running, simulated
+from tools.oculus_raw import read_pings
+
+METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h
+LOW, HIGH = 1, 2
+
+
+def fire_bytes(
+    version=1, mode=HIGH, rate=2, gamma=127, flags=METRES | SIMPLE | ASSISTANCE, range_m=3.0, gain=50.0
+):
+    """Return a fire message as liboculus' SonarConfiguration writes it: offsets of its packed structures."""
+    size = 53 if version == 1 else 89
+    out = bytearray(size)
+    struct.pack_into("<HHHHHIH", out, 0, 0x4F53, 0, 0, 0x15, version, size - 16, 0)
+    struct.pack_into("<BBBBB", out, 16, mode, rate, 0xFF, gamma, flags)
+    struct.pack_into("<dddd", out, 21, range_m, gain, 0.0, 0.0)
+    return bytes(out)
+
+
+@pytest.fixture(scope="module")
+def server():
+    """Serve a wall with a ball before it, to starboard, as an M1200d sees them."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.1), sg.pose(1.5, -0.5, 0))
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 20, 20)), sg.pose(2.5, 0, 0), 0.01)
+    scene = sg.Scene([ball, wall], np.eye(4), "ball and wall")
+
+    def make():
+        sonar = sg.load_sonar("oculus-m1200d-hf")
+        return SimulatedHead(scene, sonar, sg.Acoustics.physical(), sg.Noise(), PoseTrack([np.eye(4)]))
+
+    with simulated(make) as (simulation, head):
+        device = OculusHead(MODELS["m1200d"], head)
+        with running(OculusServer(device, simulation, port=0, status_to=None)) as one:
+            yield one
+
+
+@pytest.fixture
+def connection(server):
+    """Connect a program."""
+    with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as one:
+        yield one
+
+
+def read_exactly(connection, size):
+    """Return so many bytes of a connection."""
+    data = b""
+    while len(data) < size:
+        data += connection.recv(size - len(data)) or pytest.fail("the connection was closed")
+    return data
+
+
+def next_result(connection):
+    """Return the next message of a connection: its header's numbers, and all its bytes."""
+    head = read_exactly(connection, 16)
+    fields = struct.unpack("<HHHHHIH", head)
+    return fields, head + read_exactly(connection, fields[5])
+
+
+def result_of(connection, fire):
+    """Fire, and return the first message that answers it."""
+    connection.sendall(fire)
+    while True:
+        fields, message = next_result(connection)
+        if message[16 : len(fire)] == fire[16:]:
+            return fields, message
+
+
+def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
+    fields, message = result_of(connection, fire_bytes())
+    assert fields[0] == 0x4F53 and fields[3:5] == (0x23, 0) and fields[5] == len(message) - 16
+    (tmp_path / "ping.raw").write_bytes(message)
+    (raw,) = read_pings(tmp_path / "ping.raw")
+    assert raw.counts.shape == (256, 1024) and raw.counts.dtype == np.uint8
+    assert raw.frequency_hz == 2.1e6 and raw.bin_size_m == pytest.approx(3.0 / 1024)
+    assert raw.sound_speed_m_s == pytest.approx(sg.Acoustics.physical().sound_speed())
+    edge = np.sin(np.radians(30.0))
+    even_in_sine_deg = np.degrees(np.arcsin(np.linspace(-edge, edge, 256)))
+    assert raw.beam_azimuths_deg == pytest.approx(even_in_sine_deg, abs=0.0051)  # hundredths, rounded
+    # many bins are at full scale; the nearest of them is the ball's nearest point, but for the pulse and the beam
+    bins, beams = np.nonzero(raw.counts.T == 255)
+    assert abs(raw.beam_azimuths_deg[beams[0]] - np.degrees(np.arctan2(-0.5, 1.5))) < 3.0
+    assert abs((bins[0] + 0.5) * raw.bin_size_m - (np.hypot(0.5, 1.5) - 0.1)) < 0.02
+
+
+def test_second_version_has_attitude_and_its_own_offsets(connection):
+    flags = METRES | SIMPLE | ASSISTANCE | BITS_16 | GAINS | BEAMS_512
+    fields, message = result_of(connection, fire_bytes(2, LOW, flags=flags, range_m=6.0))
+    assert fields[4] == 2
+    frequency, temperature, pressure, heading, pitch, roll, speed, time_s = struct.unpack_from(
+        "<8d", message, 97
+    )
+    size_code, bin_size_m, n_bins, n_beams = struct.unpack_from("<BdHH", message, 161)
+    offset, image_bytes, message_bytes = struct.unpack_from("<III", message, 190)
+    assert (frequency, heading, pitch, roll) == (1.2e6, 0.0, 0.0, 0.0)
+    assert (size_code, n_bins, n_beams) == (1, 1024, 512) and bin_size_m == pytest.approx(6.0 / 1024)
+    assert 0.0 < time_s < 1e5 and (temperature, pressure) == (10.0, pytest.approx(2.013, abs=1e-3))
+    assert 1400 < speed < 1600
+    row = 4 + 2 * n_beams
+    assert (image_bytes, message_bytes) == (n_bins * row, len(message)) and offset + image_bytes == len(
+        message
+    )
+    bearings = np.frombuffer(message, "<i2", n_beams, 202)
+    assert (np.diff(bearings) > 0).all() and (bearings[0], bearings[-1]) == (-6500, 6500)
+    rows = np.frombuffer(message, np.uint8, offset=offset).reshape(n_bins, row)
+    gains, counts = rows[:, :4].copy().view("<f4")[:, 0], rows[:, 4:].copy().view("<u2")
+    assert (np.diff(gains) > 0).all()  # the TVG rises
+    assert counts.max() == 65535  # automatic gain brings the strongest echoes to full scale
+    starboard, port = counts[:, n_beams // 2 :], counts[:, : n_beams // 2]
+    near = slice(
+        0, int(1.9 / bin_size_m)
+    )  # before the wall: the ball, to starboard, where bearings are positive
+    assert starboard[near].max() > 20_000 > 20 * port[near].max()
+
+
+def test_gain_and_gamma_change_counts_as_they_say(connection):
+    flags = METRES | SIMPLE | BITS_16
+    counts = {}
+    for gamma, gain in ((255, 10.0), (255, 20.0), (127, 10.0)):
+        _, message = result_of(connection, fire_bytes(gamma=gamma, gain=gain, flags=flags))
+        counts[gamma, gain] = np.frombuffer(message, "<u2", offset=2048).astype(float)
+    inside = (counts[255, 10.0] > 1000) & (counts[255, 20.0] < 65535)
+    assert inside.sum() > 100
+    # 10 per cent more are 6 dB: amplitude times 1.995; counts of 1000 are rounded by 0.05 %
+    assert counts[255, 20.0][inside] / counts[255, 10.0][inside] == pytest.approx(10**0.3, rel=1e-3)
+    share, with_gamma = counts[255, 10.0][inside] / 65535, counts[127, 10.0][inside] / 65535
+    assert with_gamma == pytest.approx(share ** (127 / 255), rel=1e-3)
+
+
+def test_standby_stops_and_another_fire_message_goes_on(connection):
+    result_of(connection, fire_bytes())
+    connection.sendall(fire_bytes(rate=5))
+    connection.settimeout(0.5)
+    with pytest.raises(TimeoutError):
+        while True:
+            next_result(connection)
+    connection.settimeout(WAIT_S)
+    result_of(connection, fire_bytes(range_m=4.0))
+
+
+def test_two_programs_see_the_same_pings(connection, server):
+    with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
+        result_of(connection, fire_bytes(range_m=5.0))
+        messages = [next_result(one)[1] for one in (other, connection) for _ in range(5)]
+        numbers = [struct.unpack_from("<I", message, 53)[0] for message in messages]
+        both = set(numbers[:5]) & set(numbers[5:])
+        assert both
+        for number in both:
+            first, second = (m for m, n in zip(messages, numbers, strict=True) if n == number)
+            assert first == second
+
+
+def test_wrong_fire_message_changes_nothing(connection):
+    result_of(connection, fire_bytes(range_m=3.5))
+    for wrong in (fire_bytes(range_m=11.0), fire_bytes(range_m=float("nan")), fire_bytes(mode=0)):
+        connection.sendall(wrong)
+    for _ in range(3):
+        _, message = next_result(connection)
+        assert struct.unpack_from("<d", message, 21) == (3.5,)
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"range": 11.0}, "at most 10 m"),
+        ({"range": 0.05}, "more than 0.1 m"),
+    ],
+)
+def test_range_of_the_device_is_kept(server, changes, words):
+    fire = FireMessage(1, HIGH, 0, 127, METRES, changes["range"], 50.0, 0.0, b"")
+    with pytest.raises(Error, match=words):
+        OculusHead(MODELS["m1200d"], None).sonar(fire)
+
+
+def test_range_in_per_cent_is_of_the_greatest():
+    fire = FireMessage(1, LOW, 0, 127, 0, 25.0, 50.0, 0.0, b"")
+    assert OculusHead(MODELS["m1200d"], None).sonar(fire).range_max_m == 10.0
+
+
+def test_short_fire_message_is_refused():
+    with pytest.raises(Error, match="must have 73 bytes"):
+        parse_fire_message(2, bytes(72))
+
+
+def test_status_is_as_long_as_programs_expect():
+    message = status_message(7, 1042, "192.168.1.9", "0.0.0.0", 12.5)
+    assert len(message) == 142  # sizeof(OculusStatusMsg), the only length that liboculus accepts
+    assert struct.unpack_from("<IHHI", message, 16) == (7, 1, 1042, 3)
+    assert message[52:56] == bytes([192, 168, 1, 9])
+    assert struct.unpack_from("<d", message, 70) == (12.5,)
+
+
+def test_result_of_odd_sizes_fits_its_header():
+    fire = FireMessage(1, HIGH, 0, 127, METRES | GAINS, 3.0, 50.0, 0.0, bytes(37))
+    numbers = np.arange(6, dtype=np.uint8).reshape(2, 3)
+    one = OculusResult(
+        fire,
+        2**32 + 5,
+        numbers,
+        np.array([-0.1, 0.1]),
+        np.ones(3, np.float32),
+        0.1,
+        1e6,
+        8.0,
+        1.0,
+        1500.0,
+        0,
+        0,
+        0,
+        9.0,
+    )
+    message = one.message(1)
+    assert struct.unpack_from("<I", message, 53) == (5,)  # numbers begin anew
+    rows = np.frombuffer(message, np.uint8, offset=2048).reshape(3, 6)
+    assert rows[:, 4:].tolist() == [[3, 0], [4, 1], [5, 2]]  # port's beam first, as its bearing is the lower
+    assert np.frombuffer(message, "<i2", 2, 122).tolist() == [-573, 573]
+
+
+def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connection):
+    """100 000 packets: random bytes, headers of any length, fire messages of random numbers."""
+    rng = random.Random(0)
+    result_of(connection, fire_bytes(range_m=2.0))
+    sent = 0
+    while sent < 100_000:
+        with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
+            kind = rng.randrange(3)
+            try:
+                for _ in range(1 + kind * 2000):
+                    body = rng.randbytes(rng.randrange(60))
+                    head = struct.pack(
+                        "<HHHHHIH", 0x4F53, 0, 0, rng.choice((0x15, 0x22)), rng.randrange(3), len(body), 0
+                    )
+                    other.sendall(rng.randbytes(20) if kind == 0 else head + body)
+                    sent += 1
+            except OSError:  # the device has hung up
+                pass
+    start = time.monotonic()
+    result_of(connection, fire_bytes(range_m=2.5))
+    assert time.monotonic() - start < WAIT_S

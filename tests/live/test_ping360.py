@@ -1,0 +1,143 @@
+"""An emulated Ping360, by the maker's own client."""
+
+import random
+import socket
+import struct
+import time
+
+import brping
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error
+from sonar_gl.live.ping360 import Ping360Head, Ping360Server
+from sonar_gl.live.ping360_messages import (
+    AUTO_TRANSMIT,
+    PingMessage,
+    Scan,
+    TransducerSettings,
+    parse_messages,
+    parse_scan,
+)
+from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.live.simulated_head import SimulatedHead
+from tests.support.servers import WAIT_S, running, simulated
+
+
+@pytest.fixture(scope="module")
+def server():
+    """Serve a small ball, 4 m to starboard of a sonar that looks along x, and a wall 6 m ahead of it."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(0, -4, 0))
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 20, 20)), sg.pose(6.05, 0, 0))
+    scene = sg.Scene([ball, wall], np.eye(4), "ball and wall")
+
+    def make():
+        settings = sg.load_sonar("ping360"), sg.Acoustics.physical(), sg.Noise(), PoseTrack([np.eye(4)])
+        return SimulatedHead(scene, *settings)
+
+    with (
+        simulated(make) as (simulation, head),
+        running(Ping360Server(Ping360Head(head), simulation, port=0)) as one,
+    ):
+        yield one
+
+
+@pytest.fixture
+def client(server):
+    """Connect the maker's client."""
+    client = brping.Ping360()
+    client.connect_udp("127.0.0.1", server.port)
+    assert client.initialize()
+    yield client
+    client.iodev.close()
+
+
+def strongest_m(answer, sound_speed_m_s):
+    """Return the range of the strongest sample."""
+    sample_m = answer.sample_period * 25e-9 * sound_speed_m_s / 2
+    return (np.frombuffer(bytes(answer.data), np.uint8).argmax() + 0.5) * sample_m
+
+
+def test_each_angle_shows_what_lies_there(client):
+    client.set_transmit_frequency(750)
+    client.set_sample_period(400)
+    client.set_number_of_samples(1100)
+    client.set_gain_setting(0)
+    speed_m_s = sg.Acoustics.physical().sound_speed()
+    for angle, range_m in ((0, 6.0), (100, 3.7)):  # a quarter turn clockwise is starboard
+        answer = client.transmitAngle(angle)
+        assert (answer.angle, answer.number_of_samples, len(answer.data)) == (angle, 1100, 1100)
+        assert (answer.transmit_frequency, answer.sample_period, answer.gain_setting) == (750, 400, 0)
+        found_m = strongest_m(answer, speed_m_s)
+        # the nearest point of either is its strongest; the pulse reaches over some samples
+        assert abs(found_m - range_m) < 0.05
+    assert not any(client.transmitAngle(300).data)  # nothing is to port
+
+
+def test_turn_without_transmitting_has_no_echo(client):
+    client.control_transducer(1, 0, 50, 32, 400, 750, 500, 0, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], 4.0)
+    assert (answer.angle, len(answer.data)) == (50, 0)
+
+
+def test_scan_goes_on_by_itself_until_the_motor_is_switched_off(client):
+    client.control_auto_transmit(1, 0, 32, 400, 750, 200, 390, 10, 5, 0)
+    kinds = [brping.definitions.PING360_AUTO_DEVICE_DATA]
+    angles = [client.wait_message(kinds, WAIT_S).angle for _ in range(6)]
+    assert angles == [390, 395, 0, 5, 10, 5]
+    client.control_motor_off()
+    assert client.wait_message([brping.definitions.COMMON_ACK], 4.0).acked_id == 2903
+
+
+def test_wrong_settings_are_refused_with_a_reason(client):
+    client.control_transducer(1, 7, 50, 32, 400, 750, 500, 1, 0)
+    answer = client.wait_message([brping.definitions.COMMON_NACK], 4.0)
+    assert (answer.nacked_id, bytes(answer.nack_message)) == (2601, b"gain_setting must be 0 to 2 (got 7)\0")
+
+
+def test_unknown_message_is_refused(client):
+    client.request(1211, timeout=0.2)  # of another device
+    assert client.transmitAngle(7).angle == 7  # and the next one is answered
+
+
+def test_scan_turns_back_at_both_ends():
+    settings = TransducerSettings(1, 0, 0, 32, 400, 750, 200)
+    assert [Scan(settings, 395, 5, 4, 0.0).angle(n) for n in range(6)] == [395, 399, 3, 399, 395, 399]
+    assert [Scan(settings, 0, 399, 10, 0.0).angle(n) for n in (0, 1, 39, 40)] == [0, 10, 390, 0]
+    assert Scan(settings, 20, 22, 5, 0.0).angle(3) == 20  # a sector narrower than a step
+
+
+def test_messages_survive_noise_before_and_behind_them():
+    first, second = PingMessage(6, b"\x04\x00"), PingMessage(2903)
+    data = b"BRxB" + first.pack(0, 0) + b"\xffBR\x00" + second.pack(0, 0) + b"BR"
+    assert parse_messages(data) == [first, second]
+    broken = bytearray(first.pack(0, 0))
+    broken[8] ^= 1
+    assert parse_messages(bytes(broken)) == []
+
+
+def test_scan_of_wrong_length_is_refused():
+    with pytest.raises(Error, match="must have 16 bytes"):
+        parse_scan(b"\x01")
+
+
+def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, client):
+    """100 000 datagrams: random bytes, and whole messages with random payloads."""
+    rng, address = random.Random(0), ("127.0.0.1", server.port)
+    # no message that pings: those take their time by right
+    kinds = 0, 1, 4, 5, 6, 2000, 2300, 2600, AUTO_TRANSMIT, 2903, 4711
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        for number in range(100_000):
+            payload = rng.randbytes(rng.randrange(40))
+            if number % 2:
+                kind, size = rng.choice(kinds), struct.calcsize("<BBHHHHHHBB")
+                if kind == AUTO_TRANSMIT and len(payload) == size:
+                    payload = payload[1:]
+                payload = PingMessage(kind, payload).pack(0, 0)
+            other.sendto(payload, address)
+    start = time.monotonic()
+    while client.transmitAngle(9) is None:  # its first request may have been dropped
+        assert time.monotonic() - start < WAIT_S
+    assert client.transmitAngle(11).angle == 11
