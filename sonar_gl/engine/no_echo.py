@@ -25,7 +25,8 @@ def why_no_echo(
 
     Parameters
     ----------
-    sonar, true_range : as given, and of `Acoustics.true_range_sonar`; the message has ranges as the sonar shows them
+    sonar, true_range : as given, and of `Acoustics.true_range_sonar`, up and down to where the side lobes end; the
+        message has ranges as the sonar shows them
     """
     if not scene.bodies:
         return "no echo came back: the scene has no bodies"
@@ -89,7 +90,7 @@ def _nearest_in_view(samples):
     best = None
     for sector, plane_echo, _ in samples:
         u, v = sector.sample_coordinates()
-        seen = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (plane_echo[..., 0] > 0)
+        seen = sector.holds_elevation(u, v) & (plane_echo[..., 0] > 0)
         if seen.any():
             ranges = np.full(seen.shape, np.inf)
             ranges[seen] = np.sqrt(1 + u * u + v * v)[seen] / plane_echo[..., 0][seen]

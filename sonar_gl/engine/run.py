@@ -207,7 +207,9 @@ class Run:
         setup = received.drawn.setup
         no_echo = None
         if received.total <= 0:
-            sonars = self.instrument.sonar, self.instrument.acoustics.true_range_sonar(self.instrument.sonar)
+            sonar, acoustics = self.instrument.sonar, self.instrument.acoustics
+            seen_deg = 2 * acoustics.max_elevation_deg(sonar)
+            sonars = sonar, replace(acoustics.true_range_sonar(sonar), elevation_fov_deg=seen_deg)
             view = received.drawn.view.sectors
             no_echo = why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view)
         estimate = received.drawn.resolution.error_estimate
