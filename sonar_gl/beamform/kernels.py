@@ -1296,7 +1296,9 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
             length = math.sqrt(1.0 + u * u + v * v)
             weight = two_way = height / length**3
-            if elevation_pattern.shape[0]:  # of an echo by way of a reflector, one leg may lie on the boresight
+            if elevation_pattern.shape[
+                0
+            ]:  # of an echo by way of a reflector, one leg may lie on the boresight
                 power = _elevation_power(elevation_pattern, v / length)
                 weight, two_way = weight * math.sqrt(power), weight * power
             if seen[g] > 0.0 and length / seen[g] < range_max_m:
@@ -1415,7 +1417,10 @@ def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern):
         if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
             vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
             here, there = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
-            here, there = _elevation_power(elevation_pattern, here), _elevation_power(elevation_pattern, there)
+            here, there = (
+                _elevation_power(elevation_pattern, here),
+                _elevation_power(elevation_pattern, there),
+            )
             bistatic *= math.sqrt(here * there)
         other_leg[BISTATIC, m] = bistatic
         first, last = min(first, m), m + 1

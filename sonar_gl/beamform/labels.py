@@ -53,7 +53,12 @@ class Labeller:
         self._means = pools.pool((3, *shape))
 
     def sum_up(
-        self, samples: Sequence[SectorSamples], strips, halves, run: Callable, columns: ColumnSums | None = None
+        self,
+        samples: Sequence[SectorSamples],
+        strips,
+        halves,
+        run: Callable,
+        columns: ColumnSums | None = None,
     ) -> kernels.Runs:
         """Return the sums of each body, which stay as they are until the next call.
 
