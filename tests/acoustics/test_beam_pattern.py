@@ -272,6 +272,8 @@ def test_a_tapered_array_receives_nothing_through_its_side_lobes():
         dark = ping([chip(0.0, 50.0)], acoustics, sonar)
     assert dark.intensity.sum() == 0
     assert ping([chip(0.0, 40.0, 1.0)], acoustics, sonar).intensity.sum() > 0
+    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±89\.5°"):  # more than any aperture
+        ping([chip(90.0, 0.0)], acoustics, replace(sonar, elevation_taper="uniform"))
 
 
 @pytest.mark.parametrize(
