@@ -139,10 +139,22 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/pattern in elevation",
-        "top * (elevation_pattern(top * sines) @ sine_weights)",
-        "top * (elevation_pattern(sines) @ sine_weights)",
+        "elevation_pattern(fan.max_sine * np.linspace(",
+        "elevation_pattern(np.linspace(",
         ("test_beam_pattern|test_patterns",),
-        (("top * (elevation(top * sines) @ parts)", "top * (elevation(sines) @ parts)"),),
+        (
+            (
+                "top * (elevation_pattern(top * sines) @ sine_weights)",
+                "top * (elevation_pattern(sines) @ sine_weights)",
+            ),
+            ("top * (elevation(top * sines) @ parts)", "top * (elevation(sines) @ parts)"),
+        ),
+    ),
+    Mutation(
+        "footprints/side lobes below",
+        "((low, high), (-high, -low))",
+        "((low, high),)",
+        ("test_fan", "test_closed_forms"),
     ),
     Mutation(
         "footprints/edges between planes", "is_edge = met_low & met_high", "is_edge = met_low & False", STRIPS
@@ -404,7 +416,11 @@ MUTATIONS = (
         (("self.since >= CHECK_EVERY or moved > self.far_m", "moved > self.far_m"),),
     ),
     Mutation(
-        "planner/samples in the aperture", "vc * vc > limit * (1.0 + uc * uc)", "vc * vc > limit", ADAPTIVE
+        "planner/samples in the aperture",
+        "v2 > high2 * u2",
+        "v2 > high2",
+        ADAPTIVE,
+        (("vc * vc > limit * (1.0 + uc * uc)", "vc * vc > limit"),),
     ),
     Mutation(
         "planner/body out of the fan",

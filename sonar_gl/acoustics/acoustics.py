@@ -64,8 +64,14 @@ WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "so
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
-ELEVATION_SUPPORT_LEVEL = 1e-3  # two-way power in elevation at which the main lobe of a smooth pattern is cut
+ELEVATION_SUPPORT_LEVEL = (
+    1e-3  # two-way power in elevation down to which samples are as fine as on the boresight
+)
 MAX_ELEVATION_DEG = 85.0  # above the boresight: a perspective view cannot cover much more
+# Two-way power in elevation below which nothing is received: the first bottom return comes from so near that a level
+# sonar shows it 20 dB above its side lobe, and images show 60 dB.
+SIDE_LOBE_LEVEL = 1e-8
+MAX_SIDE_LOBE_DEG = 89.5  # above the boresight: a ten-thousandth of the hemisphere lies beyond
 
 
 @dataclass(frozen=True)
@@ -274,7 +280,7 @@ class Acoustics:
         return self.sonar_sound_speed_m_s / self.sound_speed()
 
     def true_range_sonar(self, sonar):
-        """Return the sonar whose bins lie at true ranges, and whose aperture is the support in elevation.
+        """Return the sonar whose bins lie at true ranges, and whose aperture is the main lobe in elevation.
 
         Parameters
         ----------
@@ -429,12 +435,26 @@ class Acoustics:
         return lambda sine: one_way.power(sine) ** 2
 
     def elevation_support_deg(self, sonar) -> float:
-        """Return the half-width of the elevation pattern's support, degrees above and below the boresight."""
+        """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight."""
         half_width = sonar.elevation_fov_deg / 2
         if self.elevation_pattern == "box":
             return half_width
         sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
+
+    def max_elevation_deg(self, sonar) -> float:
+        """Return the elevation beyond which nothing is received: the end of the aperture, or of the side lobes.
+
+        >>> from sonar_gl import load_sonar
+        >>> Acoustics(elevation_pattern="line_array").max_elevation_deg(load_sonar("p900-45"))
+        89.5
+        """
+        support_deg = self.elevation_support_deg(sonar)
+        if self.elevation_pattern == "box":
+            return support_deg
+        sines = np.linspace(0, 1, 8193)
+        received = sines[self.two_way_elevation_pattern(sonar)(sines) > SIDE_LOBE_LEVEL]
+        return max(support_deg, min(math.degrees(math.asin(received[-1])), MAX_SIDE_LOBE_DEG))
 
     def _one_way_elevation_pattern(self, sonar) -> ArrayPattern:
         width = math.radians(sonar.elevation_fov_deg)

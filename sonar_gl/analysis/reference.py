@@ -296,7 +296,7 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
         start, stop = -np.pi, np.pi
     span = stop - start
     true_range_sonar = acoustics.true_range_sonar(sonar)
-    max_sine = np.sin(np.radians(true_range_sonar.elevation_fov_deg) / 2)
+    max_sine = np.sin(np.radians(acoustics.max_elevation_deg(sonar)))
     middles = (np.arange(1024) + 0.5) / 512 - 1  # of equal parts of -1..1
     if pattern is None:  # no box beam begins or ends between two nodes
         ends = _wrap(np.concatenate([axes - support_rad, axes + support_rad]), start)

@@ -24,9 +24,9 @@ from sonar_gl.sonar.sonar import Sonar
 # column's bin with its weight: less is done in one thread.
 FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
-# Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at
-# most.
-ELEVATIONS = 2049
+# Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
+# where the aperture is 4 degrees or more.
+ELEVATIONS = 8193
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +109,9 @@ def beam_weights(
     if pattern is not None:
         power = pattern(azimuths, steer)
         received = received * (power @ (node_weights / 2))
-    top = math.sin(math.radians(sonar.elevation_fov_deg) / 2)
-    height = 2 * top
+    height = 2 * fan.max_sine
     if elevation_pattern is not None:
-        sines, sine_weights = np.polynomial.legendre.leggauss(64)
-        height = top * (elevation_pattern(top * sines) @ sine_weights)
+        height *= elevation_pattern(fan.max_sine * np.linspace(-1, 1, 2 * ELEVATIONS - 1)[1::2]).mean()
     solid_angle = received.sum(axis=1) * height
     if transmit_pattern is not None:
         received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
@@ -130,6 +128,7 @@ def make_beamformer(
     shear: float = SHEAR,
     max_column_width: float = 0.5,
     workspace: Workspace | None = None,
+    side_lobes: bool = True,
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
@@ -137,12 +136,19 @@ def make_beamformer(
     ----------
     thread, workspace : of `Beamformer`
     shear, max_column_width : of `make_fan`
+    side_lobes : with those of the elevation pattern
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
     is_box = pattern is None
     fan = make_fan(
-        true_range, extend_rows(sampling, sonar, true_range), reach, is_box, shear, max_column_width
+        true_range,
+        extend_rows(sampling, sonar, true_range),
+        reach,
+        is_box,
+        shear,
+        max_column_width,
+        acoustics.max_elevation_deg(sonar) if side_lobes else 0.0,
     )
     workspace = workspace or Workspace()
     made_of = fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation
@@ -167,8 +173,7 @@ class Beamformer:
     Attributes
     ----------
     strips : kernels.StripTable of each sector, for each half of the columns
-    elevation_table : (ELEVATIONS,) two-way power pattern at even sines over the aperture; of no length for a
-        box
+    elevation_table : (ELEVATIONS,) two-way power pattern at even sines from -1 to 1; of no length for a box
     """
 
     def __init__(
@@ -184,8 +189,7 @@ class Beamformer:
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
         self._pool = self._workspace.pools.pool(shape)
-        self._top = math.sin(math.radians(fan.sonar.elevation_fov_deg) / 2)
-        sines = np.linspace(-self._top, self._top, ELEVATIONS)
+        sines = np.linspace(-1, 1, ELEVATIONS)
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
         self._tiles = tuple(weights.tiles)
@@ -245,6 +249,7 @@ class Beamformer:
         columns = self._column_sums()
 
         def work(half):
+            kernels.clear_columns(*self._halves[half], columns.sums, columns.spans)
             for one, strips in zip(of_sectors, self.strips[half], strict=True):
                 kernels.sum_footprints(
                     *one,
@@ -262,7 +267,7 @@ class Beamformer:
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
         edges_rad, edges_m, columns = self.fan.column_edges_rad, self._bins[0], self._column_sums()
-        arrays = self.elevation_table, self._top, not self.is_box, columns.sums, columns.spans
+        arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
         return self.weigh(gain)
 
@@ -329,7 +334,7 @@ class Beamformer:
     def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> kernels.Runs:
         if self._labeller is None:
             self._labeller = self._make_labeller()
-        return self._labeller.sum_up(samples, self.strips, self._run_of(samples), columns)
+        return self._labeller.sum_up(samples, self.strips, self._halves, self._run_of(samples), columns)
 
     def _find_labels(self, runs: kernels.Runs, samples, gain, n_bodies: int, background) -> Labels:
         mask, unshadowed = None, None

@@ -29,13 +29,14 @@ SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well belo
 
 
 class Lattice(NamedTuple):
-    """Directions of a sector's samples: (3,) u and (3,) v, and the tangent of half the aperture; see
-    `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs.
+    """Directions of a sector's samples: (3,) u and (3,) v, and the tangents of its lowest and highest elevation;
+    see `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs.
     """
 
     u: np.ndarray
     v: np.ndarray
-    tan_elevation: float
+    tan_low: float
+    tan_high: float
     columns: int
 
 
@@ -75,7 +76,6 @@ class Strip(NamedTuple):
     """One strip, and the samples of it that returned an echo.
 
     column, u, width : as in `StripTable`
-    v_limit : v of the aperture's edge
     nearest, step : the sample of row j nearest to the strip is column int(nearest − step j) of the window
     bottom_row : row of the window that is row 0 of `work`
     first, last : samples of `work` with an echo, from `first` to before `last`
@@ -84,7 +84,6 @@ class Strip(NamedTuple):
     column: int
     u: float
     width: float
-    v_limit: float
     nearest: float
     step: float
     bottom_row: int
@@ -135,20 +134,21 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
     q_unseen : of BinTable
     """
     u, v, R, uc = lattice.u, lattice.v, plane_echo.shape[0], strips.u[p]
-    v_limit = lattice.tan_elevation * math.sqrt(1.0 + uc * uc)
+    level = math.sqrt(1.0 + uc * uc)
+    v_low, v_high = lattice.tan_low * level, lattice.tan_high * level
     nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
     last_row, bottom_row, first, last = nearest - step * R, 0, 0, -1
     if max(nearest, last_row) > -1.0 and min(nearest, last_row) < lattice.columns:  # not beside the window
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
-        bottom_row = max(int((-v_limit - bottom) / rise) - 2, 0)
-        n = min(int((v_limit - bottom) / rise) + 3, R - 1) - bottom_row + 1
+        bottom_row = max(int((v_low - bottom) / rise) - 2, 0)
+        n = min(int((v_high - bottom) / rise) + 3, R - 1) - bottom_row + 1
         first, last = _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
         if first <= last:
-            work[BORDER, 0], work[BORDER, n] = -v_limit, v_limit
-            _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_limit)
+            work[BORDER, 0], work[BORDER, n] = v_low, v_high
+            _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_low, v_high)
     last = max(last + 1, first)
-    return Strip(strips.column[p], uc, strips.width[p], v_limit, nearest, step, bottom_row, first, last)
+    return Strip(strips.column[p], uc, strips.width[p], nearest, step, bottom_row, first, last)
 
 
 @compiled
@@ -173,7 +173,7 @@ def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
 
 
 @compiled
-def _find_borders(work, first, last, q_unseen, v_limit):
+def _find_borders(work, first, last, q_unseen, v_low, v_high):
     """Find v where each of a strip's footprints begins, from `first` to before `last`."""
     q, rest, along_v, v_ray, border = work[Q], work[REST], work[ALONG_V], work[V_RAY], work[BORDER]
     for m in range(uint64(first), uint64(last)):
@@ -194,7 +194,7 @@ def _find_borders(work, first, last, q_unseen, v_limit):
         is_lost = (met_low != met_high) & (plane + along * (high if met_low else low) < q_unseen)
         border_here = meet if is_edge else border_here
         border_here = min(max(-plane / along, low), high) if is_lost else border_here
-        border[m] = min(max(border_here, -v_limit), v_limit)
+        border[m] = min(max(border_here, v_low), v_high)
 
 
 @compiled
@@ -205,15 +205,6 @@ def _clear_row(c, sums, spans):
     spans[c, 0], spans[c, 1] = sums.shape[1], 0
 
 
-@compiled
-def _clear_rows(columns, sums, spans):
-    """Set the rows of these columns to zero."""
-    for p in range(columns.shape[0]):
-        c = columns[p]
-        if p == 0 or columns[p - 1] != c:
-            _clear_row(c, sums, spans)
-
-
 # ---- footprints --------------------------------------------------------------------------------------
 
 
@@ -221,10 +212,10 @@ def _clear_rows(columns, sums, spans):
 def _find_footprints(work, strip, elevation_pattern):
     """Find energy, centre and half-widths of a strip's footprints.
 
-    elevation_pattern : (n,) two-way beam pattern at even sines across the aperture, or of no length
+    elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     """
     rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
-    first, last, uc, width, v_limit = strip.first, strip.last, strip.u, strip.width, strip.v_limit
+    first, last, uc, width = strip.first, strip.last, strip.u, strip.width
     u2 = 1.0 + uc * uc
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
@@ -236,10 +227,10 @@ def _find_footprints(work, strip, elevation_pattern):
         work[S, m] = at * one_over_L
         work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * width / 2
         work[B, m] = abs(along_v[m] - at * vc * one_over_L2) * one_over_L * height / 2
-    middle, v2 = (elevation_pattern.shape[0] - 1) / 2, v_limit * v_limit
+    middle = (elevation_pattern.shape[0] - 1) / 2
     for m in range(first, last if elevation_pattern.shape[0] else first):
         vc = (border[m] + border[m + 1]) / 2
-        place = middle + middle * vc * math.sqrt((u2 / v2 + 1.0) / (u2 + vc * vc))
+        place = middle + middle * vc / math.sqrt(u2 + vc * vc)
         i = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
         work[ENERGY, m] *= elevation_pattern[i] + (place - i) * (
             elevation_pattern[i + 1] - elevation_pattern[i]
@@ -376,12 +367,11 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
     plane_echo : (R, C, 4) float32, as the shader writes it; contiguous, see `whole_rows`
     lattice, strips, bins : tuples of Lattice, StripTable and BinTable
     spread : True spreads each sample over its footprint, False adds it to one bin
-    elevation_pattern : (n,) two-way beam pattern at even sines across the aperture, or of no length
-    sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are overwritten
-    spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; overwritten
+    elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
+    sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are added to
+    spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; widened
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
-    _clear_rows(strips.column, sums, spans)
     work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
@@ -412,7 +402,7 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
     """Sum point scatterers into columns and bins; `sums` and `spans` as in `sum_footprints`.
 
     points : (n, 4) azimuth, sine of elevation, range, steradians
-    elevation_pattern : as in `sum_footprints`; top : sine of the aperture's half height
+    elevation_pattern : as in `sum_footprints`; top : sine of the highest elevation
     shared : share each point between the two columns whose middles it lies between, instead of one
     """
     K, n_columns = sums.shape[1], sums.shape[0]
@@ -426,7 +416,7 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
             continue
         k, energy, share = int(bin_), points[n, 3], 0.0
         if elevation_pattern.shape[0]:
-            place = (points[n, 1] / top + 1.0) * (elevation_pattern.shape[0] - 1) / 2
+            place = (points[n, 1] + 1.0) * (elevation_pattern.shape[0] - 1) / 2
             m = min(int(place), elevation_pattern.shape[0] - 2)
             energy *= elevation_pattern[m] + (place - m) * (elevation_pattern[m + 1] - elevation_pattern[m])
         middle = (column_edges_rad[c] + column_edges_rad[c + 1]) / 2
@@ -803,8 +793,6 @@ def sum_bodies(
     """
     lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
     with_sums = spans.shape[0] > 0
-    if with_sums:
-        _clear_rows(strips.column, sums, spans)
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
     numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
     bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
@@ -1114,12 +1102,13 @@ X, Y, Z, SIDE, LEG_X, LEG_Y, LEG_Z, SEEN, REFLECTED, BISTATIC = range(10)
 OTHER_LEG_ROWS = 10
 
 
-# One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of half the aperture.
+# One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of its lowest and highest
+# elevation.
 # Its lattice: u = u0 + ui i + uj j and v = v0 + vi i + vj j of column i and row j, and the inverse,
 # i = iu (u - u0) + iv (v - v0) and j likewise. Its window: first column in `plane_echo`, columns and rows.
 # These names are part of the array's type, by which Numba keeps machine code: other files may use them, too.
 SECTOR = np.dtype(
-    [(name, np.float64) for name in ("cos", "sin", "tan_half_width", "tan_elevation")]
+    [(name, np.float64) for name in ("cos", "sin", "tan_half_width", "tan_low", "tan_high")]
     + [(name, np.float64) for name in ("u0", "ui", "uj", "v0", "vi", "vj", "iu", "iv", "ju", "jv")]
     + [(name, np.int64) for name in ("left", "columns", "rows")]
 )
@@ -1144,7 +1133,7 @@ def view_index(view: ViewSamples) -> ViewIndex:
         scale = 1.0 / (u[1] * v[2] - u[2] * v[1])
         inverse = scale * v[2], -scale * u[2], -scale * v[1], scale * u[1]
         azimuth = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
-        limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_elevation
+        limits = math.tan(sector.half_width_rad) * (1 + 1e-9), sector.tan_low, sector.tan_high
         rows.append((*azimuth, *limits, *u, *v, *inverse, left, sector.columns, sector.rows))
     return ViewIndex(view.plane_echo, np.array(rows, SECTOR))
 
@@ -1228,8 +1217,9 @@ def find_surfaces(x, y, z, first, last, view, out):
             if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
                 continue
             u, v = -beside / ahead, z[n] / ahead
-            if v * v > t.tan_elevation * t.tan_elevation * (1.0 + u * u):
-                break
+            u2, v2 = 1.0 + u * u, v * abs(v)
+            if v2 > t.tan_high * abs(t.tan_high) * u2 or v2 < t.tan_low * abs(t.tan_low) * u2:
+                continue
             out[n] = 0.0
             du, dv = u - t.u0, v - t.v0
             i = math.floor(t.iu * du + t.iv * dv + 0.5)
@@ -1264,13 +1254,21 @@ def _place_in_table(share, n):
 
 
 @compiled
-def estimate_reflection(view, planes, are_bodies, losses, range_max_m, reflected):
+def _elevation_power(elevation_pattern, sine):
+    """Return the two-way elevation pattern at a sine of elevation."""
+    k, rest = _place_in_table((sine + 1.0) / 2, elevation_pattern.shape[0])
+    return max(elevation_pattern[k] + rest * (elevation_pattern[k + 1] - elevation_pattern[k]), 0.0)
+
+
+@compiled
+def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation_pattern, reflected):
     """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
 
     Parameters
     ----------
     view : tuple of ViewIndex
     planes, are_bodies, losses : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
+    elevation_pattern : as in `sum_footprints`
     reflected : (n,) float64, overwritten; in the unit of the direct echo
 
     Returns
@@ -1285,9 +1283,11 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, reflected
     reflected[:] = 0.0
     for k in range(sectors.shape[0]):
         t = sectors[k]
+        middle, half = (t.tan_high + t.tan_low) / 2, (t.tan_high - t.tan_low) / 2
+        height = (t.tan_high - t.tan_low) / (sectors[0].tan_high - sectors[0].tan_low)
         for g in range(GRID * GRID):
             u = t.tan_half_width * ((2 * (g % GRID) + 1) / GRID - 1)
-            v = t.tan_elevation * math.sqrt(1.0 + u * u) * ((2 * (g // GRID) + 1) / GRID - 1)
+            v = math.sqrt(1.0 + u * u) * (middle + half * ((2 * (g // GRID) + 1) / GRID - 1))
             x[g], y[g], z[g] = t.cos + t.sin * u, t.sin - t.cos * u, v
         find_surfaces(x, y, z, 0, GRID * GRID, view, seen)
         for g in range(GRID * GRID):
@@ -1295,12 +1295,17 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, reflected
                 continue
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
             length = math.sqrt(1.0 + u * u + v * v)
-            weight = 1.0 / length**3
+            weight = two_way = height / length**3
+            if elevation_pattern.shape[
+                0
+            ]:  # of an echo by way of a reflector, one leg may lie on the boresight
+                power = _elevation_power(elevation_pattern, v / length)
+                weight, two_way = weight * math.sqrt(power), weight * power
             if seen[g] > 0.0 and length / seen[g] < range_max_m:
                 du, dv = u - t.u0, v - t.v0
                 i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
                 at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5)), 3]
-                echo += weight * at * seen[g] / length
+                echo += two_way * at * seen[g] / length
             for n in range(planes.shape[0]):
                 along = planes[n, 0] * x[g] + planes[n, 1] * y[g] + planes[n, 2] * z[g]
                 if along <= 0.0 or planes[n, 3] * length >= range_max_m * along:
@@ -1395,28 +1400,28 @@ def _keep_seen(other_leg, strip, reflection):
 
 
 @inlined
-def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern, top):
+def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern):
     """Find the bistatic echo per steradian of a strip's samples that the other one sees, from `begin` to before `end`.
 
     Returns
     -------
     first, last : samples with such an echo, from the first to before the last
     """
-    uc, first, last, n = strip.u, end, begin, elevation_pattern.shape[0]
+    uc, first, last = strip.u, end, begin
     for m in range(begin, end):
         if not 0.0 <= other_leg[SEEN, m] <= 1.0 + SAME_PLACE:
             continue
         x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
         range_there = math.sqrt(x * x + y * y + z * z)
         bistatic = min(work[ECHO, m] * other_leg[SIDE, m] / range_there, 1.0)
-        if n:  # insonified in one direction, received in the other
+        if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
             vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
             here, there = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
-            i, i_rest = _place_in_table((here / top + 1.0) / 2, n)
-            j, j_rest = _place_in_table((there / top + 1.0) / 2, n)
-            here = elevation_pattern[i] + i_rest * (elevation_pattern[i + 1] - elevation_pattern[i])
-            there = elevation_pattern[j] + j_rest * (elevation_pattern[j + 1] - elevation_pattern[j])
-            bistatic *= math.sqrt(max(here, 0.0) * max(there, 0.0))
+            here, there = (
+                _elevation_power(elevation_pattern, here),
+                _elevation_power(elevation_pattern, there),
+            )
+            bistatic *= math.sqrt(here * there)
         other_leg[BISTATIC, m] = bistatic
         first, last = min(first, m), m + 1
     return first, last
@@ -1497,11 +1502,9 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
     reflection = Reflection(*reflection)
     frame = _sector_frame(reflection)
     view, other_view = reflection.index, reflection.other_index
-    tan_elevation = lattice.tan_elevation
     R = plane_echo.shape[0]
     work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
     leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
-    top = tan_elevation / math.sqrt(1.0 + tan_elevation * tan_elevation)
     is_reflected = False
     for p in range(strips.u.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
@@ -1515,7 +1518,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
             continue
         find_surfaces(leg_x, leg_y, leg_z, reflected_first, reflected_last, other_view, seen)
         first, last = _find_bistatic(
-            work, other_leg, strip, reflected_first, reflected_last, elevation_pattern, top
+            work, other_leg, strip, reflected_first, reflected_last, elevation_pattern
         )
         is_reflected = True
         if reflection.from_image:

@@ -53,13 +53,19 @@ class Labeller:
         self._means = pools.pool((3, *shape))
 
     def sum_up(
-        self, samples: Sequence[SectorSamples], strips, run: Callable, columns: ColumnSums | None = None
+        self,
+        samples: Sequence[SectorSamples],
+        strips,
+        halves,
+        run: Callable,
+        columns: ColumnSums | None = None,
     ) -> kernels.Runs:
         """Return the sums of each body, which stay as they are until the next call.
 
         Parameters
         ----------
         strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
+        halves : of each half, its first column and past its last one
         run : function (work) that does work(0) and work(1)
         columns : overwritten with the sums of all bodies, as by `Beamformer.sum_footprints`; None for none
         """
@@ -69,6 +75,8 @@ class Labeller:
         def work(half):
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
             sums = room.unwanted[half] if columns is None else (columns.sums, columns.spans)
+            if columns is not None:
+                kernels.clear_columns(*halves[half], *sums)
             for one, mine in zip(samples, strips[half], strict=True):
                 arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
                 cells, store = kernels.sum_bodies(*arrays, mine, *settings, cells, store, *sums)

@@ -244,7 +244,9 @@ class Sensor:
 
     def _stage(self, sampling: Sampling) -> Stage:
         """Return the sonar's stage of this sampling."""
-        return Stage(sampling, make_beamformer(self.sonar, self.acoustics, sampling, self._thread))
+        # hosts draw as far up and down as the main lobe receives
+        beamformer = make_beamformer(self.sonar, self.acoustics, sampling, self._thread, side_lobes=False)
+        return Stage(sampling, beamformer)
 
     def _request(self, pose, noise, seed, number, labels, velocity) -> PingRequest:
         """Return the checked request; a pose of None is the origin."""

@@ -255,6 +255,7 @@ class ImageSources:
             np.array([one.body is not None for one in found]),
             np.array([one.reflection_coefficient for one in found]),
             stage.fan.sonar.range_max_m,
+            stage.beamformer.elevation_table,
             reflected,
         )
         counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.engine.instrument import Instrument
 from sonar_gl.scene.extent import bounds_of, size_text
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
@@ -19,14 +20,11 @@ SUSPICIOUS_M = 500.0  # no imaging sonar sees as far: a scene in other units
 
 
 def why_no_echo(
-    scene: Scene, state: SceneState, sonar: Sonar, true_range: Sonar, pose, samples: Sequence[SectorSamples]
+    scene: Scene, state: SceneState, instrument: Instrument, pose, samples: Sequence[SectorSamples]
 ) -> str:
-    """Return which surface is nearest, and why it returned no echo.
-
-    Parameters
-    ----------
-    sonar, true_range : as given, and of `Acoustics.true_range_sonar`; the message has ranges as the sonar shows them
-    """
+    """Return which surface is nearest, and why it returned no echo; ranges are those that the sonar shows."""
+    sonar, acoustics = instrument.sonar, instrument.acoustics
+    true_range, top_deg = acoustics.true_range_sonar(sonar), acoustics.max_elevation_deg(sonar)
     if not scene.bodies:
         return "no echo came back: the scene has no bodies"
     if not state.present.any():
@@ -34,7 +32,7 @@ def why_no_echo(
     inside = _nearest_in_view(samples)
     if inside is not None:
         return _why_nearest_has_no_echo(sonar, true_range, *inside) + _scale_hint(scene, inside[0])
-    beyond_m = _nearest_beyond(scene, state, pose, sonar)
+    beyond_m = _nearest_beyond(scene, state, pose, sonar, top_deg)
     if beyond_m is not None:
         nearest = f"the nearest surface in the fan lies at {_length(beyond_m)}"
         reason = f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
@@ -46,7 +44,7 @@ def why_no_echo(
     return (
         f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {_length(range_m)} away at "
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
-        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{true_range.elevation_fov_deg / 2:.4g}°; turn or move the sonar"
+        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{top_deg:.4g}°; turn or move the sonar"
         + _scale_hint(scene, range_m)
     )
 
@@ -89,7 +87,7 @@ def _nearest_in_view(samples):
     best = None
     for sector, plane_echo, _ in samples:
         u, v = sector.sample_coordinates()
-        seen = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (plane_echo[..., 0] > 0)
+        seen = sector.holds_elevation(u, v) & (plane_echo[..., 0] > 0)
         if seen.any():
             ranges = np.full(seen.shape, np.inf)
             ranges[seen] = np.sqrt(1 + u * u + v * v)[seen] / plane_echo[..., 0][seen]
@@ -99,7 +97,7 @@ def _nearest_in_view(samples):
     return best
 
 
-def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar) -> float | None:
+def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg: float) -> float | None:
     """Return the range of the nearest surface in the fan that is too far to be drawn, metres; None if there is none.
 
     The fan is cut into wedges between four planes, which the bodies are cut by.
@@ -108,7 +106,7 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar) -> floa
     from trimesh.triangles import closest_point
 
     n_wedges = math.ceil(sonar.azimuth_fov_deg / WIDEST_WEDGE_DEG)
-    half, top = np.radians([sonar.azimuth_fov_deg / 2 / n_wedges, sonar.elevation_fov_deg / 2])
+    half, top = np.radians([sonar.azimuth_fov_deg / 2 / n_wedges, top_deg])
     inward = [[math.sin(half), math.cos(half), 0], [math.sin(half), -math.cos(half), 0]]
     inward += [[math.sin(top), 0, math.cos(top)], [math.sin(top), 0, -math.cos(top)]]
     sonar_from_world, nearest_m = np.linalg.inv(pose), math.inf

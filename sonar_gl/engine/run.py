@@ -207,9 +207,8 @@ class Run:
         setup = received.drawn.setup
         no_echo = None
         if received.total <= 0:
-            sonars = self.instrument.sonar, self.instrument.acoustics.true_range_sonar(self.instrument.sonar)
-            view = received.drawn.view.sectors
-            no_echo = why_no_echo(self.world.scene, setup.state, *sonars, setup.request.pose, view)
+            instrument, view = self.instrument, received.drawn.view.sectors
+            no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.request.pose, view)
         estimate = received.drawn.resolution.error_estimate
         if estimate is None:
             estimate = self.sampler.error_estimate(setup.request.pose)

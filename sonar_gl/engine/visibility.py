@@ -34,27 +34,28 @@ class BodyCounts(NamedTuple):
 def _count_samples(samples, lattice, r_first, per_metre, gain, elevation_table, counts, echo):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
-    samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : (u, v, tan_elevation, columns)
+    samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
     elevation_table : of `Beamformer`, taken at the nearest sine
     """
     plane_echo, body_id = samples
-    u, v, tan_elevation, columns = lattice
-    per_sine = (elevation_table.shape[0] - 1) / 2 * math.sqrt(1 / tan_elevation**2 + 1)
+    u, v, tan_low, tan_high, columns = lattice
+    per_sine = (elevation_table.shape[0] - 1) / 2
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
-    limit = tan_elevation * tan_elevation
+    low2, high2 = tan_low * abs(tan_low), tan_high * abs(tan_high)
     for j in range(plane_echo.shape[0]):
         for i in range(columns):
             q = plane_echo[j, i, 0]
             if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
                 continue
             uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
-            if vc * vc > limit * (1.0 + uc * uc):
+            v2, u2 = vc * abs(vc), 1.0 + uc * uc
+            if v2 > high2 * u2 or v2 < low2 * u2:
                 continue
             L = math.sqrt(1.0 + uc * uc + vc * vc)
             k = (L / q - r_first) * per_metre
             if 0.0 <= k < K:
-                place = int((elevation_table.shape[0] - 1) / 2 + vc / L * per_sine + 0.5)
+                place = int(per_sine + vc / L * per_sine + 0.5)
                 pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
                 counts[body_id[j, i]] += 1.0
                 echo[body_id[j, i]] += (
@@ -86,9 +87,7 @@ def is_unobstructed(samples: Sequence[SectorSamples], body, body_pose, pose, son
         x, y, z = (points @ sector.rotation().T).T
         ahead = x > 1e-3
         u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
-        near = (np.abs(v) < sector.tan_elevation * np.sqrt(1 + u * u)) & (
-            np.abs(np.arctan(u)) < sector.half_width_rad
-        )
+        near = sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
         lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
         inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)

@@ -27,7 +27,7 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, pose, columns: int, rows: in
     for sector, plane_echo, _ in view.sectors:
         u, v = sector.sample_coordinates()
         q = plane_echo[..., 0]
-        missed = (q <= 0) | (np.abs(v) > sector.tan_elevation * np.sqrt(1 + u * u))
+        missed = (q <= 0) | ~sector.holds_elevation(u, v)
         x = np.where(missed, np.nan, 1 / np.where(missed, 1, q))
         echo = plane_echo[..., 3] / (x * np.sqrt(1 + u * u + v * v))
         rays = np.stack([x, -u * x, v * x], axis=-1) @ sector.rotation()

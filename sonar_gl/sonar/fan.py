@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,6 +30,12 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
 
+# Side lobes in elevation return little, so that their samples are this many times wider and higher than the others.
+SIDE_LOBES_COARSER = 4
+# A perspective view has rows even in tan φ. The rows of the side lobes become BAND_RAD (1 + tan² φ) higher from one
+# sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS.
+BAND_RAD, MIN_BAND_ROWS = 0.75, 4
+
 
 @dataclass(frozen=True, eq=False)
 class Fan:
@@ -38,14 +45,21 @@ class Fan:
     ----------
     sonar : Sonar
     sampling : Sampling
-    sectors : perspective views from starboard to port
+    sectors : perspective views from starboard to port; then those of the side lobes in elevation
     column_edges_rad : (columns + 1,) float64, azimuths between which the columns lie, rising
+    max_elevation_rad : elevation of the uppermost strips
     """
 
     sonar: Sonar
     sampling: Sampling
     sectors: tuple[Sector, ...]
     column_edges_rad: np.ndarray = field(repr=False)
+    max_elevation_rad: float
+
+    @property
+    def max_sine(self) -> float:
+        """Sine of `max_elevation_rad`."""
+        return math.sin(self.max_elevation_rad)
 
     @property
     def n_columns(self) -> int:
@@ -60,6 +74,7 @@ def make_fan(
     box: bool = True,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
+    max_elevation_deg: float = 0.0,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
@@ -71,6 +86,8 @@ def make_fan(
     box : whether the beams are boxes of that half-width; columns then end where beams end
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     max_column_width : largest width of a column, in beam spacings; without effect on boxes
+    max_elevation_deg : up to this elevation the fan has sectors of side lobes above and below its aperture; below
+        90, and without effect inside the aperture
     """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - support_rad, azimuths[-1] + support_rad
@@ -81,16 +98,21 @@ def make_fan(
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
     samples_per_sector = max(2, math.ceil(n_samples / n_sectors))
     half_width = span / n_sectors / 2
-    tan_elevation = math.tan(math.radians(sonar.elevation_fov_deg) / 2)
+    top_rad = math.radians(sonar.elevation_fov_deg) / 2
+    max_elevation_rad = max(top_rad, math.radians(max_elevation_deg))
+    tan_top = math.tan(top_rad)
+    bands = [(samples_per_sector, sampling.rows, (-tan_top, tan_top))]
+    if max_elevation_rad > top_rad:
+        row = SIDE_LOBES_COARSER * 2 * tan_top / sampling.rows
+        for low, high in pairwise(_band_limits(tan_top, math.tan(max_elevation_rad))):
+            # a degree of azimuth is less, too, where the sound looks up or down
+            fewer = SIDE_LOBES_COARSER * math.sqrt(1 + low * low)
+            rows = max(math.ceil((high - low) / (row * (1 + low * low))), MIN_BAND_ROWS)
+            samples = max(math.ceil(samples_per_sector / fewer), 2)
+            bands += [(samples, rows, limits) for limits in ((low, high), (-high, -low))]
     sectors = [
-        make_sector(
-            start + half_width * (2 * k + 1),
-            half_width,
-            samples_per_sector,
-            sampling.rows,
-            tan_elevation,
-            shear,
-        )
+        make_sector(start + half_width * (2 * k + 1), half_width, *band, shear)
+        for band in bands
         for k in range(n_sectors)
     ]
     if box:
@@ -104,4 +126,13 @@ def make_fan(
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
     sectors = tuple(replace(sector, strips=make_strips(sector, edges)) for sector in sectors)
-    return Fan(sonar, sampling, sectors, frozen_array(edges, np.float64, (None,), "column edges"))
+    edges = frozen_array(edges, np.float64, (None,), "column edges")
+    return Fan(sonar, sampling, sectors, edges, max_elevation_rad)
+
+
+def _band_limits(tan_top: float, tan_max: float) -> list[float]:
+    """Return tangents of elevations between which the sectors of the side lobes above an aperture lie, rising."""
+    limits = [tan_top]
+    while (following := limits[-1] + BAND_RAD * (1 + limits[-1] ** 2)) < tan_max:
+        limits.append(following)
+    return [*limits, tan_max]

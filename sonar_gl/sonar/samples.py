@@ -28,7 +28,8 @@ class SectorSamples(NamedTuple):
     @property
     def lattice(self) -> tuple:
         """A plain tuple of `beamform.kernels.Lattice`."""
-        return self.sector.u, self.sector.v, self.sector.tan_elevation, self.sector.columns
+        sector = self.sector
+        return sector.u, sector.v, sector.tan_low, sector.tan_high, sector.columns
 
 
 def whole_rows(window: np.ndarray) -> np.ndarray:
@@ -51,7 +52,7 @@ class ViewSamples:
 
     Attributes
     ----------
-    sectors : SectorSamples from starboard to port
+    sectors : SectorSamples of the fan's sectors
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes

@@ -54,7 +54,7 @@ class Sector:
     rows, columns : R, C
     u : (3,) float64; the sample at row j, column i lies at u[0] + u[1] i + u[2] j
     v : (3,) float64; the sample at row j, column i lies at v[0] + v[1] i + v[2] j
-    tan_elevation : tangent of half the elevation aperture
+    tan_low, tan_high : tangents of the elevations between which its strips lie
     strips : Strips
     """
 
@@ -64,13 +64,19 @@ class Sector:
     columns: int
     u: np.ndarray
     v: np.ndarray
-    tan_elevation: float
+    tan_low: float
+    tan_high: float
     strips: Strips | None = None
 
     def sample_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return u and v of all samples on the image plane, each (R, C) float64."""
         j, i = np.mgrid[0 : self.rows, 0 : self.columns]
         return self.u[0] + self.u[1] * i + self.u[2] * j, self.v[0] + self.v[1] * i + self.v[2] * j
+
+    def holds_elevation(self, u, v) -> np.ndarray:
+        """Return whether places on the image plane lie inside the sector's limits of elevation."""
+        level = np.sqrt(1 + u * u)
+        return (v > self.tan_low * level) & (v < self.tan_high * level)
 
     def rotation(self) -> np.ndarray:
         """Return (3, 3) sector_from_sonar, which turns the sector's middle onto the x axis."""
@@ -113,7 +119,12 @@ def merge_close_azimuths(azimuths_rad) -> np.ndarray:
 
 
 def make_sector(
-    azimuth_rad: float, half_width_rad: float, n_samples: int, rows: int, tan_elevation: float, shear: float
+    azimuth_rad: float,
+    half_width_rad: float,
+    n_samples: int,
+    rows: int,
+    tan_limits: tuple[float, float],
+    shear: float,
 ) -> Sector:
     """Return a sector, still without strips.
 
@@ -121,23 +132,24 @@ def make_sector(
     ----------
     azimuth_rad, half_width_rad : middle, and half of the azimuth that it covers, radians
     n_samples : samples of a row over that azimuth; rows get more samples as the shear requires
-    rows : rows over the aperture; the sector gets more rows as the curved edge of the aperture and the shear require
-    tan_elevation : tangent of half the elevation aperture
+    rows : rows between the limits; the sector gets more rows as their curved edges and the shear require
+    tan_limits : tangents of the lowest and the highest elevation
     shear : shift of each row against the row below, in samples; 0 gives a plain grid
     """
     tan_width = math.tan(half_width_rad)
-    du, dv = 2 * tan_width / n_samples, 2 * tan_elevation / rows
-    top = tan_elevation / math.cos(
-        half_width_rad
-    )  # the aperture's curved edge is highest at the sector's sides
+    low, high = tan_limits
+    du, dv = 2 * tan_width / n_samples, (high - low) / rows
+    # lines of equal elevation are curves, furthest from the middle at the sector's sides
+    middle = math.cos(half_width_rad)
+    bottom, top = min(low, low / middle), max(high, high / middle)
     shear_v = min(SHEAR_ROWS * rows, n_samples) if shear else 0.0
-    R = 2 * math.ceil((2 * top / dv + shear_v) / 2)
+    R = 2 * math.ceil(((top - bottom) / dv + shear_v) / 2)
     shear_u = min(abs(shear) * R, n_samples / 4)
     C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
     step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(shear_v / C * dv, shear)
     u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])
-    v = np.array([-(R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
-    return Sector(azimuth_rad, half_width_rad, R, C, u, v, tan_elevation)
+    v = np.array([(bottom + top) / 2 - (R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
+    return Sector(azimuth_rad, half_width_rad, R, C, u, v, low, high)
 
 
 def make_strips(sector: Sector, column_edges_rad) -> Strips:

@@ -246,7 +246,7 @@ def chip(azimuth_deg, elevation_deg, size=0.02):
 
 
 def test_echoes_follow_the_two_way_elevation_pattern():
-    """A plate at several elevations: −3 dB at the edges of the aperture, less beyond, nothing beyond the support."""
+    """A plate at several elevations: −3 dB at the edges of the aperture, less beyond, and side lobes of −26.5 dB."""
     acoustics = sg.Acoustics.physical(elevation_pattern="line_array", beam_pattern="box")
     sonar = replace(SONAR, n_beams=3, azimuth_fov_deg=3.0, beam_width_deg=1.0)
     at_deg = np.array([0.0, 5.0, 10.0, -10.0, 20.0, -24.0])
@@ -254,9 +254,26 @@ def test_echoes_follow_the_two_way_elevation_pattern():
     levels = [ping([chip(0.0, e, 0.1)], acoustics, sonar, sampling=fine).intensity.sum() for e in at_deg]
     x = 0.318917 * np.sin(np.radians(at_deg)) / np.sin(np.radians(10.0))
     np.testing.assert_allclose(np.array(levels) / levels[0], np.sinc(x) ** 4, rtol=0.02)
-    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±27\.3\d°"):
-        dark = ping([chip(0.0, 30.0)], acoustics, sonar)
+    # in side lobes there are 16 times fewer samples; beams are boxes in azimuth, within which a plate seems wider
+    at_deg = np.array([28.0, 50.0, -50.0, 65.0, -75.0])
+    levels = [ping([chip(0.0, e, 0.1)], acoustics, sonar, sampling=fine).intensity.sum() for e in at_deg]
+    middle = ping([chip(0.0, 0.0, 0.1)], acoustics, sonar, sampling=fine).intensity.sum()
+    x = 0.318917 * np.sin(np.radians(at_deg)) / np.sin(np.radians(10.0))
+    np.testing.assert_allclose(np.array(levels) / middle, np.sinc(x) ** 4, rtol=0.15)
+
+
+def test_a_tapered_array_receives_nothing_through_its_side_lobes():
+    """Those of Hamming's taper are below −80 dB two ways, which nothing shows."""
+    sonar, acoustics = described(
+        SONAR, n_beams=3, azimuth_fov_deg=3.0, elevation_pattern="line_array", elevation_taper="hamming"
+    )
+    acoustics = replace(acoustics, beam_pattern="box")
+    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±45\.1\d?°"):
+        dark = ping([chip(0.0, 50.0)], acoustics, sonar)
     assert dark.intensity.sum() == 0
+    assert ping([chip(0.0, 40.0, 1.0)], acoustics, sonar).intensity.sum() > 0
+    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±89\.5°"):  # more than any aperture
+        ping([chip(90.0, 0.0)], acoustics, replace(sonar, elevation_taper="uniform"))
 
 
 @pytest.mark.parametrize(
@@ -307,6 +324,22 @@ def test_straight_arrays_are_limited_in_steering():
         f'sonar {SONAR.name!r}: steered "straight" needs beams within ±80° of the boresight '
         '(got 82.34°: one array cannot receive along its own line; take "alike")'
     )
+
+
+def test_side_lobes_are_received_down_to_80_db_and_nearly_straight_up():
+    def max_deg(**device):
+        sonar, acoustics = described(SONAR, elevation_pattern="line_array", **device)
+        return acoustics.max_elevation_deg(sonar), acoustics.two_way_elevation_pattern(sonar)
+
+    assert sg.Acoustics.physical(elevation_pattern="box").max_elevation_deg(SONAR) == 10.0
+    assert max_deg()[0] == 89.5
+    for device in ({"elevation_taper": "hamming"}, {"elevation_fov_deg": 0.6}):
+        limit_deg, pattern = max_deg(**device)
+        assert limit_deg < 80
+        sine = math.sin(math.radians(limit_deg))
+        # found on a grid of sines, the last of which lies within 1/8192 of the limit
+        assert (pattern(np.linspace(sine + 2 / 8192, 1, 10_001)) < 1.001e-8).all()
+        assert pattern(np.linspace(sine - 2 / 8192, sine, 101)).max() > 1e-8
 
 
 def test_the_true_range_sonar_covers_the_support_in_elevation():

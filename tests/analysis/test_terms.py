@@ -125,7 +125,8 @@ def test_a_mirror_that_coarse_samples_hardly_meet_counts():
     sonar = sg.load_sonar("p900-45")
     needed, full, apart = needed_and_full(scene, sonar, 0.01)
     assert needed.multipath == full.multipath == "incoherent" and apart <= 0.01
-    assert sg.needed_acoustics(scene, sonar, 0.02).multipath == "none"
+    # other terms that are left out have a share of the tolerance
+    assert sg.needed_acoustics(scene, sonar, 0.03).multipath == "none"
 
 
 def test_no_cost_is_negative(monkeypatch):

@@ -63,6 +63,19 @@ def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_de
             np.testing.assert_array_equal(np.isnan(getattr(found, name)), whole == 0)
 
 
+def test_labels_of_echoes_through_side_lobes():
+    """The floor below a level sonar: labelled from its height on, at the elevation that the range gives."""
+    acoustics = replace(IDEAL, elevation_pattern="line_array")
+    found = ping([FLOOR], acoustics=acoustics)
+    ring = (SONAR.range_m > HEIGHT_M + SONAR.bin_size_m) & (SONAR.range_m < 1.5 * HEIGHT_M)
+    assert (found.body_id[:, ring] == 1).all()
+    # footprints are some degrees high there, and straight up or down elevation hardly changes the range
+    expected = np.broadcast_to(-np.arcsin(HEIGHT_M / SONAR.range_m[ring]), found.body_id[:, ring].shape)
+    np.testing.assert_allclose(found.elevation_rad[:, ring], expected, atol=math.radians(2.0))
+    np.testing.assert_allclose(found.incidence_rad[:, ring], math.pi / 2 + expected, atol=math.radians(2.0))
+    np.testing.assert_array_equal(found.intensity, ping([FLOOR], acoustics=acoustics, labels=False).intensity)
+
+
 @pytest.mark.parametrize("reducer", ["footprint", "point"])
 @pytest.mark.parametrize("name", ["pylon", "ocean_floor"])
 def test_labels_change_no_bit_of_the_picture(name, reducer):

@@ -458,7 +458,7 @@ def test_multipath_has_no_specular_lobes(perfect):
 
 
 def test_rows_of_a_view_look_where_they_did():
-    whole = make_sector(0.2, 0.4, 30, 21, 0.3, 0.25)
+    whole = make_sector(0.2, 0.4, 30, 21, (-0.3, 0.3), 0.25)
     plane_echo = np.arange(whole.rows * whole.columns * 4, dtype=np.float32).reshape(whole.rows, -1, 4)
     some = multipath.every_row(SectorSamples(whole, plane_echo, np.empty((0, 0), np.uint16)), 2)
     for found, expected in zip(some.sector.sample_coordinates(), whole.sample_coordinates(), strict=True):

@@ -34,6 +34,33 @@ def test_strips_cover_the_fan_once(fov_deg):
     np.testing.assert_allclose(widths, np.diff(edges), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("fov_deg", [20.0, 130.0, 360.0])
+def test_the_sectors_of_side_lobes_cover_all_elevations_once(fov_deg):
+    """In every column, up to the limit; and with samples that are few beside those of the aperture."""
+    sonar, sampling = make_sonar(fov_deg, 90, elevation_fov_deg=54.0), sg.Sampling(2, 110)
+    fan = make_fan(sonar, sampling, math.radians(0.5), max_elevation_deg=89.5)
+    plain = make_fan(sonar, sampling, math.radians(0.5))
+    assert [len(f.sectors) > len(plain.sectors) for f in (fan, plain)] == [True, False]
+    for mine, one in zip(fan.sectors, plain.sectors, strict=False):  # those of the aperture come first
+        np.testing.assert_array_equal(np.concatenate([mine.u, mine.v]), np.concatenate([one.u, one.v]))
+    limits = np.array([[s.tan_low, s.tan_high] for s in fan.sectors])
+    starts = np.array([s.azimuth_rad - s.half_width_rad for s in fan.sectors])
+    for start in np.unique(starts.round(9)):
+        bands = np.sort(limits[np.abs(starts - start) < 1e-8], axis=0)
+        np.testing.assert_array_equal(bands[1:, 0], bands[:-1, 1])
+        np.testing.assert_allclose(np.degrees(np.arctan(bands[[0, -1], [0, 1]])), [-89.5, 89.5], rtol=1e-12)
+    for sector in fan.sectors:
+        _, v = sector.sample_coordinates()
+        level = 1 / math.cos(sector.half_width_rad)
+        # the lattice reaches to within a row of its limits, also at its sides, where they are further out
+        assert v.min() < min(sector.tan_low, sector.tan_low * level) + sector.v[2]
+        assert v.max() > max(sector.tan_high, sector.tan_high * level) - sector.v[2]
+    more = sum(s.rows * s.columns for s in fan.sectors) / sum(s.rows * s.columns for s in plain.sectors)
+    assert more < 1.3
+    assert fan.max_sine == math.sin(math.radians(89.5))
+    assert plain.max_sine == math.sin(math.radians(27.0))
+
+
 SONARS = {
     "even": make_sonar(45.0, 64, 1.0),
     "contiguous": make_sonar(45.0, 64, 45 / 64),

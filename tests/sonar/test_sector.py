@@ -26,7 +26,7 @@ def test_rows_cover_the_aperture_in_every_strip_in_spite_of_the_shear():
         for strip_u in sector.strips.u:
             i = np.abs(u - strip_u).argmin(axis=1)
             strip_v = v[np.arange(sector.rows), i]
-            top = sector.tan_elevation * math.sqrt(1 + strip_u * strip_u)
+            top = sector.tan_high * math.sqrt(1 + strip_u * strip_u)
             spacing = sector.v[2]
             assert strip_v[0] < -top + spacing
             assert strip_v[-1] > top - spacing

@@ -73,6 +73,21 @@ def plate_on_floor_echo(height, top, x0, azimuth, elevation_max, edges):
     return plate + before + behind
 
 
+def floor_echo(height, pitch_rad, azimuth, elevation_pattern, edges, nodes=400_000):
+    """Return dE/dψ of a floor by the midpoint rule over all sines of elevation, weighed by a pattern.
+
+    elevation_pattern : function (sine of elevation) -> two-way power; azimuth : shape (N, 1)
+    """
+    sine = (np.arange(nodes) + 0.5) / nodes * 2 - 1
+    weight, out = elevation_pattern(sine) * 2 / nodes, []
+    for psi in azimuth[:, 0]:
+        x = np.sqrt(1 - sine * sine) * np.cos(psi)
+        cosine = x * math.sin(pitch_rad) - sine * math.cos(pitch_rad)  # of incidence
+        met = cosine > 0
+        out.append(np.histogram(height / cosine[met], edges, weights=(weight * cosine)[met])[0])
+    return np.array(out)
+
+
 def box_beams(sonar, echo, nodes=200):
     """Return a ping of box beams, (B, K): `echo(azimuth)` averaged over each beam, per solid angle of the beam."""
     half = math.radians(sonar.beam_width_deg) / 2

@@ -57,7 +57,7 @@ class MeanRaster(Rival):
                     strips = sector.strips
                     mine = slice(*np.searchsorted(strips.column, [columns.start, columns.stop]))
                     mean_bins(
-                        plane_echo, sector.u, sector.v, sector.tan_elevation,
+                        plane_echo, sector.u, sector.v, sector.tan_high,
                         strips.column[mine], strips.u[mine], strips.width[mine],
                         self.r_first, self.per_metre, self.work[half], self.sums,
                     )  # fmt: skip

@@ -101,7 +101,7 @@ class Lattice(Rays):
         (self.sector,) = self.fan.sectors  # of the chart's sonars
         u, v = self.sector.sample_coordinates()
         # rows further out than one step beyond the aperture have no share in it
-        near = np.abs(v) <= self.sector.tan_elevation * np.sqrt(1 + u * u) + 1.01 * self.sector.v[2]
+        near = np.abs(v) <= self.sector.tan_high * np.sqrt(1 + u * u) + 1.01 * self.sector.v[2]
         self.lay(np.stack([np.ones(near.sum()), -u[near], v[near]], axis=-1))
         index = np.flatnonzero(near)
         self.index = np.append(index, np.repeat(index[-1:], -self.samples % 8))
