@@ -16,7 +16,8 @@ from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.noise.settings import Noise
+from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.settings import Noise, check_moved
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.xacro import split_arguments
@@ -115,6 +116,9 @@ class BatchRequests(Sequence):
         self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
         trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
         _check_varied_fields(job, self.acoustics, self.noise)
+        with errors_at(f"{job.where}: noise"):
+            for sonar in self.sonars.values():  # those of which the noise needs more than they have
+                receiver_levels_db(self.noise, sonar, self.acoustics)
         for output in ("pictures", "coco", "ros"):
             self.counts(output)
         if job.ros is not None:
@@ -308,6 +312,7 @@ def _load_noise(job: Job) -> Noise:
     preset = settings.pop("preset", "none")
     if not isinstance(preset, str) or preset not in NOISE_PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
+    check_moved(where, settings)
     return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
 
 
@@ -321,6 +326,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     for key in vary.water:
         if key not in WATER:
             raise Error(f"{where}: vary.water: unknown key (got {key!r}; {nearest_names(key, WATER)})")
+    check_moved(f"{where}: vary.noise", vary.noise)
     if "median" in vary.noise:
         raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
     for end in (0, -1):

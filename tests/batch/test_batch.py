@@ -143,7 +143,7 @@ def test_varied_values_are_stored(small, requests):
     for number in range(N):
         request, stored = requests[number], data.isel(ping=number)
         assert float(stored.water_temperature_c) == request.water["temperature_c"]
-        assert float(stored.noise_electronic_db) == request.noise.electronic_db
+        assert float(stored.noise_ambient_db) == request.noise.ambient_db
         pose = request.bodies["box_1"]
         assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
         if pose is not None:
@@ -557,9 +557,14 @@ BAD = [
     ),
     ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
     (
+        "ambient_db",
+        "ambience_db",
+        "vary.noise: unknown key (got 'ambience_db'; did you mean 'ambient_db'",
+    ),
+    (
+        "ambient_db",
         "electronic_db",
-        "electric_db",
-        "vary.noise: unknown key (got 'electric_db'; did you mean",
+        "vary.noise: electronic_db describes the device, and is self_noise_db of Sonar now",
     ),
     (
         'names = ["box_*"]',
@@ -577,7 +582,7 @@ BAD = [
         "bodies[0].reflectivity: should lie in 0..1",
     ),
     (
-        "electronic_db = [-80.0, -60.0]",
+        "ambient_db = [-80.0, -60.0]",
         "median = [3, 5]",
         "vary.noise: median cannot vary; set it in the table noise",
     ),

@@ -27,11 +27,11 @@ def test_thermal_noise_level():
 @pytest.mark.parametrize("speckle", [True, False])
 def test_noise_rises_with_the_tvg(speckle):
     acoustics = Acoustics.physical(tvg_k=30.0)
-    ping = even_ping(200, 4000, 2.0, level=0.0, **acoustics.meta())
+    ping = even_ping(200, 4000, 2.0, level=0.0, self_noise_db=-30.0, **acoustics.meta())
     r = ping.range_m
     expected = 2e-3 * r**3 * 10 ** (2 * acoustics.absorption(FREQUENCY_HZ) * r / 10)
     assert expected[-1] / expected[0] > 1e7  # from 1 to 51 m
-    x = noisy(Noise(speckle=speckle, electronic_db=-30.0, ambient_db=-30.0), ping) / expected
+    x = noisy(Noise(speckle=speckle, self_noise=True, ambient_db=-30.0), ping) / expected
     assert x.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(x.size))
     assert x.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / x.size))
     assert x[:, :400].mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(200 * 400))
@@ -40,20 +40,20 @@ def test_noise_rises_with_the_tvg(speckle):
 @pytest.mark.parametrize("law", ["constant", "printed", "inverse"])
 def test_other_range_laws_have_no_tvg(law):
     ping = even_ping(200, 1000, 2.0, level=0.0, **Acoustics.physical(range_law=law).meta())
-    x = noisy(Noise(electronic_db=-20.0), ping)
+    x = noisy(Noise(ambient_db=-20.0), ping)
     for bins in (slice(0, 500), slice(500, None)):
         assert x[:, bins].mean() == pytest.approx(0.01, rel=SIGMAS / np.sqrt(1e5))
 
 
 def test_unknown_acoustics_have_no_tvg():
-    noise, ping = Noise(electronic_db=-20.0), even_ping(100, 1000, 3.0, level=0.0)
+    noise, ping = Noise(ambient_db=-20.0), even_ping(100, 1000, 3.0, level=0.0)
     assert (noisy(noise, replace(ping, acoustics=None)) == noisy(noise, ping)).all()
 
 
 def test_a_tvg_needs_the_sonar():
     ping = replace(even_ping(**Acoustics.physical().meta()), sonar=None)
     with pytest.raises(Error) as caught:
-        add_noise(ping, Noise(electronic_db=-20.0), 0)
+        add_noise(ping, Noise(ambient_db=-20.0), 0)
     assert str(caught.value) == (
         "noise: the ping must have a sonar for the absorption that its TVG assumes "
         "(got None; pings of a Simulator have one)"
@@ -63,16 +63,16 @@ def test_a_tvg_needs_the_sonar():
 def test_echo_and_noise_add_as_fields():
     """Without speckle the amplitude is Rician: echo E and noise N give mean E + N, variance N² + 2 E N."""
     ping = even_ping(100, 4000, 2.0)
-    x = noisy(Noise(electronic_db=-10.0), ping)
+    x = noisy(Noise(ambient_db=-10.0), ping)
     assert x.mean() == pytest.approx(1.1, abs=SIGMAS * np.sqrt(0.21 / x.size))
     assert x.var() == pytest.approx(0.21, rel=SIGMAS * np.sqrt(3 / x.size))
-    speckled = noisy(Noise(speckle=True, electronic_db=-10.0), ping)
+    speckled = noisy(Noise(speckle=True, ambient_db=-10.0), ping)
     assert speckled.mean() == pytest.approx(1.1, rel=SIGMAS / np.sqrt(x.size))
     assert speckled.std() == pytest.approx(1.1, rel=SIGMAS * np.sqrt(2 / x.size))
 
 
 @pytest.mark.parametrize(
-    "noise", [Noise(electronic_db=0.0), Noise(speckle=True, follow_motion=True, electronic_db=0.0)]
+    "noise", [Noise(ambient_db=0.0), Noise(speckle=True, follow_motion=True, ambient_db=0.0)]
 )
 def test_noise_correlates_between_beams_as_speckle_does(noise):
     x = noisy(noise, even_ping(64, 4000, 0.5, level=0.0, pose=np.eye(4)))
@@ -101,8 +101,8 @@ def test_interference():
 @pytest.mark.parametrize(
     "noise",
     [
-        Noise(electronic_db=100.0),
-        Noise(speckle=True, electronic_db=100.0, interference_lines=9, interference_db=100),
+        Noise(ambient_db=100.0),
+        Noise(speckle=True, ambient_db=100.0, interference_lines=9, interference_db=100),
     ],
 )
 def test_loud_noise_stays_finite(noise):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,10 +75,11 @@ def fan_picture(ping: sg.Ping, height: int) -> np.ndarray:
 def draw_terms(pair: Comparison):
     """Return pictures without and with multipath, bubbles, receiver noise and a beam in elevation, RGB."""
     scene, sonar = sg.load_scene(pair.scene), sg.load_sonar(pair.sonar).with_range(pair.range_m)
+    sonar = replace(sonar, self_noise_db=-80.0)
     bare, bare_noise = sg.Acoustics.physical(bubbles=False), sg.Noise(speckle=True)
     full = sg.Acoustics.physical(multipath="incoherent", elevation_pattern="gaussian")
     out = []
-    for acoustics, noise in ((bare, bare_noise), (full, sg.Noise(speckle=True, electronic_db=-80.0))):
+    for acoustics, noise in ((bare, bare_noise), (full, sg.Noise.physical())):
         with sg.Simulator(scene, sonar, acoustics) as simulator:
             ping = simulator.ping(scene.sonar_pose, noise, SEED, time_s=TIME_S)
         out.append(fan_picture(ping, pair.height))
