@@ -113,7 +113,7 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
     >>> sonar = load_sonar("p900-45,bandwidth_hz=30e3,source_level_db=205")
     >>> levels = absolute_levels(sonar, Acoustics.physical())
     >>> round(levels.directivity_index_db, 1), round(levels.thermal_noise_db, 2), round(levels.echo_level_db, 1)
-    (33.2, -122.16, 177.8)
+    (33.2, -122.16, 177.9)
     """
     level_db = sonar.source_level_db
     if level_db is None:

@@ -266,7 +266,7 @@ class Sonar:
         (10.0, 15.0)
         """
         by_sound_hz = sound_speed_m_s / (2 * self.range_max_m)
-        return by_sound_hz if self.ping_rate_max_hz is None else min(by_sound_hz, self.ping_rate_max_hz)
+        return by_sound_hz if self.ping_rate_max_hz is None else min(by_sound_hz, float(self.ping_rate_max_hz))
 
     def with_range(self, range_max_m: float) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them."""
