@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -114,7 +114,7 @@ class BatchRequests(Sequence):
         self.sonars, self.mounts = _load_sonars(job)
         self.noise = _load_noise(job)
         self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
-        trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
+        self._trajectories = trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
         _check_varied_fields(job, self.acoustics, self.noise)
         with errors_at(f"{job.where}: noise"):
             for sonar in self.sonars.values():  # those of which the noise needs more than they have
@@ -135,6 +135,20 @@ class BatchRequests(Sequence):
         if table.get("kind") == "random_views":
             table.setdefault("seed", self.job.seed)
         return build_trajectory(table, self.job.where, index)
+
+    def rate_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each trajectory whose pings follow each other faster than a sonar makes them."""
+        set_speed_m_s = self.acoustics.sonar_sound_speed_m_s or self.acoustics.sound_speed()
+        for k, trajectory in enumerate(self._trajectories):
+            steps_s = np.diff(trajectory.time_s(np.arange(len(trajectory))))
+            steps_s = steps_s[steps_s != 0]  # equal times have no rate
+            for name, sonar in self.sonars.items() if len(steps_s) else ():
+                max_rate_hz = sonar.max_ping_rate_hz(set_speed_m_s)
+                if steps_s.min() < (1 - 1e-6) / max_rate_hz:
+                    yield (
+                        f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
+                        f"at most (got {1 / steps_s.min():.4g}; its range, its ping_rate_max_hz, or the times)"
+                    )
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop

@@ -264,7 +264,9 @@ class _PartWriter:
         name, ping = self._name(record.sonar, "sonar"), record.ping
         if ping.pose is None:
             raise Error(f"a ping of sonar {record.sonar!r} in a ROS bag must have its pose (got None)")
-        turn = ping.sonar.sonar_from_head[:3, :3] @ BEAMS[self.settings.y_sign]
+        turn = BEAMS[self.settings.y_sign]
+        if ping.sonar is not None:
+            turn = ping.sonar.sonar_from_head[:3, :3] @ turn
         header = self._place(name, ping.pose, "_beams", turn, record.vehicle_pose)
         self._put(f"/{name}/projected_image", self.types.ping(header, ping, self.settings))
         self._put_picture(name, header, record)

@@ -175,7 +175,8 @@ class FieldNoise:
         """Return the ping's attribute `name`, or raise an Error if the ping has none."""
         value = getattr(self._ping, name)
         if value is None:
+            article, them = ("its", "them") if name == "acoustics" else ("a", "one")
             raise Error(
-                f"noise: the ping must have a {name} for {purpose} (got None; pings of a Simulator have one)"
+                f"noise: the ping must have {article} {name} for {purpose} (got None; pings of a Simulator have {them})"
             )
         return value

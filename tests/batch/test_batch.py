@@ -137,6 +137,20 @@ def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     assert mesh.get_array().size == 24 * 80
 
 
+def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
+    assert list(requests.rate_warnings()) == []  # 5 pings a second
+    level = requests.sonars["level"]
+    job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
+    quick = BatchRequests(job)
+    by_sound_hz = requests.acoustics.sound_speed() / (2 * level.range_max_m)
+    quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
+    assert [text.split(": ", 2)[2] for text in quick.rate_warnings()] == [
+        f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
+        "(got 100; its range, its ping_rate_max_hz, or the times)"
+        for name, rate_hz in (("level", by_sound_hz), ("slow", 20.0))
+    ]
+
+
 def test_varied_values_are_stored(small, requests):
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
     n_present = 0

@@ -8,8 +8,9 @@ import pytest
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import SIDE_LOBES, ambient_noise_db, thermal_noise_db
+from sonar_gl.noise.receiver import SIDE_LOBES, absolute_levels, ambient_noise_db, thermal_noise_db
 from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.sonar import Sonar
 from tests.support.even_ping import FREQUENCY_HZ, SIGMAS, correlation, even_ping
 
 
@@ -22,6 +23,60 @@ def test_thermal_noise_level():
     # twice the bandwidth is 3.01 dB more, a source louder by 1 dB is 1 dB less
     first, second = ambient_noise_db(900e3, 30e3, 205.0), ambient_noise_db(900e3, 60e3, 206.0)
     assert second - first == pytest.approx(2.0103, abs=1e-4)
+
+
+def test_absolute_levels_by_hand():
+    """A beam of 1° x 20° at 500 kHz, SL 210 dB, 100 kHz of bandwidth: the active sonar equation, term by term."""
+    sonar = Sonar(
+        "s", 500e3, 64, 100, 60.0, 20.0, 1.0, 0.5, 30.0, bandwidth_hz=100e3, source_level_db=210.0, self_noise_db=-80.0
+    )
+    levels = absolute_levels(sonar, Acoustics.physical())
+    beam_sr = np.radians(1.0) * 2 * np.sin(np.radians(10.0))
+    assert levels.source_level_db == 210 and levels.bandwidth_hz == 100e3
+    assert levels.directivity_index_db == pytest.approx(10 * np.log10(4 * np.pi / beam_sr), abs=1e-12)
+    # Lambert's lossless surface: 1/π per steradian, over the area Ω that the beam cuts out at 1 m
+    assert levels.echo_level_db == pytest.approx(210 + 10 * np.log10(1 / np.pi * beam_sr), abs=1e-12)
+    assert levels.thermal_noise_level_db == pytest.approx(-15 + 20 * np.log10(500) + 50, abs=1e-12)
+    received_db = levels.thermal_noise_level_db - levels.directivity_index_db
+    assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-12)
+    assert levels.self_noise_level_db == pytest.approx(levels.echo_level_db - 80, abs=1e-12)
+
+
+def test_thermal_noise_has_the_level_that_follows_from_the_sonar():
+    ping = even_ping(200, 1000, 2.0, level=0.0, source_level_db=180.0, bandwidth_hz=100e3)
+    wanted = 10 ** (absolute_levels(ping.sonar, ping.acoustics).thermal_noise_db / 10)
+    assert noisy(Noise(thermal_noise=True), ping).mean() == pytest.approx(wanted, rel=SIGMAS / np.sqrt(2e5))
+    both = noisy(Noise(thermal_noise=True, ambient_db=10 * np.log10(wanted)), ping)
+    assert both.mean() == pytest.approx(2 * wanted, rel=SIGMAS / np.sqrt(2e5))
+
+
+@pytest.mark.parametrize(
+    ("noise", "lacks", "message"),
+    [
+        (
+            Noise(thermal_noise=True),
+            {},
+            "sonar 'even': source_level_db must be known for absolute levels and thermal noise (got None; give it in the "
+            "sonar's file or by --sonar ...,source_level_db=..., or give the noise as ambient_db)",
+        ),
+        (
+            Noise(self_noise=True),
+            {"sonar": None},
+            "noise: the ping must have a sonar for the level of its self-noise "
+            "(got None; pings of a Simulator have one)",
+        ),
+        (
+            Noise(thermal_noise=True),
+            {"acoustics": None},
+            "noise: the ping must have its acoustics for the bandwidth of its thermal noise "
+            "(got None; pings of a Simulator have them)",
+        ),
+    ],
+)
+def test_levels_need_what_they_follow_from(noise, lacks, message):
+    with pytest.raises(Error) as caught:
+        add_noise(replace(even_ping(), **lacks), noise, 0)
+    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("speckle", [True, False])
