@@ -211,7 +211,8 @@ class Simulator:
         Returns
         -------
         points : (rows', columns', 3) float32, metres, in the frame of the head, `Sonar.head_pose` of the pose; NaN
-            where nothing was met. About as many as asked for: beyond one perspective view, columns' is a multiple of the views
+            where nothing was met. About as many as asked for: beyond one perspective view, columns' is a multiple of
+            the views
         echo : (rows', columns') float32, μ cos θ
         """
         with self._run.drawing():

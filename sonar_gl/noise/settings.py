@@ -23,7 +23,9 @@ BOUNDS = (  # field, least, most, hint
 )
 MAY_BE_NONE = ("speckle_shape", "ambient_db")
 SWITCHES = ("speckle", "follow_motion", "self_noise", "thermal_noise")
-MOVED = {"electronic_db": ("self_noise", "self_noise_db")}  # field: the switch in its place, and its name in `Sonar`
+MOVED = {
+    "electronic_db": ("self_noise", "self_noise_db")
+}  # field: the switch in its place, its name in `Sonar`
 
 
 @dataclass(frozen=True)

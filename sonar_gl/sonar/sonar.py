@@ -265,8 +265,8 @@ class Sonar:
         >>> round(sonar.with_range(75.0).max_ping_rate_hz(1500.0), 6), sonar.with_range(30.0).max_ping_rate_hz(1500.0)
         (10.0, 15.0)
         """
-        by_sound_hz = sound_speed_m_s / (2 * self.range_max_m)
-        return by_sound_hz if self.ping_rate_max_hz is None else min(by_sound_hz, float(self.ping_rate_max_hz))
+        by_device_hz = math.inf if self.ping_rate_max_hz is None else float(self.ping_rate_max_hz)
+        return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
 
     def with_range(self, range_max_m: float) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them."""

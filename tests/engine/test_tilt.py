@@ -31,7 +31,9 @@ def scene() -> sg.Scene:
         sg.Body("box", trimesh.creation.box((0.6, 0.8, 1.0)), sg.pose(6, 1.5, -2.5), 0.8),
         sg.Body("ball", ball, sg.pose(7, -1, -3), 0.6, 2 * ball.vertices, 0.3, 0.2),
     )
-    return sg.Scene([*bodies, sg.Bubbles("plume", sg.pose(9, 1, -3))], surface_z_m=-1.4, surface_roughness_m=0)
+    return sg.Scene(
+        [*bodies, sg.Bubbles("plume", sg.pose(9, 1, -3))], surface_z_m=-1.4, surface_roughness_m=0
+    )
 
 
 def check_same(tilted: sg.Ping, level: sg.Ping, pose) -> None:
@@ -106,12 +108,11 @@ def test_a_floor_is_seen_where_the_head_points():
 
 def test_depth_images_are_in_the_axes_of_the_housing():
     """A level head is given the same pixels: cameras that cover the fan are tilted with the head."""
-    up_level = TILT[:3, :3]  # head from world, as seen from the level sonar, whose world is tilted
-    shapes = (lambda turn: Cast(sphere(turn @ [6, 0.5, -1.0], 0.7), plane(turn @ [0, 0, -1.0], 2.0)))
     pings = []
-    for sonar, turn in ((TILTED, np.eye(3)), (LEVEL, up_level.T)):
+    for sonar, turn in ((TILTED, np.eye(3)), (LEVEL, TILT[:3, :3].T)):  # the level sonar sees a tilted world
+        shapes = Cast(sphere(turn @ [6, 0.5, -1.0], 0.7), plane(turn @ [0, 0, -1.0], 2.0))
         cameras = sg.Camera.covering(sonar)
-        depth = [shapes(turn).images(camera)[1] for camera in cameras]
+        depth = [shapes.images(camera)[1] for camera in cameras]
         with Sensor(sonar) as sensor:
             pings.append(sensor.ping_from_depth(depth, cameras, POSES[0]))
     tilted, level = (np.float64(ping.intensity) for ping in pings)

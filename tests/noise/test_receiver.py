@@ -28,7 +28,18 @@ def test_thermal_noise_level():
 def test_absolute_levels_by_hand():
     """A beam of 1° x 20° at 500 kHz, SL 210 dB, 100 kHz of bandwidth: the active sonar equation, term by term."""
     sonar = Sonar(
-        "s", 500e3, 64, 100, 60.0, 20.0, 1.0, 0.5, 30.0, bandwidth_hz=100e3, source_level_db=210.0, self_noise_db=-80.0
+        "s",
+        500e3,
+        64,
+        100,
+        60.0,
+        20.0,
+        1.0,
+        0.5,
+        30.0,
+        bandwidth_hz=100e3,
+        source_level_db=210.0,
+        self_noise_db=-80.0,
     )
     levels = absolute_levels(sonar, Acoustics.physical())
     beam_sr = np.radians(1.0) * 2 * np.sin(np.radians(10.0))
@@ -56,8 +67,8 @@ def test_thermal_noise_has_the_level_that_follows_from_the_sonar():
         (
             Noise(thermal_noise=True),
             {},
-            "sonar 'even': source_level_db must be known for absolute levels and thermal noise (got None; give it in the "
-            "sonar's file or by --sonar ...,source_level_db=..., or give the noise as ambient_db)",
+            "sonar 'even': source_level_db must be known for absolute levels and thermal noise (got None; give it in "
+            "the sonar's file or by --sonar ...,source_level_db=..., or give the noise as ambient_db)",
         ),
         (
             Noise(self_noise=True),
