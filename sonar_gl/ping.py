@@ -22,7 +22,7 @@ class GBuffer:
     Attributes
     ----------
     range_m : (R, C) float32, slant range of the surface, metres; 0 if there is none
-    normal : (R, C, 3) float32, geometric unit normal in the sonar frame, turned towards the sonar
+    normal : (R, C, 3) float32, geometric unit normal in the frame of the head, turned towards the sonar
     echo : (R, C) float32, μ cos θ, the diffuse echo per steradian before any gain
     body_id : (R, C) uint16, 1 + index into `scene.bodies`; 0 if there is none
     """
@@ -44,7 +44,8 @@ class Ping:
     range_m : (K,) float64, bin centres
     body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none
     elevation_rad : (B, K) float32 or None, mean elevation of that echo, NaN if there is none
-    pose : (4, 4) float64, world_from_sonar
+    pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
+        azimuths and elevations refer to
     meta : provenance as plain values: sonar, profile, sampling, seed, version, GL renderer
     body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
     error_estimate : float or None, estimated share of the echo that lies in wrong bins

@@ -128,7 +128,7 @@ class Simulator:
 
         Parameters
         ----------
-        pose : (4, 4) world_from_sonar, metres; `sonar_gl.pose` makes one from x y z roll pitch yaw
+        pose : (4, 4) world_from_sonar, metres, of the housing; `sonar_gl.pose` makes one from x y z roll pitch yaw
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes
         labels : find the body with the strongest echo in each bin, and what `Ping` has of that echo
@@ -195,10 +195,14 @@ class Simulator:
             self.world.add(bodies)
 
     def gbuffers(self, pose) -> list[GBuffer]:
-        """Return what the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`."""
+        """Return what the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`.
+
+        Axes are those of the head, `Sonar.head_pose` of the pose.
+        """
         with self._run.drawing():
             renderer = self._run.sampler.resolution.stage.renderer
-            (view,) = renderer.render([check_pose(pose)], with_bodies=True, full=True)
+            head_pose = self.sonar.head_pose(check_pose(pose))
+            (view,) = renderer.render([head_pose], with_bodies=True, full=True)
             return gbuffers_of(view)
 
     def point_cloud(self, pose, columns: int, rows: int):
@@ -206,12 +210,14 @@ class Simulator:
 
         Returns
         -------
-        points : (rows', columns', 3) float32, metres, sonar frame; NaN where nothing was met. About as many
-            as asked for: beyond one perspective view, columns' is a multiple of the views
+        points : (rows', columns', 3) float32, metres, in the frame of the head, `Sonar.head_pose` of the pose; NaN
+            where nothing was met. About as many as asked for: beyond one perspective view, columns' is a multiple of
+            the views
         echo : (rows', columns') float32, μ cos θ, where μ includes the |R|² of specular lobes, at most 1
         """
         with self._run.drawing():
-            return point_cloud(self.world.engine, self.sonar, check_pose(pose), columns, rows)
+            head_pose = self.sonar.head_pose(check_pose(pose))
+            return point_cloud(self.world.engine, self.sonar, head_pose, columns, rows)
 
     def close(self) -> None:
         """Give back all that it holds, and the engine if no other uses it; a second call does nothing."""

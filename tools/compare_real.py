@@ -157,7 +157,7 @@ FLOOR_CELLS = 270, 145  # along them: 6 x 11 mm for a range of 2 m
 PATCH_CELLS = 1.3, 2.0
 PATCH_DB = 4.0
 FLOOR_REFLECTIVITY = 0.1
-NOISE_DB = -59.3  # by the far field of the real pings
+SELF_NOISE_DB = -59.3  # by the far field of the real pings
 DRIFT_M = 0.0005  # of the sonar to starboard, from ping to ping, by the correlation of the real ones
 MIDDLE_M = (
     CELL_M / 2
@@ -180,6 +180,7 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
         range_max_m=setup.range_max_m,
         bandwidth_hz=200e3,  # by the correlation of neighbouring bins in the real far field
         pulse_taper="uniform",
+        self_noise_db=SELF_NOISE_DB,
     )
     acoustics = sg.Acoustics.physical(
         salinity_psu=0.0,  # the file's setting
@@ -189,7 +190,7 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
         pulse=True,
         tvg_k=30.0,  # by the rise of the real noise from the water to the far field
     )
-    return sonar, acoustics, sg.Noise(speckle=True, follow_motion=True, electronic_db=NOISE_DB)
+    return sonar, acoustics, sg.Noise(speckle=True, follow_motion=True, self_noise=True)
 
 
 def floor(setup: Setup, patches: bool) -> sg.Body:

@@ -421,7 +421,7 @@ there = 0.8
 reflectivity = [0.2, 0.9]
 [vary]
 water = { temperature_c = [2.0, 20.0] }
-noise = { electronic_db = [-80.0, -60.0] }
+noise = { ambient_db = [-80.0, -60.0] }
 [labels]
 layers = ["body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes"]
 classes = { fixed = ["wall", "floor"], target = ["box*"] }
@@ -561,8 +561,8 @@ NOISES = {
     "physical": sg.Noise.physical(),
     "speckle": sg.Noise(speckle=True),
     "K texture": sg.Noise(speckle=True, speckle_shape=0.8),
-    "looks": sg.Noise(speckle=True, looks=3, electronic_db=-80.0),
-    "ambient": sg.Noise(speckle=True, electronic_db=-90.0, ambient_db=-70.0),
+    "looks": sg.Noise(speckle=True, looks=3, ambient_db=-80.0),
+    "ambient": sg.Noise(speckle=True, self_noise=True, ambient_db=-70.0),
     "interference": sg.Noise(interference_lines=6.0),
     "locked": sg.Noise(speckle=True, follow_motion=True),
     "locked K texture": sg.Noise(speckle=True, speckle_shape=1.5, follow_motion=True),
@@ -574,7 +574,7 @@ NOISES = {
         speckle_shape=2.0,
         looks=2,
         follow_motion=True,
-        electronic_db=-85.0,
+        self_noise=True,
         ambient_db=-80.0,
         interference_lines=3.0,
     ),

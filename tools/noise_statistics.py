@@ -109,11 +109,11 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
         yield f"{looks} looks: contrast", looks**-0.5, found.contrast
         yield f"{looks} looks: dB std", std, found.db_std
     for name, noise, wanted in (
-        ("echo 1 and noise 0.1, no speckle: mean", Noise(electronic_db=-10), 1.1),
-        ("echo 1 and noise 0.1, speckle: mean", Noise(speckle=True, electronic_db=-10), 1.1),
+        ("echo 1 and noise 0.1, no speckle: mean", Noise(ambient_db=-10), 1.1),
+        ("echo 1 and noise 0.1, speckle: mean", Noise(speckle=True, ambient_db=-10), 1.1),
     ):
         yield name, wanted, Tally(pings(count, noise)).mean
-    found = Tally(pings(count, Noise(electronic_db=-10))).contrast
+    found = Tally(pings(count, Noise(ambient_db=-10))).contrast
     yield "the same, no speckle: contrast (Rice)", np.sqrt(0.2 + 0.01) / 1.1, found
     for share in (0.05, 0.125, 0.25):
         found = moved_correlation(count, (0, share * LENGTH_M, 0))

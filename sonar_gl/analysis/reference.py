@@ -90,7 +90,8 @@ def reference_ping(
     check_known(acoustics)
     _check_bubbles(scene, acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
-    ray_scene, fan = RayScene(scene, pose, acoustics.specular), _make_fan(sonar, acoustics)
+    ray_scene = RayScene(scene, sonar.head_pose(pose), acoustics.specular)
+    fan = _make_fan(sonar, acoustics)
     report = _Progress(progress or _ignore)
     halves = [_Half(ray_scene, fan, key, report) for key in np.random.SeedSequence(seed).spawn(2)]
     found = _refine(halves, fan, error, max_rays) if scene.bodies else _Convergence(0, 0.0, 0.0)

@@ -16,6 +16,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -65,9 +66,7 @@ def _speckle_on(acoustics, noise, sonar) -> dict:
 
 
 def _receiver_noise_on(acoustics, noise, sonar) -> dict:
-    if noise.electronic_db is None and noise.ambient_db is None:
-        return {"electronic_db": Noise.physical().electronic_db}
-    return {}
+    return {} if noise.has_receiver_noise else {"self_noise": True}
 
 
 SPECKLE = Term(
@@ -107,7 +106,7 @@ TERMS = (
     Term(
         "receiver noise",
         on=_receiver_noise_on,
-        off={"electronic_db": None, "ambient_db": None},
+        off={"self_noise": False, "thermal_noise": False, "ambient_db": None},
         of_noise=True,
     ),
 )
@@ -300,8 +299,8 @@ class _Comparison:
         Speckle has the mean 1; noise adds its mean power, raised by the TVG.
         """
         acoustics, noise = without(self._case.acoustics, self._case.noise, terms)
-        levels_db = noise.electronic_db, noise.ambient_db
-        power = sum([10 ** (db / 10) for db in levels_db if db is not None])
+        levels_db = receiver_levels_db(noise, self._case.sonar, acoustics)
+        power = sum(10 ** (db / 10) for db in levels_db)
         power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.noise.settings import Noise
+from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.settings import Noise, check_moved
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.xacro import split_arguments
@@ -113,8 +114,11 @@ class BatchRequests(Sequence):
         self.sonars, self.mounts = _load_sonars(job)
         self.noise = _load_noise(job)
         self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
-        trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
+        self._trajectories = trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
         _check_varied_fields(job, self.acoustics, self.noise)
+        with errors_at(f"{job.where}: noise"):
+            for sonar in self.sonars.values():  # those of which the noise needs more than they have
+                receiver_levels_db(self.noise, sonar, self.acoustics)
         for output in ("pictures", "coco", "ros"):
             self.counts(output)
         if job.ros is not None:
@@ -131,6 +135,20 @@ class BatchRequests(Sequence):
         if table.get("kind") == "random_views":
             table.setdefault("seed", self.job.seed)
         return build_trajectory(table, self.job.where, index)
+
+    def rate_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each trajectory whose pings follow each other faster than a sonar makes them."""
+        set_speed_m_s = self.acoustics.sonar_sound_speed_m_s or self.acoustics.sound_speed()
+        for k, trajectory in enumerate(self._trajectories):
+            steps_s = np.diff(trajectory.time_s(np.arange(len(trajectory))))
+            steps_s = steps_s[steps_s != 0]  # equal times have no rate
+            for name, sonar in self.sonars.items() if len(steps_s) else ():
+                max_rate_hz = sonar.max_ping_rate_hz(set_speed_m_s)
+                if steps_s.min() < (1 - 1e-6) / max_rate_hz:
+                    yield (
+                        f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
+                        f"at most (got {1 / steps_s.min():.4g}; its range, its ping_rate_max_hz, or the times)"
+                    )
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop
@@ -308,6 +326,7 @@ def _load_noise(job: Job) -> Noise:
     preset = settings.pop("preset", "none")
     if not isinstance(preset, str) or preset not in NOISE_PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
+    check_moved(where, settings)
     return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
 
 
@@ -321,6 +340,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     for key in vary.water:
         if key not in WATER:
             raise Error(f"{where}: vary.water: unknown key (got {key!r}; {nearest_names(key, WATER)})")
+    check_moved(f"{where}: vary.noise", vary.noise)
     if "median" in vary.noise:
         raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
     for end in (0, -1):

@@ -265,6 +265,8 @@ class _PartWriter:
         if ping.pose is None:
             raise Error(f"a ping of sonar {record.sonar!r} in a ROS bag must have its pose (got None)")
         turn = BEAMS[self.settings.y_sign]
+        if ping.sonar is not None:
+            turn = ping.sonar.sonar_from_head[:3, :3] @ turn
         header = self._place(name, ping.pose, "_beams", turn, record.vehicle_pose)
         self._put(f"/{name}/projected_image", self.types.ping(header, ping, self.settings))
         self._put_picture(name, header, record)

@@ -206,9 +206,14 @@ class FrameWriter:
         max_rate_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.sound_speed())
         shortest_s = float(steps_s.min())
         if shortest_s < (1 - 1e-6) / max_rate_hz:
+            cure = "no sonar pings as quickly"
+            reason = f"in which sound comes back from {sonar.range_max_m:g} m"
+            if max_rate_hz == sonar.ping_rate_max_hz:
+                cure = "change its ping_rate_max_hz, or the times"
+                reason = f"since sonar {sonar.name!r} makes {max_rate_hz:g} pings a second at most"
             warnings.warn(
-                f"the poses' times must be {1 / max_rate_hz:.4g} s apart or more, in which sound comes back from "
-                f"{sonar.range_max_m:g} m (got {shortest_s:.4g} s; no sonar pings as quickly)",
+                f"the poses' times must be {1 / max_rate_hz:.4g} s apart or more, {reason} (got {shortest_s:.4g} s; "
+                f"{cure})",
                 stacklevel=3,
             )
 

@@ -50,9 +50,9 @@ POSE = pose(z=-1.0, pitch=0.02)  # sees the surface and the floor
 VELOCITY = 0.5, 0.0, 0.0, 0.0, 0.0, 0.1  # m/s, rad/s
 NOISES = (
     Noise.physical(),
-    Noise(speckle=True, speckle_shape=1.0, looks=2, electronic_db=-60.0, ambient_db=-60.0),
-    Noise(speckle=True, speckle_shape=1.0, follow_motion=True, electronic_db=-60.0),
-    Noise(electronic_db=-60.0, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
+    Noise(speckle=True, speckle_shape=1.0, looks=2, self_noise=True, ambient_db=-60.0),
+    Noise(speckle=True, speckle_shape=1.0, follow_motion=True, self_noise=True),
+    Noise(self_noise=True, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
 )
 FAST = Sampling(1.0, 24)
 

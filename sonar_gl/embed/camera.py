@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,7 +48,8 @@ class Camera:
     width, height : W, H, pixels
     intrinsics : (3, 3) K; a point x y z in camera axes projects to the pixel K [x/z, y/z, 1]. K may shear the
         image, but not mirror it
-    rotation : (3, 3) sonar_from_camera; None for an upright camera that looks along the boresight
+    rotation : (3, 3) sonar_from_camera; None for an upright camera that looks ahead. The sonar's axes are those of its
+        housing, whose head may be tilted: `covering` includes the tilt
 
     Raises
     ------
@@ -155,10 +156,13 @@ class Camera:
         out = []
         for azimuth in start + half * (2 * np.arange(n) + 1):
             c, s = math.cos(azimuth), math.sin(azimuth)
-            out.append(
-                cls(width, height, K, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ SONAR_FROM_OPTICAL)
-            )
+            turn = sonar.sonar_from_head[:3, :3] @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            out.append(cls(width, height, K, turn @ SONAR_FROM_OPTICAL))
         return out
+
+    def seen_from_head(self, sonar: Sonar) -> Camera:
+        """Return the camera with its rotation in the axes of the sonar's head in place of the housing's."""
+        return replace(self, rotation=sonar.sonar_from_head[:3, :3].T @ self.rotation)
 
     @property
     def pixel_from_sonar(self) -> np.ndarray:
@@ -225,7 +229,7 @@ def _ndc_from_pixels(width: int, height: int) -> np.ndarray:
 
 
 def covered_fraction(sonar: Sonar, cameras) -> float:
-    """Return the fraction of the fan's solid angle that at least one of the cameras sees."""
+    """Return the fraction of the fan's solid angle that at least one of the cameras sees, in the head's axes."""
     azimuth = np.radians(sonar.azimuth_fov_deg) * ((np.arange(512) + 0.5) / 512 - 0.5)
     sine = math.sin(math.radians(sonar.elevation_fov_deg) / 2) * ((np.arange(128) + 0.5) / 64 - 1)[:, None]
     level = np.sqrt(1 - sine * sine)

@@ -57,10 +57,13 @@ class CameraRig:
         make_stage: Callable[[Sampling], Stage],
         thread: SecondThread,
     ):
+        if sonar.tilt_deg:
+            cameras = [camera.seen_from_head(sonar) for camera in cameras]
         covered = covered_fraction(sonar, cameras)
+        tilted = f" of a head tilted {sonar.tilt_deg:g}° down" if sonar.tilt_deg else ""
         needed = (
             f"azimuths within ±{sonar.azimuth_fov_deg / 2:g}° and elevations within "
-            f"±{sonar.elevation_fov_deg / 2:g}° are needed, which the cameras of Camera.covering(sonar) see"
+            f"±{sonar.elevation_fov_deg / 2:g}°{tilted} are needed, which the cameras of Camera.covering(sonar) see"
         )
         if covered == 0:
             raise Error(f"the cameras must look into the sonar's fan (they see nothing of it; {needed})")

@@ -14,6 +14,7 @@ from sonar_gl.engine.stage import Stage
 from sonar_gl.gl.host import HostContext
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
 from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.sonar import Sonar
 
 
 class DrawnSector:
@@ -28,20 +29,21 @@ class DrawnSector:
     projection : (4, 4) float64, clip_from_eye, a sheared perspective
     lattice : (3, 3) float64, value of the uniform sonar_gl_lattice of `embed.glsl`
     width, height : pixels
-    rotation : (3, 3) float64, sonar_from_camera, optical axes: x right, y down, z ahead
+    rotation : (3, 3) float64, sonar_from_camera, optical axes: x right, y down, z ahead; with the tilt of the head
     samples : SectorSamples read at the end of the block, or None
     lost_framebuffer : whether the host had another framebuffer bound at the end of the block
 
     Matrices multiply column vectors; OpenGL takes their transposes.
     """
 
-    def __init__(self, framebuffer: Framebuffer, pose, near_m: float, far_m: float):
-        sector, view_from_sonar = framebuffer.sector, np.eye(4)
+    def __init__(self, framebuffer: Framebuffer, sonar: Sonar, pose, near_m: float, far_m: float):
+        sector, view_from_head = framebuffer.sector, np.eye(4)
         self.width, self.height = sector.columns, sector.rows
-        self.rotation = sector.rotation().T @ SONAR_FROM_OPTICAL  # a sector's axes are those of a sonar
-        view_from_sonar[:3, :3] = (self.rotation @ OPTICAL_FROM_OPENGL).T
-        self.view = view_from_sonar @ np.linalg.inv(pose)
-        self.projection = sector.projection(near_m, far_m) @ np.linalg.inv(view_from_sonar)
+        head_from_camera = sector.rotation().T @ SONAR_FROM_OPTICAL  # a sector's axes are those of a sonar
+        view_from_head[:3, :3] = (head_from_camera @ OPTICAL_FROM_OPENGL).T
+        self.rotation = sonar.sonar_from_head[:3, :3] @ head_from_camera
+        self.view = view_from_head @ np.linalg.inv(sonar.head_pose(pose))
+        self.projection = sector.projection(near_m, far_m) @ np.linalg.inv(view_from_head)
         self.lattice = np.stack([sector.u, sector.v, [1 / far_m, 0, 0]])
         self._framebuffer, self.samples, self.lost_framebuffer = framebuffer, None, False
 
@@ -108,11 +110,12 @@ class Drawing:
     def make_sectors(self, pose) -> list[DrawnSector]:
         """Return new sectors, seen from `pose`, world_from_sonar; those of the last pose are discarded."""
         self._pose = pose
-        self._sectors = [DrawnSector(one, pose, self.near_m, self._far_m) for one in self.framebuffers]
+        settings = self.stage.fan.sonar, pose, self.near_m, self._far_m
+        self._sectors = [DrawnSector(framebuffer, *settings) for framebuffer in self.framebuffers]
         return self._sectors
 
     def samples(self) -> tuple[list[SectorSamples], np.ndarray]:
-        """Return the samples of all sectors, and the pose from which the host drew them."""
+        """Return the samples of all sectors, and the pose of the sonar for which the host drew them."""
         if (n := sum(one.samples is not None for one in self._sectors)) < len(self._sectors):
             raise Error(
                 f"all sectors must be drawn before a ping is finished (got {n} of {len(self._sectors)}; draw "

@@ -234,7 +234,7 @@ class AdaptiveSampling:
             return replace(self.resolution, is_final=True)
         if self.choice.planned_poses is not None:
             return self.resolution
-        may_search = check and self._trigger.is_far(before, setup.request.pose, setup.state)
+        may_search = check and self._trigger.is_far(before, setup.head_pose, setup.state)
         return replace(self.resolution, with_bodies=True, check=check, may_search=may_search)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
@@ -324,7 +324,7 @@ class AdaptiveSampling:
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        poses = frozenset(setup.request.pose.tobytes() for setup in setups)
+        poses = frozenset(setup.head_pose.tobytes() for setup in setups)
         self.choice = Choice(self._resolution_at(level), level, plan, planned_poses=poses)
         self._warn_if_unmet(plan)
         return plan
@@ -340,7 +340,7 @@ class AdaptiveSampling:
             return True
         if self.choice.planned_poses is not None:
             return False
-        pose, state, before, check = setup.request.pose, setup.state, self.track, self.choice.check
+        pose, state, before, check = setup.head_pose, setup.state, self.track, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
         if check is None:
             self.track = Track(number, pose, state, (cost,))
@@ -378,7 +378,7 @@ class AdaptiveSampling:
         return ChosenView(tried, judged.plan)
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
-        return LastCheck(setup.request.pose, setup.state, total, self.track.number)
+        return LastCheck(setup.head_pose, setup.state, total, self.track.number)
 
     def _search(self, setup: PingSetup, level: int) -> Choice:
         """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""

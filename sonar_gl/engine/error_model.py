@@ -146,7 +146,7 @@ class ErrorModel:
         return self._drawn(self.stage_at(level), setup)
 
     def _drawn(self, stage: Stage, setup: PingSetup) -> TriedView:
-        (view,) = stage.draw([setup.request.pose], [setup.state], with_bodies=True)
+        (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
         return self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain))
 
     def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
@@ -169,7 +169,7 @@ class ErrorModel:
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
-        bodies, state, pose = self.bodies, setup.state, setup.request.pose
+        bodies, state, pose = self.bodies, setup.state, setup.head_pose
         sectors, (hits, echo) = tried.view.sectors, tried.counts
         if before is None:
             fewer = part_of(tried.stage.sampling, 1 / COARSER)

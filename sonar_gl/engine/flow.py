@@ -25,6 +25,7 @@ class PingSetup:
     Attributes
     ----------
     request : PingRequest
+    head_pose : (4, 4) world_from_head, from which the fan is drawn: the request's pose with the tilt of the head
     state : SceneState; None where a host draws
     acoustics : Acoustics in the ping's own water
     gain : (K,) float32 of each bin
@@ -34,6 +35,7 @@ class PingSetup:
     """
 
     request: PingRequest
+    head_pose: np.ndarray
     state: SceneState | None
     acoustics: Acoustics
     gain: np.ndarray

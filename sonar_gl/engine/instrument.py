@@ -45,7 +45,8 @@ class Instrument:
         if request.water is not None:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
-        return PingSetup(request, state, acoustics, gain, pulse, n_bodies, background)
+        head_pose = self.sonar.head_pose(request.pose)
+        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, background)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

@@ -11,6 +11,7 @@ from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
 # Labels are taken from the nearest cell; these are the values where there is none.
@@ -111,6 +112,13 @@ def _cell_edges(azimuth_rad, width_rad: float) -> np.ndarray:
     return np.concatenate([[2 * azimuth_rad[0] - between[0]], between, [2 * azimuth_rad[-1] - between[-1]]])
 
 
+def _in_head(velocity, sonar: Sonar):
+    """Return a velocity in the frame of the housing as one in that of the head."""
+    if sonar.tilt_deg == 0:
+        return velocity
+    return (np.reshape(velocity, (2, 3)) @ sonar.sonar_from_head[:3, :3]).ravel()
+
+
 def shown_in_motion(ping: Ping, velocity) -> Ping:
     """Return the ping of a sonar at rest as a moving one shows it.
 
@@ -122,13 +130,14 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     Parameters
     ----------
     ping : with its sonar and acoustics
-    velocity : of `shown_at`, or None for a sonar at rest
+    velocity : of `shown_at`, in the frame of the housing; or None for a sonar at rest
     """
     if velocity is None:
         return ping
     sound_speed = ping.acoustics.sound_speed()
     speeds = sound_speed, ping.acoustics.sonar_sound_speed_m_s or sound_speed
     sonar, r, own = ping.sonar, ping.range_m, ping.azimuth_rad
+    given, velocity = velocity, _in_head(velocity, sonar)
     azimuth = _cell_edges(own, math.radians(sonar.beam_width_deg))
     edges = sonar.range_min_m + ping.bin_size_m * np.arange(len(r) + 1)
     whole_turn = 2 * math.pi if azimuth[-1] - azimuth[0] > 2 * math.pi - 1e-9 else 0.0
@@ -157,5 +166,5 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         for name, array in labels.items():
             labels[name] = np.where(inside, array[cell], array.dtype.type(EMPTY_LABELS[name]))
             labels[name].setflags(write=False)
-    meta = {**ping.meta, "velocity": [float(v) for v in velocity]}
+    meta = {**ping.meta, "velocity": [float(v) for v in given]}
     return replace(ping, intensity=intensity, meta=meta, **labels)

@@ -85,7 +85,7 @@ class PingWorker:
         """Draw the image sources of pings that were just drawn; None for each without multipath."""
         if self._images is None:
             return [None] * len(setups)
-        poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
+        poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
         return self._images.draw(resolution.stage, views, poses, states)
 
     def close(self) -> None:

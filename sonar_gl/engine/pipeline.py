@@ -66,7 +66,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     background = None
     if setup.background is not None:
         state = setup.state.only(setup.background[1:])
-        (background,) = stage.draw([setup.request.pose], [state], keep_last=True)
+        (background,) = stage.draw([setup.head_pose], [state], keep_last=True)
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, background)
     labels = label(drawn) if setup.request.labels else None
@@ -85,10 +85,10 @@ def draw(
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
     stage, n = resolution.stage, len(setups)
-    poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
     shadowed = [setup for setup in setups if setup.background is not None]
     views = stage.draw(
-        poses + [setup.request.pose for setup in shadowed],
+        poses + [setup.head_pose for setup in shadowed],
         states + [setup.state.only(setup.background[1:]) for setup in shadowed],
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,

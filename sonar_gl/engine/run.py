@@ -154,7 +154,7 @@ class Run:
         images.use_scene(self.world.scene)
         if not resolution.finer_images:
             self._reset_images(any(setup.request.alone for setup in setups))
-        poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
+        poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
         return images.draw(resolution.stage, views, poses, states)
 
     def image_choice(self) -> HalvingChoice | None:
@@ -208,10 +208,10 @@ class Run:
         no_echo = None
         if received.total <= 0:
             instrument, view = self.instrument, received.drawn.view.sectors
-            no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.request.pose, view)
+            no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
         estimate = received.drawn.resolution.error_estimate
         if estimate is None:
-            estimate = self.sampler.error_estimate(setup.request.pose)
+            estimate = self.sampler.error_estimate(setup.head_pose)
         return PingReport(self.sample_origin(), estimate, no_echo)
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class DemarcoStyle:
         noise = self.noise
         if noise.speckle or noise.gaussian:
             self._warn("speckle and no gaussian noise")
-        if noise.electronic_db is not None or noise.ambient_db is not None or noise.interference_lines:
+        if noise.has_receiver_noise or noise.interference_lines:
             self._warn("receiver noise and no interference")
 
     def _warn(self, missing: str) -> None:

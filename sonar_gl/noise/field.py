@@ -13,7 +13,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.noise.k_distribution import multiply_by_texture
 from sonar_gl.noise.place_locked_speckle import place_locked_field
 from sonar_gl.noise.random_streams import stream
-from sonar_gl.noise.receiver import add_interference
+from sonar_gl.noise.receiver import add_interference, receiver_levels_db
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle
 from sonar_gl.ping import Ping
@@ -44,7 +44,7 @@ class FieldNoise:
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
         noise = self._noise
-        levels_db = [db for db in (noise.electronic_db, noise.ambient_db) if db is not None]
+        levels_db = self._levels_db()
         power = self._mean_power(*levels_db) if levels_db else None
         if noise.speckle and noise.speckle_shape is not None:
             exponential = np.ones_like(intensity)
@@ -69,6 +69,16 @@ class FieldNoise:
                 self._stream("interference"),
             )
             add_interference(intensity, noise.interference_lines, power, *receiver)
+
+    def _levels_db(self) -> list[float]:
+        """Return the levels of the noises that the receiver adds, before the TVG."""
+        noise, sonar, acoustics = self._noise, self._ping.sonar, self._ping.acoustics
+        if noise.self_noise:
+            sonar = self._required("sonar", "the level of its self-noise")
+        if noise.thermal_noise:
+            sonar = self._required("sonar", "its source level, to which thermal noise is relative")
+            acoustics = self._required("acoustics", "the bandwidth of its thermal noise")
+        return receiver_levels_db(noise, sonar, acoustics)
 
     def _apply_look(self, intensity, power, look: int) -> None:
         """Replace echoes E, in place, by one look |√E g + √N n|²: g speckle or 1, n receiver noise.
@@ -108,7 +118,8 @@ class FieldNoise:
             return stream(self._seed, 0, term, *key, look)
 
         shape = len(self._ping.range_m), self._bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
-        return place_locked_field(self._correlation, *shape, np.asarray(pose), generator, self._pulse)
+        head_pose = np.asarray(sonar.head_pose(pose))
+        return place_locked_field(self._correlation, *shape, head_pose, generator, self._pulse)
 
     def _stream(self, term: str) -> np.random.Generator:
         """Return the term's random generator, which continues from one look to the next."""
@@ -164,7 +175,8 @@ class FieldNoise:
         """Return the ping's attribute `name`, or raise an Error if the ping has none."""
         value = getattr(self._ping, name)
         if value is None:
+            article, them = ("its", "them") if name == "acoustics" else ("a", "one")
             raise Error(
-                f"noise: the ping must have a {name} for {purpose} (got None; pings of a Simulator have one)"
+                f"noise: the ping must have {article} {name} for {purpose} (got None; pings of a Simulator have {them})"
             )
         return value

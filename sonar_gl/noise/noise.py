@@ -36,7 +36,7 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
     seed, ping_number = check_seed(seed), check_seed(ping_number, "ping_number")
     if noise is None:
         return ping
-    receiver = noise.electronic_db is not None or noise.ambient_db is not None or noise.interference_lines
+    receiver = noise.has_receiver_noise or noise.interference_lines
     field_terms = noise.speckle or receiver
     if not (field_terms or noise.gaussian or noise.median or noise.salt_and_pepper):
         return ping

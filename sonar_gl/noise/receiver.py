@@ -1,11 +1,18 @@
-"""Noise that the receiver adds to echoes: levels of thermal noise, and interference from other sonars."""
+"""Noise that the receiver adds to echoes: absolute and relative levels, and interference from other sonars."""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
+from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.beam_pattern import aperture_field
+from sonar_gl.core.errors import Error
+from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
+from sonar_gl.sonar.sonar import Sonar
 
 PULSE_S = 100e-6  # length of an interfering sonar's pulse
 SIDE_LOBES = 10**-3.5  # floor of the receive beam pattern, power relative to its axis
@@ -57,6 +64,99 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
     """
     level = thermal_noise_db(frequency_hz) + 10 * np.log10(np.asarray(bandwidth_hz, np.float64))
     return level - source_level_db - 10 * np.log10(4)
+
+
+class AbsoluteLevels(NamedTuple):
+    """The terms of the active sonar equation, for a sonar whose source level is known.
+
+    Attributes
+    ----------
+    source_level_db : SL, dB re 1 µPa at 1 m
+    bandwidth_hz : B of the matched filter
+    directivity_index_db : DI = 10 log10(4π/Ω), where the beam of solid angle Ω counts as a box: `beam_width_deg`
+        wide and `elevation_fov_deg` high
+    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert surface that surrounds the sonar at
+        1 m, to which levels of `Noise` and an intensity of 1 before the TVG refer. At range r it is lower by the
+        transmission loss of the way from 1 m, less 20 log10 r, by which the insonified area grows
+    thermal_noise_level_db : dB re 1 µPa, NL + 10 log10 B of `thermal_noise_db`, in all directions
+    thermal_noise_db : the part of it that the beam receives, NL + 10 log10 B − DI, dB relative to `echo_level_db`
+    self_noise_level_db : dB re 1 µPa, the plane wave on the axis of the beam that is as strong as the self-noise
+    """
+
+    source_level_db: float
+    bandwidth_hz: float
+    directivity_index_db: float
+    echo_level_db: float
+    thermal_noise_level_db: float
+    thermal_noise_db: float
+    self_noise_level_db: float
+
+
+def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
+    """Return the absolute terms of the active sonar equation [1]_.
+
+    Parameters
+    ----------
+    sonar : with its `source_level_db`. Without a `bandwidth_hz` its resolution cell is as long as a bin
+    acoustics : Acoustics; its speed of sound counts where the bandwidth follows from the bins
+
+    Raises
+    ------
+    Error
+        if the source level is not known.
+
+    References
+    ----------
+    .. [1] Urick, Principles of Underwater Sound, 3rd ed., 1983
+
+    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> sonar = load_sonar("p900-45,bandwidth_hz=30e3,source_level_db=205")
+    >>> levels = absolute_levels(sonar, Acoustics.physical())
+    >>> round(levels.directivity_index_db, 1), round(levels.thermal_noise_db, 2), round(levels.echo_level_db, 1)
+    (33.2, -122.16, 177.9)
+    """
+    level_db = sonar.source_level_db
+    if level_db is None:
+        raise Error(
+            f"sonar {sonar.name!r}: source_level_db must be known for absolute levels and thermal noise "
+            "(got None; give it in the sonar's file or by --sonar ...,source_level_db=..., or give the noise as "
+            "ambient_db)"
+        )
+    bandwidth_hz = acoustics.pulse_response(sonar)[0]
+    height = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+    solid_angle_sr = math.radians(sonar.beam_width_deg) * height
+    echo_level_db = level_db + 10 * math.log10(solid_angle_sr / math.pi)
+    return AbsoluteLevels(
+        source_level_db=level_db,
+        bandwidth_hz=bandwidth_hz,
+        directivity_index_db=10 * math.log10(4 * math.pi / solid_angle_sr),
+        echo_level_db=echo_level_db,
+        thermal_noise_level_db=float(thermal_noise_db(sonar.frequency_hz)) + 10 * math.log10(bandwidth_hz),
+        thermal_noise_db=float(ambient_noise_db(sonar.frequency_hz, bandwidth_hz, level_db)),
+        self_noise_level_db=echo_level_db + sonar.self_noise_db,
+    )
+
+
+def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics | None) -> list[float]:
+    """Return the level of each noise that the receiver adds, before the TVG.
+
+    Parameters
+    ----------
+    sonar, acoustics : may be None where the noise has neither self-noise nor thermal noise
+
+    Returns
+    -------
+    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+
+    Raises
+    ------
+    Error
+        if thermal noise is on and the sonar's source level is not known.
+    """
+    out = [sonar.self_noise_db] if noise.self_noise else []
+    if noise.thermal_noise:
+        out.append(absolute_levels(sonar, acoustics).thermal_noise_db)
+    return out if noise.ambient_db is None else [*out, noise.ambient_db]
 
 
 def add_interference(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +17,15 @@ BOUNDS = (  # field, least, most, hint
     ("salt_and_pepper", 0, 1, "a fraction of the bins"),
     ("cloud_gaussian_m", 0, 10, "give metres"),
     ("speckle_shape", 0.05, 1e4, "below 1 is spiky, None is fully developed"),
-    ("electronic_db", -300, 100, LEVEL),
     ("ambient_db", -300, 100, LEVEL),
     ("interference_lines", 0, 1000, "a mean number in a ping"),
     ("interference_db", -300, 100, LEVEL),
 )
-MAY_BE_NONE = ("speckle_shape", "electronic_db", "ambient_db")
-SWITCHES = ("speckle", "follow_motion")
+MAY_BE_NONE = ("speckle_shape", "ambient_db")
+SWITCHES = ("speckle", "follow_motion", "self_noise", "thermal_noise")
+MOVED = {
+    "electronic_db": ("self_noise", "self_noise_db")
+}  # field: the switch in its place, its name in `Sonar`
 
 
 @dataclass(frozen=True)
@@ -47,16 +50,19 @@ class Noise:
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
         the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
-    electronic_db, ambient_db : mean power of the receiver's self-noise and of ambient noise before the TVG,
-        dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None for none.
-        The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
+    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`. The TVG of range law
+        "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
+    ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a surface of
+        reflectivity 1 that surrounds the sonar at 1 m, likewise; None for none
     interference_lines : mean number of pulses of another sonar in a ping
-    interference_db : power of such a pulse on the axis of a beam, as `electronic_db`
+    interference_db : power of such a pulse on the axis of a beam, as `ambient_db`
+    thermal_noise : the thermal noise of the water, which adds as `self_noise`. Its level follows from the sonar's
+        `source_level_db`, by `receiver.absolute_levels`
 
     Raises
     ------
     Error
-        if an amount is out of bounds.
+        if an amount is out of bounds, or has moved to `Sonar`.
     """
 
     speckle: bool = False
@@ -67,10 +73,11 @@ class Noise:
     speckle_shape: float | None = None
     looks: int = 1
     follow_motion: bool = False
-    electronic_db: float | None = None
+    self_noise: bool = False
     ambient_db: float | None = None
     interference_lines: float = 0.0
     interference_db: float = -40.0
+    thermal_noise: bool = False
 
     def __post_init__(self):
         for key in SWITCHES:
@@ -89,6 +96,16 @@ class Noise:
         if not is_number(self.median) or self.median not in (0, 3, 5):
             raise Error(f"noise: median must be 0, 3 or 5 (got {shown(self.median)}; 0 is none)")
 
+    def __new__(cls, *arguments, **fields):
+        """Refuse fields that describe the device."""
+        check_moved("noise", fields)
+        return super().__new__(cls)
+
+    @property
+    def has_receiver_noise(self) -> bool:
+        """Whether the receiver adds noise, its own or the water's."""
+        return bool(self.self_noise or self.thermal_noise or self.ambient_db is not None)
+
     @classmethod
     def none(cls) -> Noise:
         """Return no noise."""
@@ -106,11 +123,12 @@ class Noise:
     def physical(cls) -> Noise:
         """Return speckle, and self-noise that shows in distant shadows.
 
-        At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB becomes −43 dB
-        of full scale; at 10 m it becomes −64 dB. The level is 32 dB above the thermal noise of
-        `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not measured.
+        At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB, the default of
+        `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 32 dB above the
+        thermal noise of `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not
+        measured.
         """
-        return cls(speckle=True, electronic_db=-90.0)
+        return cls(speckle=True, self_noise=True)
 
     @classmethod
     def parse(cls, text: str) -> Noise:
@@ -120,9 +138,22 @@ class Noise:
 
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
-        >>> Noise.parse("physical,electronic_db=none") == Noise(speckle=True)
+        >>> Noise.parse("physical,self_noise=off") == Noise(speckle=True)
         True
         """
+        check_moved(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
         profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
         profile, amounts = parse_fields("noise", text, cls, presets=profiles)
         return replace(profiles[profile or "none"](), **amounts)
+
+
+def check_moved(what: str, names: Iterable[str]) -> None:
+    """Raise an Error for the first name that is a field of `Sonar` now."""
+    for name in names:
+        if name in MOVED:
+            switch, new = MOVED[name]
+            raise Error(
+                f"{what}: {name} describes the device, and is {new} of Sonar now (switch it on by {switch} here, and "
+                f"write the level as {new} in a sonar's TOML file, by --sonar p900-45,{new}=..., or by "
+                "dataclasses.replace; ambient_db is a level of the noise alone)"
+            )

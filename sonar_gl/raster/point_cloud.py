@@ -15,14 +15,14 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 
-def point_cloud(engine: RasterEngine, sonar: Sonar, pose, columns: int, rows: int):
+def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, rows: int):
     """Return what `Simulator.point_cloud` gives; inside `drawing`."""
     # one beam a column, that reach to the edges of the field of view and not beyond
     sonar = replace(sonar, n_beams=columns, beam_azimuths_deg=None, beam_spacing="angle")
     reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
     fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
     renderer = engine.make_renderer(fan, False, engine.make_room())
-    (view,) = renderer.render([pose], [_diffuse(engine.meshes)], full=True)
+    (view,) = renderer.render([head_pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []
     for sector, plane_echo, _ in view.sectors:
         u, v = sector.sample_coordinates()

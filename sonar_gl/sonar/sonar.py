@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +24,7 @@ from sonar_gl.core.checks import (
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
@@ -37,6 +39,7 @@ CHOICES = {  # field: allowed names
     "elevation_taper": TAPERS,
     "pulse_taper": ("uniform", "hamming"),
 }
+MAY_BE_NONE = "transmit_width_deg", "bandwidth_hz", "ping_rate_max_hz", "source_level_db"
 UNPARSED = "name", "beam_azimuths_deg", "source", "counts"  # fields that a command line cannot set
 
 
@@ -72,6 +75,13 @@ class Sonar:
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
     counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
+    tilt_deg : tilt of the head, which holds the arrays, inside the housing, degrees, positive down. Poses are those of
+        the housing; azimuths, elevations and the fan are those of the head
+    ping_rate_max_hz : pings per second that the device makes at most, however short the range; None: not known
+    keeps_n_bins : whether the device divides any range into `n_bins`; otherwise its bins stay as long as they are
+    source_level_db : level of the transmitted pulse on the projector's axis, dB re 1 µPa at 1 m; None: not known
+    self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a surface of
+        reflectivity 1 that surrounds the sonar at 1 m; `Noise.self_noise` switches it on
 
     Raises
     ------
@@ -100,6 +110,11 @@ class Sonar:
     bandwidth_hz: float | None = None
     pulse_taper: str = "hamming"
     counts: Counts = DEFAULT_COUNTS
+    tilt_deg: float = 0.0
+    ping_rate_max_hz: float | None = None
+    keeps_n_bins: bool = False
+    source_level_db: float | None = None
+    self_noise_db: float = -90.0
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
@@ -118,11 +133,17 @@ class Sonar:
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
+            ("tilt_deg", -90, 90, "give degrees, positive down"),
+            ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
+            ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),
+            ("self_noise_db", -300, 100, "dB relative to the echo of an enclosing surface at 1 m"),
         ):
             value = getattr(self, key)
-            if value is None and key in ("transmit_width_deg", "bandwidth_hz"):
+            if value is None and key in MAY_BE_NONE:
                 continue
             check_number(f"{location}: {key}", value, low, high, hint)
+        if not isinstance(self.keeps_n_bins, bool):
+            raise Error(f"{location}: keeps_n_bins must be true or false (got {shown(self.keeps_n_bins)})")
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, location)
         if self.beam_spacing == "sine" and self.azimuth_fov_deg > 180:
@@ -135,13 +156,13 @@ class Sonar:
                 f"{location}: range_min_m must be less than range_max_m "
                 f"(got {self.range_min_m:g} and {self.range_max_m:g})"
             )
-        # at most 2π wide, and finer than the beams of any device: unlikely but possible, thus a warning
-        if self.n_beams > 8 and self.azimuth_fov_deg <= 6.2832 and self.azimuth_fov_deg / self.n_beams < 0.02:
-            warnings.warn(
-                f"{location}: azimuth_fov_deg = {self.azimuth_fov_deg:g} puts {self.n_beams} beams within less "
-                f"than 7 degrees; if it is in radians, give {math.degrees(self.azimuth_fov_deg):.4g}",
-                stacklevel=3,
+        if self.bandwidth_hz is not None and self.bandwidth_hz > self.frequency_hz:
+            raise Error(
+                f"{location}: bandwidth_hz must not exceed frequency_hz "
+                f"(got {self.bandwidth_hz:g} and {self.frequency_hz:g}; give both in hertz)"
             )
+        for text in self._likely_mistakes():
+            warnings.warn(f"{location}: {text}", stacklevel=3)
         if self.beam_azimuths_deg is not None:
             azimuths = frozen_array(
                 self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
@@ -154,6 +175,34 @@ class Sonar:
                     f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"
                 )
             object.__setattr__(self, "beam_azimuths_deg", tuple(azimuths.tolist()))
+
+    def _likely_mistakes(self) -> Iterator[str]:
+        """Yield a sentence about each number that looks like one of another unit: unlikely but possible."""
+        spacing_deg = self.azimuth_fov_deg / self.n_beams
+        # at most 2π wide, and finer than the beams of any device
+        if self.n_beams > 8 and self.azimuth_fov_deg <= 6.2832 and spacing_deg < 0.02:
+            yield (
+                f"azimuth_fov_deg = {self.azimuth_fov_deg:g} puts {self.n_beams} beams within less "
+                f"than 7 degrees; if it is in radians, give {math.degrees(self.azimuth_fov_deg):.4g}"
+            )
+        if self.n_beams > 8 and self.beam_width_deg < min(0.05, spacing_deg / 5):
+            yield (
+                f"beam_width_deg = {self.beam_width_deg:g} leaves gaps between beams that are {spacing_deg:.3g} "
+                f"degrees apart; if it is in radians, give {math.degrees(self.beam_width_deg):.4g}"
+            )
+        # a pulse shorter than a half of its wavelength has no bandwidth to be resolved with; c is about 1500 m/s
+        half_wavelength_m = 750.0 / self.frequency_hz
+        if self.bin_size_m < half_wavelength_m / 20:
+            yield (
+                f"bins of {1e3 * self.bin_size_m:.3g} mm are far below the wavelength; if range_min_m and "
+                f"range_max_m are in kilometres, give {1e3 * self.range_min_m:g} and {1e3 * self.range_max_m:g}"
+            )
+        # sea water absorbs about 0.3 dB/m at 1 MHz, and less in proportion below: 600 dB there and back
+        if self.range_max_m * self.frequency_hz > 1e9:
+            yield (
+                f"no echo of {self.frequency_hz / 1e3:g} kHz comes back from range_max_m = {self.range_max_m:g} m; "
+                f"if it is in millimetres, give {self.range_max_m / 1e3:g}"
+            )
 
     @property
     def azimuth_rad(self) -> np.ndarray:
@@ -181,26 +230,54 @@ class Sonar:
         """Length of a bin, metres."""
         return (self.range_max_m - self.range_min_m) / self.n_bins
 
+    @property
+    def sonar_from_head(self) -> np.ndarray:
+        """The pose of the tilted head in the frame of the housing, (4, 4) float64."""
+        return make_pose(pitch=math.radians(self.tilt_deg))
+
+    def head_pose(self, world_from_sonar: np.ndarray) -> np.ndarray:
+        """Return the pose of the head, from which the fan is seen, for a pose of the housing.
+
+        Parameters
+        ----------
+        world_from_sonar : (4, 4)
+
+        Returns
+        -------
+        (4, 4) world_from_head, read-only; the pose itself if the head is not tilted
+        """
+        if self.tilt_deg == 0:
+            return world_from_sonar
+        out = np.asarray(world_from_sonar) @ self.sonar_from_head
+        out.setflags(write=False)
+        return out
+
     def max_ping_rate_hz(self, sound_speed_m_s: float) -> float:
-        """Return the highest ping rate, hertz: the echo from range_max_m arrives after 2R/c, before the next ping.
+        """Return the highest ping rate, hertz: the lesser of `ping_rate_max_hz` and of the rate that sound allows.
+
+        The echo from range_max_m arrives after 2R/c, before the next ping.
 
         Parameters
         ----------
         sound_speed_m_s : c, metres per second
 
-        >>> round(load_sonar("p900-45").with_range(30.0).max_ping_rate_hz(1500.0), 6)
-        25.0
+        >>> sonar = load_sonar("p900-45")
+        >>> round(sonar.with_range(75.0).max_ping_rate_hz(1500.0), 6), sonar.with_range(30.0).max_ping_rate_hz(1500.0)
+        (10.0, 15.0)
         """
-        return sound_speed_m_s / (2 * self.range_max_m)
+        by_device_hz = math.inf if self.ping_rate_max_hz is None else float(self.ping_rate_max_hz)
+        return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
 
     def with_range(self, range_max_m: float) -> Sonar:
-        """Return the sonar set to another maximum range, with bins of the same size."""
+        """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them."""
         if is_number(range_max_m) and not range_max_m > self.range_min_m:  # also NaN
             raise Error(
                 f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "
                 f"(got {number_text(range_max_m)})"
             )
         check_number(f"sonar {self.name!r}: the range", range_max_m, *RANGE_MAX_BOUNDS_M, "give metres")
+        if self.keeps_n_bins:
+            return replace(self, range_max_m=range_max_m)
         n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
 

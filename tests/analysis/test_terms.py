@@ -12,6 +12,7 @@ from sonar_gl.analysis import terms
 from sonar_gl.analysis.terms import SPECKLE, TERMS, differs, everything_on, needed_acoustics, price, without
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.receiver import receiver_levels_db
 from tests.support.plain_scenes import without_materials
 
 SONAR = sg.Sonar("small", 900e3, 32, 160, 40.0, 16.0, 2.0, 0.5, 12.5)
@@ -43,14 +44,14 @@ def image_of(ping, acoustics, noise, speckle):
     """Return a ping with its noise; without speckle, the mean of many such pings."""
     if speckle and noise.speckle:
         return np.float64(add_noise(ping, noise, 0).intensity)
-    power = 0.0 if noise.electronic_db is None else 10 ** (noise.electronic_db / 10)
+    power = sum(10 ** (db / 10) for db in receiver_levels_db(noise, SONAR, acoustics))
     return ping.intensity + power * acoustics.tvg(SONAR.range_m, SONAR)
 
 
 def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
     scene = room()
     full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
-    noise = replace(noise, electronic_db=-50.0)
+    noise = replace(noise, self_noise=False, ambient_db=-50.0)
     with sg.Simulator(scene, SONAR, full, tolerance=0.05) as simulator:
         ping = simulator.ping(scene.sonar_pose)
     many = np.mean([np.float64(add_noise(ping, noise, seed).intensity) for seed in range(400)], axis=0)
@@ -160,7 +161,7 @@ def test_terms_without_anything_to_act_on_change_and_cost_nothing():
 def test_absorption_acts_through_the_noise_that_the_tvg_amplifies():
     """A right TVG cancels absorption in the echo; a TVG of fixed absorption does not."""
     scene = room()
-    assert priced(scene, noise=sg.Noise(speckle=True, electronic_db=-300.0))["absorption"].changes < 1e-6
+    assert priced(scene, noise=sg.Noise(speckle=True, ambient_db=-300.0))["absorption"].changes < 1e-6
     wrong = sg.Acoustics.physical(tvg_absorption_db_m=0.0)
     changes = priced(scene, acoustics=wrong)["absorption"].changes
     assert changes > 1  # 0.35 dB/m, both ways, over some 10 m: without it most echoes are twice as strong
@@ -257,7 +258,7 @@ def test_mistakes():
 
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_a_scene_without_echo_needs_no_term():
-    found = price(sg.Scene([], sg.pose()), SONAR, noise=sg.Noise(speckle=True, electronic_db=-300.0))
+    found = price(sg.Scene([], sg.pose()), SONAR, noise=sg.Noise(speckle=True, ambient_db=-300.0))
     assert [one.changes for one in found if one.name in ACOUSTIC and one.name != "absorption"] == [0] * 6
 
 

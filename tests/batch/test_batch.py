@@ -137,13 +137,27 @@ def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     assert mesh.get_array().size == 24 * 80
 
 
+def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
+    assert list(requests.rate_warnings()) == []  # 5 pings a second
+    level = requests.sonars["level"]
+    job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
+    quick = BatchRequests(job)
+    by_sound_hz = requests.acoustics.sound_speed() / (2 * level.range_max_m)
+    quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
+    assert [text.split(": ", 2)[2] for text in quick.rate_warnings()] == [
+        f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
+        "(got 100; its range, its ping_rate_max_hz, or the times)"
+        for name, rate_hz in (("level", by_sound_hz), ("slow", 20.0))
+    ]
+
+
 def test_varied_values_are_stored(small, requests):
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
     n_present = 0
     for number in range(N):
         request, stored = requests[number], data.isel(ping=number)
         assert float(stored.water_temperature_c) == request.water["temperature_c"]
-        assert float(stored.noise_electronic_db) == request.noise.electronic_db
+        assert float(stored.noise_ambient_db) == request.noise.ambient_db
         pose = request.bodies["box_1"]
         assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
         if pose is not None:
@@ -557,9 +571,14 @@ BAD = [
     ),
     ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
     (
+        "ambient_db",
+        "ambience_db",
+        "vary.noise: unknown key (got 'ambience_db'; did you mean 'ambient_db'",
+    ),
+    (
+        "ambient_db",
         "electronic_db",
-        "electric_db",
-        "vary.noise: unknown key (got 'electric_db'; did you mean",
+        "vary.noise: electronic_db describes the device, and is self_noise_db of Sonar now",
     ),
     (
         'names = ["box_*"]',
@@ -577,7 +596,7 @@ BAD = [
         "bodies[0].reflectivity: should lie in 0..1",
     ),
     (
-        "electronic_db = [-80.0, -60.0]",
+        "ambient_db = [-80.0, -60.0]",
         "median = [3, 5]",
         "vary.noise: median cannot vary; set it in the table noise",
     ),

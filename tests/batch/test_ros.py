@@ -158,6 +158,14 @@ def test_a_target_to_port_is_to_port(tmp_path, read, y_sign):
         assert bearings == sorted(bearings) and bearings[beam] < 0
 
 
+def test_beams_are_those_of_the_tilted_head(tmp_path):
+    tilted = replace(IMAGING_SONAR, tilt_deg=10.0)
+    messages = by_rosbags(write(tmp_path, record(ping=make_ping(sonar=tilted))))
+    np.testing.assert_allclose(placed(messages, "p900_45"), SONAR, atol=1e-7)
+    ahead = placed(messages, "p900_45_beams")[:3, 2]
+    np.testing.assert_allclose(ahead, (SONAR @ pose(pitch=math.radians(10)))[:3, 0], atol=1e-7)
+
+
 def test_the_frames_have_the_documented_directions(tmp_path):
     for y_sign, down in (("port", 1), ("starboard", -1)):
         messages = by_rosbags(write(tmp_path, record(), settings=BagSettings(y_sign)))

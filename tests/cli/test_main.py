@@ -583,7 +583,7 @@ def test_unknown_scene_and_sonar_name_the_nearest():
     known = ", ".join(sorted(sg.bundled_scenes()))
     assert refused(scene="xxx") == f"there is no bundled scene 'xxx' (known are {known}; {endings})"
     assert refused(sonar="p900-46") == (
-        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'p900-130'?)"
+        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
     )
 
 

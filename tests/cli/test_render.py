@@ -6,6 +6,7 @@ import re
 import threading
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -206,7 +207,13 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
 
 
 def test_poses_that_follow_too_quickly(tmp_path):
-    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
+    scene, preset = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
+    with sg.Simulator(scene, preset, sampling=sg.Sampling(0.5, 24)) as simulator:
+        out = command.FrameWriter(simulator, None, tmp_path, ("npz",), sg.Noise())
+        why = r"must be 0\.06667 s apart or more, since sonar 'p900-45' makes 15 pings a second at most \(got 0\.05 s;"
+        with pytest.warns(UserWarning, match=why):
+            out.write(np.stack([scene.sonar_pose] * 2), np.array([0.0, 0.05]))
+    sonar = replace(preset, ping_rate_max_hz=None)
     with sg.Simulator(scene, sonar, sampling=sg.Sampling(0.5, 24)) as simulator:
         assert sonar.max_ping_rate_hz(1500.0) == 50.0
         least_s = 2 * 15.0 / simulator.acoustics.sound_speed()

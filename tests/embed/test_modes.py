@@ -112,6 +112,21 @@ def test_a_target_to_port_is_received_to_port():
     assert np.argwhere(image > image.max() - 0.1)[:, 1].mean() < image.shape[1] / 2
 
 
+def test_sectors_are_drawn_from_the_tilted_head():
+    sonar, pitched = replace(SONAR, tilt_deg=12.0), sg.pose(pitch=math.radians(12.0))
+    scene = scene_of()
+    host = gl_host.Program(scene)
+    with embed.Sensor(sonar, sampling=SAMPLING) as sensor, embed.Sensor(SONAR, sampling=SAMPLING) as level:
+        for one, other in zip(sensor.sectors(POSE), level.sectors(POSE @ pitched), strict=True):
+            assert np.array_equal(one.view, other.view) and np.array_equal(one.projection, other.projection)
+            # of the sonar, whose pose the host knows
+            assert np.allclose(one.rotation, pitched[:3, :3] @ other.rotation, rtol=0, atol=1e-15)
+        draw(host, sensor)
+        ping = sensor.finish()
+    assert np.array_equal(ping.pose, POSE)
+    assert difference(ping, simulate(scene, sonar)) < ROUNDING
+
+
 def test_noise_and_motion_act_as_in_the_simulator():
     scene = scene_of()
     host = gl_host.Program(scene)

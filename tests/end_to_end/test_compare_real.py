@@ -262,7 +262,7 @@ def test_the_page_has_the_table(table):
     told = (
         compare_real.PATCH_DB,
         compare_real.BEAM_WIDTH_DEG,
-        compare_real.NOISE_DB,
+        compare_real.SELF_NOISE_DB,
         1e3 * compare_real.DRIFT_M,
     )
     for number, unit in zip(told, (" dB", "°", "`", " mm"), strict=True):

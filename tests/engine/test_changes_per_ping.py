@@ -16,7 +16,7 @@ BALL, BOX = trimesh.creation.icosphere(3, 0.5), trimesh.creation.box((0.6, 0.8, 
 PATCHY = np.linspace(0.1, 1.0, 12)
 # a TVG set for other water, so that the gain depends on the water; a pulse, so that the speed of sound matters
 ACOUSTICS = sg.Acoustics.physical(tvg_k=30.0, tvg_absorption_db_m=0.2, pulse=True, multipath="incoherent")
-NOISE = sg.Noise(speckle=True, electronic_db=-60.0)
+NOISE = sg.Noise(speckle=True, ambient_db=-60.0)
 POSES = [sg.pose(0.1 * k, 0.05 * k, -2.0, yaw=0.02 * k) for k in range(7)]
 COLD = {"temperature_c": 2.0, "salinity_psu": 5.0}
 FAST = [2.0, 0.5, 0, 0, 0, 0.4]

@@ -18,7 +18,7 @@ from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import SIGMAS, even_ping
 
 LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
-ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, -20.0, -30.0, 3.0)
+ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, True, -30.0, 3.0)
 
 
 def message(call, *args, **kwargs) -> str:
@@ -161,7 +161,7 @@ def test_read_only_and_transposed_arrays():
 def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
-    assert Noise.physical() == Noise(speckle=True, electronic_db=-90.0)
+    assert Noise.physical() == Noise(speckle=True, self_noise=True)
 
 
 @pytest.mark.parametrize(
@@ -173,11 +173,11 @@ def test_profiles():
         ("gaussian=0.01,median=3", Noise(gaussian=0.01, median=3)),
         (" speckle , gaussian = 1e-3 ", Noise(speckle=True, gaussian=1e-3)),
         ("speckle=no", Noise()),
-        ("physical,median=3.0", Noise(speckle=True, electronic_db=-90.0, median=3)),
+        ("physical,median=3.0", Noise(speckle=True, self_noise=True, median=3)),
         ("speckle,follow_motion,looks=4", Noise(speckle=True, follow_motion=True, looks=4)),
         ("speckle,speckle_shape=0.5,follow_motion=no", Noise(speckle=True, speckle_shape=0.5)),
-        ("electronic_db=-85,ambient_db=-100", Noise(electronic_db=-85.0, ambient_db=-100.0)),
-        ("physical,electronic_db=none,speckle_shape=none", Noise(speckle=True)),
+        ("self_noise,ambient_db=-100", Noise(self_noise=True, ambient_db=-100.0)),
+        ("physical,self_noise=off,speckle_shape=none", Noise(speckle=True)),
         ("interference_lines=2,interference_db=-30", Noise(interference_lines=2, interference_db=-30)),
     ],
 )
@@ -200,17 +200,23 @@ def test_parse(text, noise):
         (
             "median=3,none",
             "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
-            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
-            "salt_and_pepper, speckle, speckle_shape)",
+            "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
         ),
         (
             "none=1",
             "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
-            "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
-            "salt_and_pepper, speckle, speckle_shape)",
+            "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
+            "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
         ),
         ("gaussian=a", "noise 'gaussian=a': gaussian must be a number (got 'a')"),
         ("median", "noise 'median': median must have a value, as in median=... (got none)"),
+        (
+            "physical,electronic_db=-50",
+            "noise 'physical,electronic_db=-50': electronic_db describes the device, and is self_noise_db of Sonar now "
+            "(switch it on by self_noise here, and write the level as self_noise_db in a sonar's TOML file, by --sonar "
+            "p900-45,self_noise_db=..., or by dataclasses.replace; ambient_db is a level of the noise alone)",
+        ),
         ("speckle=2", "noise 'speckle=2': speckle must be yes or no (got '2')"),
         ("median=3,median=5", "noise 'median=3,median=5': median must be given once"),
         ("median=4", "noise: median must be 0, 3 or 5 (got 4; 0 is none)"),
@@ -227,9 +233,9 @@ def test_wrong_text(text, expected):
 
 def test_empty_text_names_all_choices():
     assert message(Noise.parse, "") == (
-        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, electronic_db, "
+        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, "
         "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
-        "salt_and_pepper, speckle, speckle_shape)"
+        "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)"
     )
 
 
@@ -251,8 +257,8 @@ def test_empty_text_names_all_choices():
             "noise: follow_motion needs speckle (got True without it; switch speckle on)",
         ),
         (
-            {"electronic_db": np.nan},
-            f"noise: electronic_db must lie in -300..100 (got nan; {LEVEL})",
+            {"ambient_db": np.nan},
+            f"noise: ambient_db must lie in -300..100 (got nan; {LEVEL})",
         ),
         (
             {"ambient_db": 101},

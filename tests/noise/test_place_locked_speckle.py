@@ -50,7 +50,7 @@ def test_a_still_sonar_has_a_still_pattern(noise):
 
 def test_receiver_noise_is_new_in_each_ping():
     ping = even_ping(pose=pose(0.2, 0.2, 0, 0, 0, 0))
-    first, second = patterns(replace(PLACE_LOCKED, electronic_db=0.0), ping, 2)
+    first, second = patterns(replace(PLACE_LOCKED, ambient_db=0.0), ping, 2)
     assert (first != second).mean() > 0.99
 
 

@@ -8,8 +8,9 @@ import pytest
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import SIDE_LOBES, ambient_noise_db, thermal_noise_db
+from sonar_gl.noise.receiver import SIDE_LOBES, absolute_levels, ambient_noise_db, thermal_noise_db
 from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.sonar import Sonar
 from tests.support.even_ping import FREQUENCY_HZ, SIGMAS, correlation, even_ping
 
 
@@ -24,14 +25,79 @@ def test_thermal_noise_level():
     assert second - first == pytest.approx(2.0103, abs=1e-4)
 
 
+def test_absolute_levels_by_hand():
+    """A beam of 1° x 20° at 500 kHz, SL 210 dB, 100 kHz of bandwidth: the active sonar equation, term by term."""
+    sonar = Sonar(
+        "s",
+        500e3,
+        64,
+        100,
+        60.0,
+        20.0,
+        1.0,
+        0.5,
+        30.0,
+        bandwidth_hz=100e3,
+        source_level_db=210.0,
+        self_noise_db=-80.0,
+    )
+    levels = absolute_levels(sonar, Acoustics.physical())
+    beam_sr = np.radians(1.0) * 2 * np.sin(np.radians(10.0))
+    assert levels.source_level_db == 210 and levels.bandwidth_hz == 100e3
+    assert levels.directivity_index_db == pytest.approx(10 * np.log10(4 * np.pi / beam_sr), abs=1e-12)
+    # Lambert's lossless surface: 1/π per steradian, over the area Ω that the beam cuts out at 1 m
+    assert levels.echo_level_db == pytest.approx(210 + 10 * np.log10(1 / np.pi * beam_sr), abs=1e-12)
+    assert levels.thermal_noise_level_db == pytest.approx(-15 + 20 * np.log10(500) + 50, abs=1e-12)
+    received_db = levels.thermal_noise_level_db - levels.directivity_index_db
+    assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-12)
+    assert levels.self_noise_level_db == pytest.approx(levels.echo_level_db - 80, abs=1e-12)
+
+
+def test_thermal_noise_has_the_level_that_follows_from_the_sonar():
+    ping = even_ping(200, 1000, 2.0, level=0.0, source_level_db=180.0, bandwidth_hz=100e3)
+    wanted = 10 ** (absolute_levels(ping.sonar, ping.acoustics).thermal_noise_db / 10)
+    assert noisy(Noise(thermal_noise=True), ping).mean() == pytest.approx(wanted, rel=SIGMAS / np.sqrt(2e5))
+    both = noisy(Noise(thermal_noise=True, ambient_db=10 * np.log10(wanted)), ping)
+    assert both.mean() == pytest.approx(2 * wanted, rel=SIGMAS / np.sqrt(2e5))
+
+
+@pytest.mark.parametrize(
+    ("noise", "lacks", "message"),
+    [
+        (
+            Noise(thermal_noise=True),
+            {},
+            "sonar 'even': source_level_db must be known for absolute levels and thermal noise (got None; give it in "
+            "the sonar's file or by --sonar ...,source_level_db=..., or give the noise as ambient_db)",
+        ),
+        (
+            Noise(self_noise=True),
+            {"sonar": None},
+            "noise: the ping must have a sonar for the level of its self-noise "
+            "(got None; pings of a Simulator have one)",
+        ),
+        (
+            Noise(thermal_noise=True),
+            {"acoustics": None},
+            "noise: the ping must have its acoustics for the bandwidth of its thermal noise "
+            "(got None; pings of a Simulator have them)",
+        ),
+    ],
+)
+def test_levels_need_what_they_follow_from(noise, lacks, message):
+    with pytest.raises(Error) as caught:
+        add_noise(replace(even_ping(), **lacks), noise, 0)
+    assert str(caught.value) == message
+
+
 @pytest.mark.parametrize("speckle", [True, False])
 def test_noise_rises_with_the_tvg(speckle):
     acoustics = Acoustics.physical(tvg_k=30.0)
-    ping = even_ping(200, 4000, 2.0, level=0.0, **acoustics.meta())
+    ping = even_ping(200, 4000, 2.0, level=0.0, self_noise_db=-30.0, **acoustics.meta())
     r = ping.range_m
     expected = 2e-3 * r**3 * 10 ** (2 * acoustics.absorption(FREQUENCY_HZ) * r / 10)
     assert expected[-1] / expected[0] > 1e7  # from 1 to 51 m
-    x = noisy(Noise(speckle=speckle, electronic_db=-30.0, ambient_db=-30.0), ping) / expected
+    x = noisy(Noise(speckle=speckle, self_noise=True, ambient_db=-30.0), ping) / expected
     assert x.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(x.size))
     assert x.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / x.size))
     assert x[:, :400].mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(200 * 400))
@@ -40,20 +106,20 @@ def test_noise_rises_with_the_tvg(speckle):
 @pytest.mark.parametrize("law", ["constant", "printed", "inverse"])
 def test_other_range_laws_have_no_tvg(law):
     ping = even_ping(200, 1000, 2.0, level=0.0, **Acoustics.physical(range_law=law).meta())
-    x = noisy(Noise(electronic_db=-20.0), ping)
+    x = noisy(Noise(ambient_db=-20.0), ping)
     for bins in (slice(0, 500), slice(500, None)):
         assert x[:, bins].mean() == pytest.approx(0.01, rel=SIGMAS / np.sqrt(1e5))
 
 
 def test_unknown_acoustics_have_no_tvg():
-    noise, ping = Noise(electronic_db=-20.0), even_ping(100, 1000, 3.0, level=0.0)
+    noise, ping = Noise(ambient_db=-20.0), even_ping(100, 1000, 3.0, level=0.0)
     assert (noisy(noise, replace(ping, acoustics=None)) == noisy(noise, ping)).all()
 
 
 def test_a_tvg_needs_the_sonar():
     ping = replace(even_ping(**Acoustics.physical().meta()), sonar=None)
     with pytest.raises(Error) as caught:
-        add_noise(ping, Noise(electronic_db=-20.0), 0)
+        add_noise(ping, Noise(ambient_db=-20.0), 0)
     assert str(caught.value) == (
         "noise: the ping must have a sonar for the absorption that its TVG assumes "
         "(got None; pings of a Simulator have one)"
@@ -63,16 +129,16 @@ def test_a_tvg_needs_the_sonar():
 def test_echo_and_noise_add_as_fields():
     """Without speckle the amplitude is Rician: echo E and noise N give mean E + N, variance N² + 2 E N."""
     ping = even_ping(100, 4000, 2.0)
-    x = noisy(Noise(electronic_db=-10.0), ping)
+    x = noisy(Noise(ambient_db=-10.0), ping)
     assert x.mean() == pytest.approx(1.1, abs=SIGMAS * np.sqrt(0.21 / x.size))
     assert x.var() == pytest.approx(0.21, rel=SIGMAS * np.sqrt(3 / x.size))
-    speckled = noisy(Noise(speckle=True, electronic_db=-10.0), ping)
+    speckled = noisy(Noise(speckle=True, ambient_db=-10.0), ping)
     assert speckled.mean() == pytest.approx(1.1, rel=SIGMAS / np.sqrt(x.size))
     assert speckled.std() == pytest.approx(1.1, rel=SIGMAS * np.sqrt(2 / x.size))
 
 
 @pytest.mark.parametrize(
-    "noise", [Noise(electronic_db=0.0), Noise(speckle=True, follow_motion=True, electronic_db=0.0)]
+    "noise", [Noise(ambient_db=0.0), Noise(speckle=True, follow_motion=True, ambient_db=0.0)]
 )
 def test_noise_correlates_between_beams_as_speckle_does(noise):
     x = noisy(noise, even_ping(64, 4000, 0.5, level=0.0, pose=np.eye(4)))
@@ -101,8 +167,8 @@ def test_interference():
 @pytest.mark.parametrize(
     "noise",
     [
-        Noise(electronic_db=100.0),
-        Noise(speckle=True, electronic_db=100.0, interference_lines=9, interference_db=100),
+        Noise(ambient_db=100.0),
+        Noise(speckle=True, ambient_db=100.0, interference_lines=9, interference_db=100),
     ],
 )
 def test_loud_noise_stays_finite(noise):

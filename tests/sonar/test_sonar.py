@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.sonar.sonar import PRESETS, Sonar, load_sonar, presets
 
 KEYS = {
@@ -40,9 +41,11 @@ def test_presets_are_complete_and_plausible(name):
     assert 0 < sonar.range_min_m < sonar.range_max_m <= 50
     # a bin is the resolution of the device: a whole number of tenths of a millimetre
     tenths = sonar.bin_size_m * 1e4
-    assert tenths == pytest.approx(round(tenths), abs=1e-6)
-    # imaging sonars form beams that touch or overlap (the DIDSON's: 29/96 = 0.302 for a nominal 0.3)
-    assert sonar.azimuth_fov_deg / sonar.n_beams <= sonar.beam_width_deg * 1.01
+    assert sonar.keeps_n_bins or tenths == pytest.approx(round(tenths), abs=1e-6)
+    # imaging sonars form beams that touch or overlap (the DIDSON's: 29/96 = 0.302 for a nominal 0.3), except for those
+    # with a lens at the lower frequency, which use every other element
+    has_gaps = sonar.azimuth_fov_deg / sonar.n_beams > sonar.beam_width_deg * 1.01
+    assert has_gaps == (name in ("didson-lf", "aris-3000-lf", "aris-1800-lf", "aris-1200"))
 
 
 @pytest.mark.parametrize(("name", "fov", "n_beams"), [("45", 45, 256), ("90", 90, 512), ("130", 130, 768)])
@@ -164,7 +167,7 @@ def test_text_may_change_fields(tmp_path):
 
 def test_an_unknown_preset_is_an_error():
     assert error_of(load_sonar, "p900-46") == (
-        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'p900-130'?)"
+        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
     )
     everything = ", ".join(sorted(presets()))
     assert error_of(load_sonar, "zzz") == f"unknown sonar (got 'zzz'; known are {everything})"
@@ -253,6 +256,27 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
             "sonar 'a': bandwidth_hz must lie in 1..1e+08 (got 0.03; give hertz, 30e3 for 30 kHz)",
         ),
         (
+            {"bandwidth_hz": "29.5e6"},
+            "sonar 'a': bandwidth_hz must not exceed frequency_hz (got 2.95e+07 and 900000; give both in hertz)",
+        ),
+        (
+            {"tilt_deg": 100},
+            "sonar 'a': tilt_deg must lie in -90..90 (got 100; give degrees, positive down)",
+        ),
+        (
+            {"ping_rate_max_hz": 0},
+            "sonar 'a': ping_rate_max_hz must lie in 0.001..10000 (got 0; give pings per second)",
+        ),
+        ({"keeps_n_bins": 1}, "sonar 'a': keeps_n_bins must be true or false (got 1)"),
+        (
+            {"source_level_db": -20},
+            "sonar 'a': source_level_db must lie in 100..260 (got -20; give dB re 1 µPa at 1 m, about 200)",
+        ),
+        (
+            {"self_noise_db": "'low'"},
+            "sonar 'a': self_noise_db must be a number (got 'low')",
+        ),
+        (
             {"azimuth_fov_deg": 200, "beam_spacing": "'sine'"},
             "sonar 'a': beam_spacing \"sine\" needs an azimuth_fov_deg of 180 degrees at most "
             "(got 200; one straight array looks ahead only)",
@@ -299,7 +323,68 @@ def test_real_and_unusual_sonars_give_no_warning():
         Sonar("narrow fan", **{**KEYS, "n_beams": 64, "azimuth_fov_deg": 6.0})
 
 
-def test_max_ping_rate_is_one_over_the_two_way_travel_time():
-    assert load_sonar("p900-45").with_range(30.0).max_ping_rate_hz(1480.0) == pytest.approx(
-        1480 / 60, rel=1e-3
-    )
+def test_max_ping_rate_is_one_over_the_two_way_travel_time_and_no_more_than_the_device_makes():
+    sonar = Sonar("s", **KEYS)
+    assert sonar.max_ping_rate_hz(1480.0) == 1480 / 60
+    assert replace(sonar, ping_rate_max_hz=15.0).max_ping_rate_hz(1480.0) == 15.0
+    assert replace(sonar, ping_rate_max_hz=25.0).max_ping_rate_hz(1480.0) == 1480 / 60
+
+
+def test_a_device_that_keeps_its_number_of_bins_has_longer_ones_at_longer_range():
+    sonar = load_sonar("didson-hf")
+    assert (sonar.n_bins, sonar.with_range(10.4).n_bins) == (512, 512)
+    assert sonar.with_range(10.4).bin_size_m == pytest.approx(10 / 512, rel=1e-15)
+
+
+def test_beams_of_a_lens_are_those_of_the_makers_tables():
+    """Spacing of the middle and of the outermost beams in aris-file-sdk, beam-width-metrics, rounded to 0.01."""
+    for name, middle_deg, outer_deg, outermost_deg in (
+        ("aris-1800", 0.346, 0.214, 13.812),
+        ("aris-1800-lf", 0.692, 0.432, 13.574),
+        ("aris-1200", 0.692, 0.432, 13.574),
+        ("aris-1200-lf", 0.692, 0.432, 13.574),
+    ):
+        azimuth_deg = np.degrees(load_sonar(name).azimuth_rad)
+        np.testing.assert_allclose(azimuth_deg, -azimuth_deg[::-1], rtol=0, atol=1e-12)
+        spacing_deg = np.diff(azimuth_deg)
+        # both ends of a spacing are rounded, and the fit errs by 0.01
+        assert spacing_deg[len(spacing_deg) // 2] == pytest.approx(middle_deg, abs=0.02)
+        assert spacing_deg[0] == pytest.approx(outer_deg, abs=0.02)
+        assert azimuth_deg[-1] == pytest.approx(outermost_deg, abs=0.02)
+
+
+def test_the_head_is_tilted_down_within_its_housing():
+    pose = make_pose(1.0, 2.0, -3.0, 0.1, -0.2, 0.3)
+    level = Sonar("s", **KEYS)
+    assert level.head_pose(pose) is pose and (level.sonar_from_head == np.eye(4)).all()
+    tilted = replace(level, tilt_deg=10.0).head_pose(pose)
+    assert (tilted[:3, 3] == pose[:3, 3]).all()  # about the middle of the arrays
+    sine, cosine = np.sin(np.radians(10)), np.cos(np.radians(10))
+    np.testing.assert_allclose(tilted[:3, 0], pose[:3, :3] @ [cosine, 0, -sine], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(tilted[:3, 1], pose[:3, 1], rtol=0, atol=1e-15)
+    assert load_sonar("gemini-720is").tilt_deg == 10.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"beam_width_deg": 0.01745},
+            "beam_width_deg = 0.01745 leaves gaps between beams that are 0.176 degrees apart; "
+            "if it is in radians, give 0.9998",
+        ),
+        (
+            {"range_min_m": 0.0005, "range_max_m": 0.03, "n_bins": 1161},
+            "bins of 0.0254 mm are far below the wavelength; if range_min_m and range_max_m are in kilometres, give "
+            "0.5 and 30",
+        ),
+        (
+            {"range_max_m": 30000.0},
+            "no echo of 900 kHz comes back from range_max_m = 30000 m; if it is in millimetres, give 30",
+        ),
+    ],
+)
+def test_numbers_of_other_units_are_warned_of(change, message):
+    with pytest.warns(UserWarning) as caught:
+        Sonar("s", **{**KEYS, **change})
+    assert [str(w.message) for w in caught] == [f"sonar 's': {message}"]

@@ -56,7 +56,7 @@ reflectivity = [0.2, 0.9]
 temperature_c = [2.0, 20.0]
 
 [vary.noise]
-electronic_db = [-80.0, -60.0]
+ambient_db = [-80.0, -60.0]
 """
 LABELS = """
 [labels]

@@ -130,7 +130,7 @@ reflectivity = [0.2, 0.9]
 temperature_c = [4.0, 12.0]
 
 [vary.noise]
-electronic_db = [-90.0, -60.0]
+ambient_db = [-90.0, -60.0]
 looks = [1, 3]
 
 [labels]
