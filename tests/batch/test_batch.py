@@ -83,6 +83,16 @@ def test_a_preset_of_noise_with_settings_that_need_it(tmp_path):
     assert BatchRequests(read_job(path)).noise == replace(sg.Noise.physical(), looks=2)
 
 
+def test_the_water_of_a_job_is_that_of_all_pings_but_for_what_varies(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    path.write_text(path.read_text().replace("[noise]", "[water]\nsalinity_psu = 8.0\nph = 7.9\n[noise]"))
+    requests, base = BatchRequests(read_job(path)), sg.Water(salinity_psu=8.0, ph=7.9)
+    assert requests.acoustics == sg.Acoustics.physical(tvg_absorption_db_m=0.3, water=base)
+    waters = [requests[number].water for number in range(2)]
+    assert [replace(water, temperature_c=base.temperature_c) for water in waters] == [base, base]
+    assert len({base, *waters}) == 3
+
+
 @pytest.mark.parametrize("sonar", ["level", "upright"])
 def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
@@ -554,6 +564,36 @@ BAD = [
         "temperature_c = [2.0, 20.0]",
         "temperature_c = [2.0, 90.0]",
         "temperature_c must lie in -2..40",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "ph = 8",
+        "acoustics: ph describes the water, and is a field of Water now (",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "taper = 'hamming'",
+        "acoustics: taper describes the device, and is a field of",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "water = {}",
+        "acoustics: water is a table of its own (give a line [water]",
+    ),
+    (
+        "[noise]",
+        "[water]\ntemp_c = 8\n[noise]",
+        "water: unknown key (got 'temp_c'; did you mean 'temperature_c'",
+    ),
+    (
+        "[noise]",
+        "[water]\nph = 20\n[noise]",
+        "water: water: ph must lie in 7..9 (got 20; sea water has about 8)",
+    ),
+    (
+        "temperature_c",
+        "absorption_formula",
+        "vary.water: unknown key (got 'absorption_formula'; did you mean",
     ),
     ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
     (

@@ -945,7 +945,7 @@ def test_water():
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("temp=4", "water 'temp=4': unknown name (got 'temp'; did you mean 'temperature_c'?)"),
+        ("temp_c=4", "water 'temp_c=4': unknown name (got 'temp_c'; did you mean 'temperature_c'?)"),
         (
             "temperature_c",
             "water 'temperature_c': temperature_c must have a value, as in temperature_c=... (got none)",
