@@ -187,8 +187,6 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
             temperature_c=22.0,  # at which fresh water has the file's speed of sound
             sound_speed_m_s=setup.sound_speed_m_s,
         ),
-        elevation_pattern="line_array",
-        pulse=True,
         tvg_k=30.0,  # by the rise of the real noise from the water to the far field
     )
     return sonar, acoustics, sg.Noise(speckle=True, follow_motion=True, electronic_db=NOISE_DB)

@@ -551,6 +551,8 @@ TERMS = {
     "TVG": {"tvg_k": 40.0, "tvg_absorption_db_m": 0.2},
     "set speed": {"water": sg.Water(sound_speed_m_s=1450.0), "sonar_sound_speed_m_s": 1500.0},
     "no lobes": {"specular": False},
+    "elevation box": {"elevation_pattern": "box"},
+    "no pulse": {"pulse": False},
 }
 NOISES = {
     "gaussian": sg.Noise(gaussian=0.02),

@@ -17,7 +17,14 @@ from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 
-BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
+BARE = {
+    "beam_pattern": "box",
+    "transmit_beam": False,
+    "elevation_pattern": "box",
+    "pulse": False,
+    "specular": False,
+    "bubbles": False,
+}
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
     "demarco2015": BARE | {"range_law": "printed"},
@@ -25,6 +32,8 @@ PROFILES = {  # name: values of the fields that are None
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
         "transmit_beam": True,
+        "elevation_pattern": "line_array",
+        "pulse": True,
         "specular": True,
         "bubbles": True,
     },
@@ -66,8 +75,9 @@ class Acoustics:
     ----------
     profile : "ideal", "demarco2015" or "physical"
         Determines the fields that are None by default and in this table "by profile". "ideal": the cosine law
-        alone. "demarco2015": the model of DeMarco, West, Howard 2015. "physical": the sonar equation with beams of
-        a line array, specular backscatter and bubbles.
+        alone. "demarco2015": the model of DeMarco, West, Howard 2015. "physical": the sonar equation and the whole
+        device, whose beams in azimuth and elevation are those of line arrays and whose pulse has a bandwidth,
+        with specular backscatter and bubbles.
     range_law : "constant", "printed", "inverse", "sonar_equation" or None
         Range gain G(r). "constant": 1. "printed": (r / range_max)², eq. (4) of DeMarco, West, Howard 2015 as
         printed. "inverse": (1 m / r)², at most 1. "sonar_equation": two-way transmission loss and TVG,
@@ -86,19 +96,20 @@ class Acoustics:
         this over the right speed. None: the right speed.
     transmit_beam : bool or None
         Whether the sonar's `transmit_width_deg` counts; False: the fan is insonified evenly. None: by profile.
-    elevation_pattern : "box", "line_array" or "gaussian"
+    elevation_pattern : "box", "line_array", "gaussian" or None
         Pattern in elevation. "box": 1 within elevation_fov_deg of the sonar, 0 outside. Otherwise transmitter and
-        receiver have the same pattern, and the two-way pattern is elevation_fov_deg wide at −3 dB.
-    pulse : bool
+        receiver have the same pattern, and the two-way pattern is elevation_fov_deg wide at −3 dB. None: by profile.
+    pulse : bool or None
         Whether the pulse has the sonar's bandwidth. False: no matched filter; an echo falls only into the bin of its
-        range.
+        range. None: by profile.
     specular : bool or None
         Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
     bubbles : bool or None
         Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
     multipath : "none", "incoherent" or "coherent"
         Whether echoes by way of planar reflectors are added, and how the two single-bounce paths add up:
-        "incoherent" in power, "coherent" in phase.
+        "incoherent" in power, "coherent" in phase. They belong to a scene more than to a device, so that no profile
+        has them.
 
     Raises
     ------
@@ -118,8 +129,8 @@ class Acoustics:
     tvg_absorption_db_m: float | None = None
     sonar_sound_speed_m_s: float | None = None
     transmit_beam: bool | None = None
-    elevation_pattern: str = "box"
-    pulse: bool = False
+    elevation_pattern: str | None = None
+    pulse: bool | None = None
     specular: bool | None = None
     bubbles: bool | None = None
     multipath: str = "none"
@@ -165,7 +176,7 @@ class Acoustics:
 
     @classmethod
     def physical(cls, **settings) -> Acoustics:
-        """Return the sonar equation with beams of a line array; settings are the fields, by name."""
+        """Return the sonar equation and the whole device; settings are the fields, by name."""
         return cls("physical", **settings)
 
     @classmethod

@@ -14,7 +14,7 @@ HELP = {
     "poses": "CSV file with a sequence of poses; its columns are t,x,y,z,roll,pitch,yaw.",
     "range": "Maximum range, metres; the bin size stays the same.",
     "bins": "Number of range bins.",
-    "profile": "Acoustic model: transmission loss, beam patterns, multipath.",
+    "profile": "Acoustic model: range gain, beam patterns, pulse, bubbles.",
     "acoustics": "Changes to the profile, such as tvg_k=30,multipath=coherent; or needed: what the scene needs.",
     "water": "The water, such as temperature_c=4,salinity_psu=8, or absorption_db_m=0.3,sound_speed_m_s=1480.",
     "range_law": "Profile demarco2015: eq. (4) as printed, which grows with range, or another reading.",

@@ -129,8 +129,11 @@ def test_terms_of_the_profiles():
     for profile, physical in (("ideal", False), ("demarco2015", False), ("physical", True)):
         model = Acoustics(profile)
         assert (model.specular, model.bubbles, model.multipath) == (physical, physical, "none")
-        assert (model.elevation_pattern, model.pulse, model.transmit_beam) == ("box", False, physical)
-        assert Acoustics(profile, specular=not physical).specular is not physical
+        assert (model.pulse, model.transmit_beam) == (physical, physical)
+        assert model.elevation_pattern == model.beam_pattern == ("line_array" if physical else "box")
+        for name in ("specular", "pulse"):
+            assert getattr(Acoustics(profile, **{name: not physical}), name) is not physical
+        assert Acoustics(profile, elevation_pattern="gaussian").elevation_pattern == "gaussian"
 
 
 @pytest.mark.parametrize("assumed", [None, 0.0, 0.4])
@@ -179,8 +182,8 @@ def test_meta_survives_json():
         ({"water": 4}, "water must be a Water, or a table such as { temperature_c = 4 } (got 4)"),
         ({"beam_pattern": "boxes"}, "unknown beam_pattern (got 'boxes'; did you mean 'box'?)"),
         (
-            {"elevation_pattern": None},
-            "unknown elevation_pattern (got None; known are box, gaussian, line_array)",
+            {"elevation_pattern": True},
+            "unknown elevation_pattern (got True; known are box, gaussian, line_array)",
         ),
         ({"multipath": True}, "unknown multipath (got True; known are coherent, incoherent, none)"),
         ({"specular": "yes"}, "specular must be True or False (got 'yes')"),

@@ -74,8 +74,11 @@ def fan_picture(ping: sg.Ping, height: int) -> np.ndarray:
 def draw_terms(pair: Comparison):
     """Return pictures without and with multipath, bubbles, receiver noise and a beam in elevation, RGB."""
     scene, sonar = sg.load_scene(pair.scene), sg.load_sonar(pair.sonar).with_range(pair.range_m)
-    bare, bare_noise = sg.Acoustics.physical(bubbles=False), sg.Noise(speckle=True)
-    full = sg.Acoustics.physical(multipath="incoherent", elevation_pattern="gaussian")
+    bare, bare_noise = (
+        sg.Acoustics.physical(bubbles=False, elevation_pattern="box"),
+        sg.Noise(speckle=True),
+    )
+    full = sg.Acoustics.physical(multipath="incoherent")
     out = []
     for acoustics, noise in ((bare, bare_noise), (full, sg.Noise(speckle=True, electronic_db=-80.0))):
         with sg.Simulator(scene, sonar, acoustics) as simulator:
