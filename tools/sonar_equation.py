@@ -22,7 +22,7 @@ from tests.support.settings import described
 RANGES_M, HEIGHT_M, HALF_M = (5.0, 10.0, 20.0, 50.0), 2.0, 400.0
 ABSORPTION_DB_M = {450e3: 0.109663, 900e3: 0.299463}  # Francois-Garrison at 10 °C, 35, 0 m, pH 8
 ONE_WAY_AT_EDGE_DB = 10 * np.log10(0.5) / 2  # a transmitter and a receiver alike make −3 dB
-CASES = {  # name: frequency, elevation aperture, settings
+CASES = {  # name: frequency, elevation aperture, settings; the aperture is a box unless they say otherwise
     "no TVG": (450e3, 60.0, {"tvg_k": 0.0, "tvg_absorption_db_m": 0.0}),
     "no TVG, 900 kHz": (900e3, 60.0, {"tvg_k": 0.0, "tvg_absorption_db_m": 0.0}),
     "20 log r + 2αr": (450e3, 60.0, {"tvg_k": 20.0}),
@@ -63,7 +63,8 @@ def measured_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
     sonar = sg.Sonar("floor", frequency_hz, 9, bins, 45.0, aperture_deg, 2.0, 2.05, 2.05 + 0.1 * bins)
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * HALF_M
     floor = sg.Body("floor", trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
-    sonar, acoustics = described(sonar, depth_m=0.0, **settings)
+    settings = {"water": sg.Water(depth_m=0.0), "elevation_pattern": "box"} | settings
+    sonar, acoustics = described(sonar, **settings)
     with sg.Simulator(sg.Scene([floor]), sonar, acoustics, tolerance=0.003) as simulator:
         ping = simulator.ping(sg.pose(0, 0, HEIGHT_M))
     at = [np.abs(ping.range_m - r).argmin() for r in RANGES_M]

@@ -245,7 +245,7 @@ def _scene() -> Scene:
 def _simulators() -> Iterator[Simulator]:
     """Yield simulators of every profile, reducer and kind of multipath."""
     for acoustics, sampling in (
-        (Acoustics.physical(pulse=True, multipath="incoherent"), FAST),
+        (Acoustics.physical(multipath="incoherent"), FAST),
         (Acoustics.physical(multipath="coherent"), None),
         (Acoustics.demarco2015(), FAST),
         (Acoustics.ideal(), replace(FAST, reducer="point")),

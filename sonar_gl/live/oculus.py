@@ -127,9 +127,9 @@ def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> 
         gain=(10 ** (law.gain_db / 20) * np.sqrt(acoustics.tvg(ping.range_m, sonar))).astype(np.float32),
         bin_size_m=sonar.bin_size_m,
         frequency_hz=sonar.frequency_hz,
-        temperature_c=acoustics.temperature_c,
-        pressure_bar=1.01325 + acoustics.depth_m / 10.0,  # ten metres of water make a bar
-        sound_speed_m_s=acoustics.sonar_sound_speed_m_s or acoustics.sound_speed(),
+        temperature_c=acoustics.water.temperature_c,
+        pressure_bar=1.01325 + acoustics.water.depth_m / 10.0,  # ten metres of water make a bar
+        sound_speed_m_s=acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed(),
         heading_deg=float(-yaw % 360),  # a compass counts clockwise
         pitch_deg=float(-pitch),  # up is positive
         roll_deg=float(roll),
@@ -277,7 +277,7 @@ class OculusServer:
                 connected = next(iter(self._programs.values()), "0.0.0.0")
                 part, temperature_c = (
                     self._device.model.part_number,
-                    self._device.head.acoustics.temperature_c,
+                    self._device.head.acoustics.water.temperature_c,
                 )
                 transport.sendto(status_message(DEVICE_ID, part, own, connected, temperature_c), to)
                 await asyncio.sleep(STATUS_S)

@@ -57,7 +57,7 @@ class Ping360Head:
 
     def sonar(self, settings: TransducerSettings) -> Sonar:
         """Return the sonar with these settings: a sample is a bin, the pulse's bandwidth is one over its length."""
-        speed_m_s = self.head.acoustics.sonar_sound_speed_m_s or self.head.acoustics.sound_speed()
+        speed_m_s = self.head.acoustics.sonar_sound_speed_m_s or self.head.acoustics.water.sound_speed()
         preset, range_m = self._preset, settings.n_samples * settings.sample_time_s * speed_m_s / 2
         counts = preset.counts.changed({"gain_db": GAIN_DB[settings.gain_setting]})
         return replace(

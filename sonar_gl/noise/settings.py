@@ -98,7 +98,7 @@ class Noise:
 
     def __new__(cls, *arguments, **fields):
         """Refuse fields that describe the device."""
-        check_moved("noise", fields)
+        check_moved_amounts("noise", fields)
         return super().__new__(cls)
 
     @property
@@ -141,13 +141,13 @@ class Noise:
         >>> Noise.parse("physical,self_noise=off") == Noise(speckle=True)
         True
         """
-        check_moved(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
+        check_moved_amounts(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
         profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
         profile, amounts = parse_fields("noise", text, cls, presets=profiles)
         return replace(profiles[profile or "none"](), **amounts)
 
 
-def check_moved(what: str, names: Iterable[str]) -> None:
+def check_moved_amounts(what: str, names: Iterable[str]) -> None:
     """Raise an Error for the first name that is a field of `Sonar` now."""
     for name in names:
         if name in MOVED:

@@ -186,7 +186,8 @@ def test_a_fan_of_a_full_circle_has_no_seam():
 
 
 def test_body_echo_is_each_bodys_part_of_the_intensity():
-    it, acoustics = sonar(), sg.Acoustics.physical(tvg_k=40.0)
+    # a pulse carries echo out of the last bins, a body's echo is before the pulse
+    it, acoustics = sonar(), sg.Acoustics.physical(tvg_k=40.0, pulse=False)
     floor = plane_body((0, 0, -1), 3.0, name="floor", reflectivity=0.2)
     ball = sg.Body("ball", trimesh.creation.icosphere(4, 0.5), sg.pose(12, 0, -1), 0.7)
     hidden = sg.Body("hidden", trimesh.creation.icosphere(2, 0.2), sg.pose(12, 0, -1), 0.7)

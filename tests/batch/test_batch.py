@@ -83,6 +83,16 @@ def test_a_preset_of_noise_with_settings_that_need_it(tmp_path):
     assert BatchRequests(read_job(path)).noise == replace(sg.Noise.physical(), looks=2)
 
 
+def test_the_water_of_a_job_is_that_of_all_pings_but_for_what_varies(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    path.write_text(path.read_text().replace("[noise]", "[water]\nsalinity_psu = 8.0\nph = 7.9\n[noise]"))
+    requests, base = BatchRequests(read_job(path)), sg.Water(salinity_psu=8.0, ph=7.9)
+    assert requests.acoustics == sg.Acoustics.physical(tvg_absorption_db_m=0.3, water=base)
+    waters = [requests[number].water for number in range(2)]
+    assert [replace(water, temperature_c=base.temperature_c) for water in waters] == [base, base]
+    assert len({base, *waters}) == 3
+
+
 @pytest.mark.parametrize("sonar", ["level", "upright"])
 def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
@@ -142,7 +152,7 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
     level = requests.sonars["level"]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
     quick = BatchRequests(job)
-    by_sound_hz = requests.acoustics.sound_speed() / (2 * level.range_max_m)
+    by_sound_hz = requests.acoustics.water.sound_speed() / (2 * level.range_max_m)
     quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
     assert [text.split(": ", 2)[2] for text in quick.rate_warnings()] == [
         f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
@@ -156,7 +166,7 @@ def test_varied_values_are_stored(small, requests):
     n_present = 0
     for number in range(N):
         request, stored = requests[number], data.isel(ping=number)
-        assert float(stored.water_temperature_c) == request.water["temperature_c"]
+        assert float(stored.water_temperature_c) == request.water.temperature_c
         assert float(stored.noise_ambient_db) == request.noise.ambient_db
         pose = request.bodies["box_1"]
         assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
@@ -169,13 +179,13 @@ def test_varied_values_are_stored(small, requests):
 
 
 def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(small, requests):
-    temperatures = [requests[n].water["temperature_c"] for n in range(N)]
+    temperatures = [requests[n].water.temperature_c for n in range(N)]
     again = BatchRequests(read_job(small / "job.toml"))
-    assert [again[n].water["temperature_c"] for n in reversed(range(N))] == temperatures[::-1]
+    assert [again[n].water.temperature_c for n in reversed(range(N))] == temperatures[::-1]
     assert len(set(temperatures)) == N
     assert all(2 <= t <= 20 for t in temperatures)
     other = BatchRequests(read_job(small / "job.toml").model_copy(update={"seed": 6}))
-    assert not {other[n].water["temperature_c"] for n in range(N)} & set(temperatures)
+    assert not {other[n].water.temperature_c for n in range(N)} & set(temperatures)
     table = requests.job.vary.bodies[0]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 2000}]})
     poses = [request.bodies["box_1"] for request in BatchRequests(job)]
@@ -221,7 +231,9 @@ def hard(tmp_path_factory):
     path = write_plain_job(folder, 8, 2)
     scene = folder / "tank.sdf"
     scene.write_text(scene.read_text().replace("</world>", f"{HARD}</world>"))
-    path.write_text(path.read_text().replace("pan_rad = [-0.2, 0.2]", "pan_rad = [-1.5, 0.6]"))
+    text = path.read_text().replace("pan_rad = [-0.2, 0.2]", "pan_rad = [-1.5, 0.6]")
+    # a box ends before the wall's edge, which takes more samples than the rod in the skirts of a line array
+    path.write_text(text.replace('"physical"\ntvg', '"physical"\nelevation_pattern = "box"\ntvg'))
     return path
 
 
@@ -568,6 +580,36 @@ BAD = [
         "temperature_c = [2.0, 20.0]",
         "temperature_c = [2.0, 90.0]",
         "temperature_c must lie in -2..40",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "ph = 8",
+        "acoustics: ph describes the water, and is a field of Water now (",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "taper = 'hamming'",
+        "acoustics: taper describes the device, and is a field of",
+    ),
+    (
+        "tvg_absorption_db_m = 0.3",
+        "water = {}",
+        "acoustics: water is a table of its own (give a line [water]",
+    ),
+    (
+        "[noise]",
+        "[water]\ntemp_c = 8\n[noise]",
+        "water: unknown key (got 'temp_c'; did you mean 'temperature_c'",
+    ),
+    (
+        "[noise]",
+        "[water]\nph = 20\n[noise]",
+        "water: water: ph must lie in 7..9 (got 20; sea water has about 8)",
+    ),
+    (
+        "temperature_c",
+        "absorption_formula",
+        "vary.water: unknown key (got 'absorption_formula'; did you mean",
     ),
     ("temperature_c", "temp_c", "vary.water: unknown key (got 'temp_c'; did you mean 'temperature_c'"),
     (

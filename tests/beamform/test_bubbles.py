@@ -172,7 +172,9 @@ def test_a_bubble_echoes_like_a_lambert_sphere():
 
 
 def test_elevation_and_gain():
-    acoustics = sg.Acoustics.physical(elevation_pattern="gaussian", tvg_k=30.0, absorption_db_m=0.3)
+    acoustics = sg.Acoustics.physical(
+        elevation_pattern="gaussian", tvg_k=30.0, water=sg.Water(absorption_db_m=0.3)
+    )
     level, raised = (
         ping(still(direction(1.0, up, 5.0)), acoustics=acoustics).intensity.sum(dtype=np.float64)
         for up in (0.0, 6.0)
@@ -409,7 +411,8 @@ def test_a_sonar_inside_a_plume_with_multipath():
     plume = sg.Bubbles("plume", sg.pose(z=-1.0), rate_hz=2000)
     sonar = replace(SONAR, range_min_m=0.0)
     for multipath in ("none", "coherent"):
-        acoustics = sg.Acoustics.physical(multipath=multipath)
+        # a line array in elevation would let in more echo by way of the surface
+        acoustics = sg.Acoustics.physical(multipath=multipath, elevation_pattern="box")
         got = ping(wall(7.0), plume, still(np.zeros(3)), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
         clear = ping(wall(7.0), acoustics=acoustics, sonar=sonar, surface_z_m=0.5)
         assert np.isfinite(got.intensity).all() and (got.intensity >= 0).all()

@@ -504,7 +504,7 @@ def test_invalid_arguments_of_a_sensor_raise_errors():
     ):
         with pytest.raises(sg.Error, match=message):
             embed.Sensor(SONAR, **wrong)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+    with embed.Sensor(SONAR, sg.Acoustics.physical(elevation_pattern="box"), SAMPLING) as sensor:
         # the depth of half a metre of range in the corner of 30 by 10 degrees
         for near_m in (0, -1, 1e6, 0.5, "near", True):
             with pytest.raises(sg.Error, match=r"near_m must be metres above 0 and no more than 0\.4"):

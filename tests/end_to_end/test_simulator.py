@@ -246,7 +246,7 @@ def test_bins_sum_and_do_not_average():
 
 
 def test_gain_is_applied_per_bin():
-    acoustics = sg.Acoustics.physical(tvg_k=40.0, beam_pattern="box")
+    acoustics = sg.Acoustics.physical(tvg_k=40.0, beam_pattern="box", elevation_pattern="box", pulse=False)
     with simulator() as it:
         ideal = it.ping(np.eye(4))
     with simulator(acoustics=acoustics) as it:

@@ -89,7 +89,7 @@ def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
     (raw,) = read_pings(tmp_path / "ping.raw")
     assert raw.counts.shape == (256, 1024) and raw.counts.dtype == np.uint8
     assert raw.frequency_hz == 2.1e6 and raw.bin_size_m == pytest.approx(3.0 / 1024)
-    assert raw.sound_speed_m_s == pytest.approx(sg.Acoustics.physical().sound_speed())
+    assert raw.sound_speed_m_s == pytest.approx(sg.Acoustics.physical().water.sound_speed())
     edge = np.sin(np.radians(30.0))
     even_in_sine_deg = np.degrees(np.arcsin(np.linspace(-edge, edge, 256)))
     assert raw.beam_azimuths_deg == pytest.approx(even_in_sine_deg, abs=0.0051)  # hundredths, rounded

@@ -65,7 +65,7 @@ def test_each_angle_shows_what_lies_there(client):
     client.set_sample_period(400)
     client.set_number_of_samples(1100)
     client.set_gain_setting(0)
-    speed_m_s = sg.Acoustics.physical().sound_speed()
+    speed_m_s = sg.Acoustics.physical().water.sound_speed()
     for angle, range_m in ((0, 6.0), (100, 3.7)):  # a quarter turn clockwise is starboard
         answer = client.transmitAngle(angle)
         assert (answer.angle, answer.number_of_samples, len(answer.data)) == (angle, 1100, 1100)

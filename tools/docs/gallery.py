@@ -58,13 +58,13 @@ COMPARISONS = {
     "diver_breath": Comparison("diver_swimming", "p900-45", 10.0, 480, ("without", "with")),
 }
 
-PHYSICAL = Model(sg.Acoustics.physical(elevation_pattern="line_array", pulse=True), sg.Noise.physical())
+PHYSICAL = Model(sg.Acoustics.physical(), sg.Noise.physical())
 REFLECTED = replace(PHYSICAL.acoustics, multipath="incoherent")
 BARE = sg.Acoustics.physical(elevation_pattern="box", pulse=False, bubbles=False)
 MODELS = {
     "physical": PHYSICAL,
     "without": Model(BARE, sg.Noise(speckle=True), TIME_S),
-    "with": Model(REFLECTED, sg.Noise(speckle=True, electronic_db=-80.0), TIME_S),
+    "with": Model(REFLECTED, sg.Noise.physical(), TIME_S),
 }
 
 
