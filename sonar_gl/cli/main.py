@@ -179,8 +179,9 @@ def plan(ctx, scene, **options):
     as by `sonar-gl render`.
 
     Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
-    strongest change of one bin, over the strongest bin; the milliseconds that the term adds to a ping; and whether
-    the image changes by more than the tolerance without it.
+    strongest change of one bin, over the strongest bin; the share of the displayed bins that change by more than 3 dB;
+    the milliseconds that the term adds to a ping; and whether the image changes by more than the tolerance without it,
+    in its sum or in its displayed bins.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
     echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
