@@ -258,7 +258,7 @@ def test_side_lobes_of_a_pile_do_not_carry_its_label():
     on_pile = np.abs(whole.azimuth_rad) < math.asin(0.15 / 10)
     in_lobe = np.abs(whole.azimuth_rad) < math.asin(0.15 / 10) + math.asin(math.radians(2.0) / 0.886)
     assert (whole.body_id[~in_lobe] == 1).sum() > 50  # the rectangle beside the pile
-    # the pile's width raises side lobes over the main lobe by less than 1.3 dB: 12 dB below the strongest bin there are none
+    # the pile's width raises side lobes by less than 1.3 dB: down to 12 dB below the strongest bin there are none
     window = sg.Counts(low_db=top_db - 12 - 1e-6, high_db=top_db - 12 + 1e-6)
     shown = ping([PILE], replace(SONAR, counts=window), LINE_ARRAY)
     np.testing.assert_array_equal(shown.intensity, whole.intensity)

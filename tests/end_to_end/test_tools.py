@@ -301,6 +301,14 @@ def test_cost_of_a_device():
 
 
 @pytest.mark.slow
+def test_estimates_of_what_is_not_modelled():
+    """They do not depend on the machine's speed; other drivers draw the same samples."""
+    printed = run("tools.docs.unmodelled")
+    for line in printed.strip().splitlines():
+        assert line in (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
 def test_cost_of_multipath():
     printed = run("tools.docs.ablation", "tank", "--cost")
     assert re.match(
