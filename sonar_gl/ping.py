@@ -42,7 +42,8 @@ class Ping:
     intensity : (B, K) float32, linear, power-like; a sphere of reflectivity μ about the sonar reads μ
     azimuth_rad : (B,) float64, rising, starboard first, positive to port
     range_m : (K,) float64, bin centres
-    body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none
+    body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none, or none that a
+        display shows; likewise the other labels of a bin
     elevation_rad : (B, K) float32 or None, mean elevation of that echo, NaN if there is none
     pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
         azimuths and elevations refer to

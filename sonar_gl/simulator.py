@@ -122,7 +122,7 @@ class Simulator:
 
     def ping(
         self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
-        reflectivity=None, water=None, background=None,
+        reflectivity=None, water=None, background=None, label_level_db=None,
     ) -> Ping:  # fmt: skip
         """Return one transmission from `pose` and what it brings back.
 
@@ -139,6 +139,8 @@ class Simulator:
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
+        label_level_db : with labels, the level of a bin's mean echo, dB of `Ping.intensity`, from which on the bin is
+            labelled; None for what a display of the sonar's counts shows, see `Counts.least_shown`
 
         Warns
         -----
@@ -154,6 +156,7 @@ class Simulator:
             number=ping_number,
             labels=labels,
             background=background,
+            label_level_db=label_level_db,
             bodies=bodies,
             time_s=time_s,
             velocity=velocity,
@@ -164,14 +167,14 @@ class Simulator:
 
     def pings(
         self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
-        reflectivities=None, waters=None, background=None,
+        reflectivities=None, waters=None, background=None, label_level_db=None,
     ) -> Iterator[Ping]:  # fmt: skip
         """Yield pings from one pose after the other, faster than one by one: some are drawn as others are summed.
 
         Parameters
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
-        noise, seed, labels, background : as for `ping`; the noise's ping_number counts from 0
+        noise, seed, labels, background, label_level_db : as for `ping`; the noise's ping_number counts from 0
         bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
         """
         per_ping = {
@@ -182,6 +185,7 @@ class Simulator:
             "water": ("waters", waters),
         }
         common = {"noise": noise, "seed": seed, "labels": labels, "background": background}
+        common["label_level_db"] = label_level_db
         yield from make_pings(self._run, requests_of(poses, per_ping, **common))
 
     def place(self, bodies: dict) -> None:

@@ -226,6 +226,12 @@ MUTATIONS = (
         ),
     ),
     Mutation(
+        "labels/faint bins",
+        "if intensity[b, k] < least:",
+        "if intensity[b, k] < 0.0:",
+        LABELS,
+    ),
+    Mutation(
         "labels/total of a third body",
         "total[bins + k] += rows[at + k]",
         "total[bins + k] = best[at + k] + rows[at + k]",

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,14 @@ from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import ToleranceWarning, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_POSES = 5  # of a sequence, at which terms are judged
 TURNS = 7  # pings of which a time is the median
 SEED = 0  # of the noise: the same with and without a term
+CHANGED_DB = 3.0  # a bin that changes by more has another tone: 13 counts of 255 in a window of 60 dB
 
 
 # ---- the terms and their switches --------------------------------------------------------------------
@@ -146,8 +149,9 @@ class Price:
     Attributes
     ----------
     name : of the term
-    changes : Σ|with − without| / Σ with, over beams and bins; the largest over the poses
+    changes : Σ|with − without| / Σ with, over beams and bins, a share; the largest over the poses
     worst_bin : the largest |with − without| of a bin over the strongest bin of the image; likewise
+    changed_bins : share of the displayed bins, 0..1, that change by more than 3 dB, see `changed_bins`; likewise
     time_ms : what it adds to the time of a ping, milliseconds; 0 if it changes nothing, or adds less than times vary
     on : whether it is needed to keep the tolerance
     """
@@ -155,6 +159,7 @@ class Price:
     name: str
     changes: float
     worst_bin: float
+    changed_bins: float
     time_ms: float
     on: bool
 
@@ -174,6 +179,42 @@ def differs(full, reduced) -> tuple[float, float]:
         return 0.0, 0.0
     difference = np.abs(e - t)
     return float(difference.sum() / e.sum()), float(difference.max() / e.max())
+
+
+def changed_bins(full, reduced, counts: Counts) -> float:
+    """Return the share of the displayed bins, 0..1, that change by more than 3 dB; 0 if no bin is displayed.
+
+    A bin is displayed if the device shows it brighter than black, see `Counts.least_shown`, in either image, each with
+    the gain that the image has.
+
+    Parameters
+    ----------
+    full, reduced : (B, K) intensities with a term and without it
+    counts : of the device
+
+    The first bin stays, the second loses 6 dB, the third is black in both:
+
+    >>> changed_bins(np.array([[1.0, 0.4, 1e-9]]), np.array([[1.0, 0.1, 1e-7]]), Counts(low_db=-60))
+    0.5
+    """
+    images = [np.asarray(image, np.float32) for image in (full, reduced)]
+    shown = np.logical_or(*(image >= counts.least_shown(image) for image in images))
+    weaker, stronger = np.minimum(*images), np.maximum(*images)
+    changed = shown & (stronger > np.float32(10 ** (CHANGED_DB / 10)) * weaker)
+    return float(changed.sum() / max(shown.sum(), 1))
+
+
+class _Change(NamedTuple):
+    """What some terms change in the image; see `Price`."""
+
+    changes: float
+    worst_bin: float
+    changed_bins: float
+
+    @property
+    def most(self) -> float:
+        """The larger of the two shares that the tolerance bounds."""
+        return max(self.changes, self.changed_bins)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,15 +280,15 @@ class _Comparison:
         """Return the price of each term of TERMS, with a time of 0.
 
         The terms that change least are switched off first, as long as the image without all of them stays
-        within the tolerance.
+        within the tolerance: in its echo and in its displayed bins.
         """
         scene, tolerance = self.planner.scene, self._case.tolerance
-        changes = {term: self._change([term]) if term.acts_in(scene) else (0.0, 0.0) for term in TERMS}
-        off = [term for term in TERMS if changes[term][0] == 0]
-        for term in sorted(TERMS, key=lambda term: changes[term][0]):
+        changes = {term: self._change([term]) if term.acts_in(scene) else _Change(0, 0, 0) for term in TERMS}
+        off = [term for term in TERMS if changes[term].most == 0]
+        for term in sorted(TERMS, key=lambda term: changes[term].most):
             if term in off:
                 continue
-            if changes[term][0] > tolerance or self._change([*off, term])[0] > tolerance:
+            if changes[term].most > tolerance or self._change([*off, term]).most > tolerance:
                 break
             off.append(term)
         return [Price(term.name, *change, 0.0, term not in off) for term, change in changes.items()]
@@ -307,16 +348,17 @@ class _Comparison:
         power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
 
-    def _change(self, terms: list[Term]) -> tuple[float, float]:
-        """Return how the image without these terms differs, as `differs` does; the largest over the poses."""
+    def _change(self, terms: list[Term]) -> _Change:
+        """Return how the image without these terms differs; each measure is the largest over the poses."""
         full, reduced = self._mean_images(()), self._mean_images(terms)
         if SPECKLE in terms:  # a single ping against the mean; no tolerance leaves speckle out
             full = [
                 add_noise(ping, self._case.noise, SEED).intensity
                 for ping in self._pings_with(self._case.acoustics)
             ]
-        shares, bins = zip(*map(differs, full, reduced), strict=True)
-        return max(shares), max(bins)
+        pairs, counts = list(zip(full, reduced, strict=True)), self._case.sonar.counts
+        found = [_Change(*differs(*pair), changed_bins(*pair, counts)) for pair in pairs]
+        return _Change(*np.max(found, axis=0).tolist())
 
 
 def price(
@@ -333,7 +375,8 @@ def price(
     ----------
     scene : Scene, or a Simulator whose world is shared
     sonar : Sonar
-    tolerance : 0.001..0.5, how much the image may change; changes are measured with the samples that it takes
+    tolerance : 0.001..0.5, how much the image may change, in its echo and in its displayed bins; changes are measured
+        with the samples that it takes
     poses : several (4, 4) world_from_sonar, of which five at most are used; None = the scene's own
     acoustics, noise : settings of the terms that are on; None is `Acoustics.physical()` and `Noise.physical()`.
         Terms that are off in them are measured as a line array in elevation, a pulse as short as the bins,
@@ -354,7 +397,11 @@ def price(
         warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
         comparison = _Comparison(stack, case)
         prices = comparison.judge()
-        acting = [term for term, found in zip(TERMS, prices, strict=True) if found.changes > 0]
+        acting = [
+            term
+            for term, found in zip(TERMS, prices, strict=True)
+            if found.changes > 0 or found.changed_bins > 0
+        ]
         times_ms = comparison.added_times_ms(acting)
     return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices]
 
@@ -364,13 +411,15 @@ def needed_acoustics(
 ) -> Acoustics:
     """Return `Acoustics.physical` with only those terms on that a scene needs.
 
-    The terms that are left out change the image by no more than the tolerance, all together. The same arguments
-    give the same terms: times do not matter.
+    The terms that are left out change the image by no more than the tolerance, all together, in two measures: the
+    share of the echo that differs, and the share of the displayed bins that change by more than 3 dB. The same
+    arguments give the same terms: times do not matter.
 
     Parameters
     ----------
     scene, sonar : Scene, or a Simulator of it, and Sonar
-    tolerance : 0.001..0.5, the share of the echo that may differ from that with every term on
+    tolerance : 0.001..0.5, the share of the echo that may differ from that with every term on, and the share of the
+        displayed bins that may change by more than 3 dB, see `changed_bins`
     pose : (4, 4) world_from_sonar, or several of a sequence, of which five at most are used; None = the scene's
     water : Water; None is `Water()`
 

@@ -20,7 +20,7 @@ from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
 from sonar_gl.scene.sdf.xacro import split_arguments
-from sonar_gl.sonar.counts import DEFAULT_COUNTS
+from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # keys of former versions: what stands in their place
@@ -149,15 +149,14 @@ class LabelsTable(Table):
         * and ?
     background : bodies on which shadows fall
     height : height in pixels of the fan image in which bounding boxes are given
-    level_db : bounding boxes enclose bins of at least this intensity; without a limit they would enclose
-        the side lobes
+    level_db : bins of at least this mean echo are labelled, dB; None for what the display of each sonar shows
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))
     classes: dict[str, Names] = Field({})
     background: Names = None
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    level_db: float = -60.0
+    level_db: Annotated[float, Field(ge=-LEVEL_BOUND_DB, le=LEVEL_BOUND_DB)] = None
 
 
 class ArraysTable(Table):

@@ -12,7 +12,6 @@ import numpy as np
 
 from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.job import LabelsTable
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
@@ -40,12 +39,6 @@ MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded
 def ping_file(folder: str, number: int, suffix: str) -> str:
     """Return the name of a ping's file; a folder holds a thousand."""
     return f"{folder}/{number // 1000:05d}/{number:08d}.{suffix}"
-
-
-def bright_bodies(ping: Ping, labels: LabelsTable) -> Ping:
-    """Return a ping without the bodies of bins that are darker than `level_db`, where side lobes are, too."""
-    is_bright = ping.intensity >= 10 ** (labels.level_db / 10)
-    return replace(ping, body_id=np.where(is_bright, ping.body_id, np.uint16(0)))
 
 
 class Output:
@@ -129,7 +122,7 @@ class ArraysOutput(Output):
         for layer in self._layers[sonar]:
             arrays[layer.name][row] = layer.encode(ping, class_id, first)
         if self.schema.body_arrays:
-            boxes = boxes_of(bright_bodies(ping, self.job.labels), self.job.labels.height)
+            boxes = boxes_of(ping, self.job.labels.height)
             bodies = first + boxes.body_id.astype(int) - 1
             arrays["body_box"][row, bodies] = np.hstack([boxes.beams, boxes.bins])
             arrays["body_pixels"][row, bodies] = boxes.pixels
@@ -196,7 +189,7 @@ class CocoOutput(CountsOutput):
     def add(self, request, sonar, ping):
         height, law = self.table.height, self.with_counts(sonar, ping).counts_law()
         picture = law.counts_of(fan_image(ping, height, law))
-        ids = np.where(picture > 0, body_map(bright_bodies(ping, self.job.labels), height), 0)
+        ids = np.where(picture > 0, body_map(ping, height), 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
         mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")

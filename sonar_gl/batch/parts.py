@@ -375,11 +375,12 @@ class PartMaker:
     ) -> Iterator[tuple[BatchRequest, Ping]]:
         """Yield the pings of consecutive requests in one scene. Those that fail are added to task.failed."""
         run, mount = self._simulators_of(scene)[sonar].run, self._batch.requests.mounts[sonar]
-        labels = self._batch.requests.job.labels is not None
+        table = self._batch.requests.job.labels
+        labels = {} if table is None else {"labels": True, "label_level_db": table.level_db}
         background = self._batch.schema.background(scene)
 
         def for_sonar(request: BatchRequest) -> PingRequest:
-            return request.for_sonar(mount, labels, background)
+            return request.for_sonar(mount, background=background, **labels)
 
         remaining = deque(request for request in requests if request.number not in task.failed)
         if remaining and not task.one_by_one:

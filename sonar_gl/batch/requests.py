@@ -57,19 +57,24 @@ class BatchRequest:
     noise: Noise
 
     def for_sonar(
-        self, mount: np.ndarray, labels: bool = False, background: list[str] | None = None
+        self,
+        mount: np.ndarray,
+        labels: bool = False,
+        background: list[str] | None = None,
+        label_level_db: float | None = None,
     ) -> PingRequest:
         """Return the request for one sonar, without noise.
 
         Parameters
         ----------
         mount : (4, 4) vehicle_from_sonar
-        labels, background : as in `PingRequest`
+        labels, background, label_level_db : as in `PingRequest`
         """
         return PingRequest(
             pose=self.vehicle_pose @ mount,
             labels=labels,
             background=background,
+            label_level_db=label_level_db,
             bodies=self.bodies,
             time_s=self.time_s,
             reflectivity=self.reflectivity,

@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
+from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -29,6 +30,30 @@ class Labels:
     share: np.ndarray
     body_echo: np.ndarray
     shadow: np.ndarray | None
+
+
+def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels:
+    """Return the labels of bins with at least so much mean echo; others have no body. Shadows and sums of bodies stay.
+
+    Parameters
+    ----------
+    labels : its arrays are overwritten
+    intensity : (B, K) float32, mean echo of the ping
+    least : intensity from which on bins are labelled
+    """
+    numbers = labels.elevation_rad, labels.incidence_rad, labels.true_range_m
+    _remove_faint(intensity, np.float32(least), labels.body_id, labels.share, *numbers)
+    return labels
+
+
+@compiled
+def _remove_faint(intensity, least, body_id, share, elevation_rad, incidence_rad, true_range_m):
+    """Set the labels of bins below `least` to those of bins without echo; all arrays (B, K)."""
+    for b in range(intensity.shape[0]):
+        for k in range(intensity.shape[1]):
+            if intensity[b, k] < least:
+                body_id[b, k], share[b, k] = 0, np.float32(0.0)
+                elevation_rad[b, k] = incidence_rad[b, k] = true_range_m[b, k] = np.float32(np.nan)
 
 
 class Labeller:

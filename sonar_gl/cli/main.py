@@ -115,6 +115,7 @@ Examples:
 @option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
 @option("fps", type=float, default=10.0)
 @option("labels", is_flag=True)
+@option("label_level", type=float, show_default="what the display shows")
 @option("resource_path", multiple=True)
 @option("skip_missing", is_flag=True)
 @option("without", multiple=True)
@@ -180,8 +181,9 @@ def plan(ctx, scene, **options):
     as by `sonar-gl render`.
 
     Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
-    strongest change of one bin, over the strongest bin; the milliseconds that the term adds to a ping; and whether
-    the image changes by more than the tolerance without it.
+    strongest change of one bin, over the strongest bin; the share of the displayed bins that change by more than 3 dB;
+    the milliseconds that the term adds to a ping; and whether the image changes by more than the tolerance without it,
+    in its sum or in its displayed bins.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
     echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))

@@ -147,9 +147,10 @@ def _terms_text(terms: list[dict]) -> str:
             term["name"],
             percent(term["changes"]),
             percent(term["worst_bin"]),
+            percent(term["changed_bins"]),
             f"{term['time_ms']:.2f}",
             "on" if term["on"] else "off",
         )
         for term in terms
     ]
-    return table_text(("without", "the image changes", "worst bin", "ms", "needed"), rows)
+    return table_text(("without", "the image changes", "worst bin", "bins > 3 dB", "ms", "needed"), rows)

@@ -78,6 +78,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
             noise=noise,
             seed=options.seed,
             labels=options.labels,
+            label_level_db=options.label_level,
             fps=options.fps,
             progress=nullcontext if options.poses is None else progress,
         )
@@ -94,6 +95,8 @@ def _check_combination(options, given: set[str]):
             if name in given and options.style != style:
                 option = "--" + name.replace("_", "-")
                 raise Error(f"{option} needs --style {style} (got --style {options.style})")
+    if options.label_level is not None and not options.labels:
+        raise Error(f"--label-level needs --labels (got --label-level {options.label_level:g} alone)")
     films = [film for film in FILMS if film in options.formats]
     if films and options.poses is None:
         raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")
@@ -145,7 +148,7 @@ class FrameWriter:
     ----------
     style : function (simulator, ping, number) -> (H, W, 3) uint8 picture
     formats : which of png, npz, gif and mp4
-    noise, seed, labels : as for `Simulator.ping`
+    noise, seed, labels, label_level_db : as for `Simulator.ping`
     fps : frames per second of gif and mp4
     progress : function (range) -> context manager that yields it, such as click.progressbar
     """
@@ -157,6 +160,7 @@ class FrameWriter:
     noise: Noise
     seed: int = 0
     labels: bool = False
+    label_level_db: float | None = None
     fps: float = 10.0
     progress: Callable = nullcontext
 
@@ -239,7 +243,8 @@ class FrameWriter:
                 start = time.perf_counter()
                 time_s = None if times_s is None else times_s[number]
                 settings = self.noise, self.seed, self.labels, number
-                ping = self.simulator.ping(poses[number], *settings, time_s=time_s)
+                more = {"time_s": time_s, "label_level_db": self.label_level_db}
+                ping = self.simulator.ping(poses[number], *settings, **more)
                 self._times_ms.append(1e3 * (time.perf_counter() - start))
                 self._note(ping, number)
                 needs_picture = set(self.formats) != {"npz"}

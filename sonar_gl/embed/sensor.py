@@ -137,7 +137,7 @@ class Sensor:
         return self._drawing.make_sectors(pose)
 
     def finish(
-        self, bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None
+        self, bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None, label_level_db=None
     ) -> Ping:  # fmt: skip
         """Return the ping of the sectors that the host has drawn; parameters as for `ping_from_depth`.
 
@@ -150,7 +150,7 @@ class Sensor:
         if self._drawing is None:
             raise Error("sectors must be drawn before a ping is finished (got none; see Sensor.sectors)")
         drawing, (samples, pose) = self._drawing, self._drawing.samples()
-        request = PingRequest(pose, noise, seed, ping_number, labels, velocity=velocity)
+        request = self._request(pose, noise, seed, ping_number, labels, velocity, label_level_db)
         tolerance = self.tolerance if self.sampling is None else None
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), tolerance, self._host.renderer)
         with self._pinging():
@@ -159,7 +159,7 @@ class Sensor:
     def ping_from_textures(
         self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
         body_id=None, reflectivity=DEFAULT_REFLECTIVITY, bodies=(), noise=None, seed=0, labels=False, ping_number=0,
-        velocity=None,
+        velocity=None, label_level_db=None,
     ) -> Ping:  # fmt: skip
         """Return a ping of textures that the host drew at the sonar's position, in the current OpenGL context.
 
@@ -186,14 +186,14 @@ class Sensor:
         self._check_open()
         host = self._current_host()
         images = read_images(host, depth, projection, holds, zero_to_one, rotation, normals, body_id)
-        request = self._request(pose, noise, seed, ping_number, labels, velocity)
+        request = self._request(pose, noise, seed, ping_number, labels, velocity, label_level_db)
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, self._host.renderer)
         checked = check_images(*images, reflectivity)
         return self._ping_of_images(request, *checked, holds != "range", origin)
 
     def ping_from_depth(
         self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=DEFAULT_REFLECTIVITY,
-        bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None,
+        bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None, label_level_db=None,
     ) -> Ping:  # fmt: skip
         """Return a ping of depth images rendered at the sonar's position.
 
@@ -213,8 +213,8 @@ class Sensor:
         reflectivity : μ in 0..1: a scalar; or (H, W); or a dict from body numbers, 0.5 for bodies not in it
         bodies : names of the bodies for the ping's meta, that of number 1 first. With labels each entry of
             `body_echo` has a name, such as "body 7" where the list has none
-        noise, seed, labels, ping_number, velocity : as for `Simulator.ping`; with labels the first entry of
-            `body_echo` is the echo of pixels with number 0
+        noise, seed, labels, ping_number, velocity, label_level_db : as for `Simulator.ping`; with labels the first
+            entry of `body_echo` is the echo of pixels with number 0
 
         Depth images do not tell smooth faces, so echoes have no specular lobes.
 
@@ -231,7 +231,7 @@ class Sensor:
         """
         planar = is_planar(holds)
         checked = check_images(camera, depth, normals, body_id, reflectivity)
-        request = self._request(pose, noise, seed, ping_number, labels, velocity)
+        request = self._request(pose, noise, seed, ping_number, labels, velocity, label_level_db)
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, "none: depth image")
         return self._ping_of_images(request, *checked, planar, origin)
 
@@ -248,10 +248,11 @@ class Sensor:
         beamformer = make_beamformer(self.sonar, self.acoustics, sampling, self._thread, side_lobes=False)
         return Stage(sampling, beamformer)
 
-    def _request(self, pose, noise, seed, number, labels, velocity) -> PingRequest:
+    def _request(self, pose, noise, seed, number, labels, velocity, label_level_db) -> PingRequest:
         """Return the checked request; a pose of None is the origin."""
         pose = check_pose(np.eye(4) if pose is None else pose)
-        return PingRequest(pose, noise, seed, number, labels, velocity=velocity)
+        more = {"velocity": velocity, "label_level_db": label_level_db}
+        return PingRequest(pose, noise, seed, number, labels, **more)
 
     @contextmanager
     def _pinging(self):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
-from sonar_gl.beamform.labels import Labels
+from sonar_gl.beamform.labels import Labels, without_faint
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
@@ -143,8 +144,13 @@ def assemble(
 ) -> Ping:
     """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
     setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
-    request, labels = setup.request, {} if received.labels is None else vars(received.labels)
+    request, labels, label_level_db = setup.request, {}, None
     intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
+    if received.labels is not None:  # before the noise: they do not depend on its seed
+        label_level_db = request.label_level_db
+        if label_level_db is None:
+            label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
+        labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
     for array in (intensity, *labels.values()):
         if array is not None:
             array.setflags(write=False)
@@ -158,6 +164,7 @@ def assemble(
         seed=request.seed,
         has_echo=echo.total > 0,
         **({} if time_s is None else {"time_s": time_s}),
+        **({} if label_level_db is None else {"label_level_db": label_level_db}),
     )
     ping = Ping(
         intensity,

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.water import Water
-from sonar_gl.core.checks import check_kind, shown
+from sonar_gl.core.checks import check_kind, check_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
 from sonar_gl.noise.random_streams import check_seed
 from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.counts import LEVEL_BOUND_DB
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class PingRequest:
     reflectivity : names of bodies to μ, 0..1; or None
     water : Water of this ping; or None for that of the acoustics
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
+    label_level_db : with labels, the level of a bin's mean echo, dB, from which on the bin is labelled; None for what
+        the display of the sonar shows
 
     Raises
     ------
@@ -52,6 +55,7 @@ class PingRequest:
     reflectivity: dict | None = None
     water: Water | None = None
     alone: bool = False
+    label_level_db: float | None = None
 
     def __post_init__(self):
         check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")
@@ -64,6 +68,10 @@ class PingRequest:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        if self.label_level_db is not None:
+            check_number("label_level_db", self.label_level_db, -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB")
+            if not self.labels:
+                raise Error("label_level_db needs labels=True (got labels=False)")
         if self.background is not None and not self.labels:
             raise Error("background needs labels=True (got labels=False; shadows are labels)")
 

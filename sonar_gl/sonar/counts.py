@@ -20,6 +20,9 @@ from sonar_gl.core.key_values import parse_fields
 # fields that one law alone uses
 LAWS = {"power": ("exponent",), "db": ("low_db", "high_db")}
 LEVEL_BOUND_DB = 180.0  # two such levels multiply to 1e±36, which float32 holds
+# Share of full scale below which a display is black: 8 counts of 255, which on an sRGB screen have 0.24 % of the
+# luminance of white. The lowest count alone would be no measure: by I^0.26 it lies 104 dB below full scale.
+BLACK = 1 / 32
 # bins from which a percentile is taken: in speckle the level of percentile 99 is then known to 0.1 dB
 PERCENTILE_BINS = 1 << 14
 
@@ -169,6 +172,19 @@ class Counts:
     def apply(self, intensity: np.ndarray) -> np.ndarray:
         """Return the counts of intensities, (N, M) or (N,), uint8 or uint16 by `bits`, rounded to the nearest."""
         return self.counts_of(self.share(intensity))
+
+    def least_shown(self, intensity: np.ndarray) -> float:
+        """Return the intensity, linear, from which on a display of these intensities, (B, K), is not black.
+
+        It has the share `BLACK` of full scale. Automatic gain is that of these intensities.
+
+        >>> least = Counts(low_db=-64.0).least_shown(np.ones((1, 1)))
+        >>> round(10 * math.log10(least), 3)  # 1/32 of 64 dB above the window's lower end
+        -62.0
+        """
+        least = float(self.settle(intensity).intensity_of(BLACK * self.full_scale))
+        # of a small exponent it is less than float32 holds; a bin without echo is always black
+        return max(least, float(np.finfo(np.float32).tiny))
 
     def counts_of(self, share: np.ndarray) -> np.ndarray:
         """Return shares of full scale, float 0..1, as counts, uint8 or uint16."""

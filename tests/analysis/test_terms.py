@@ -9,7 +9,16 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis import terms
-from sonar_gl.analysis.terms import SPECKLE, TERMS, differs, everything_on, needed_acoustics, price, without
+from sonar_gl.analysis.terms import (
+    SPECKLE,
+    TERMS,
+    changed_bins,
+    differs,
+    everything_on,
+    needed_acoustics,
+    price,
+    without,
+)
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import receiver_levels_db
@@ -17,6 +26,7 @@ from tests.support.plain_scenes import without_materials
 
 SONAR = sg.Sonar("small", 900e3, 32, 160, 40.0, 16.0, 2.0, 0.5, 12.5)
 NAMES = [term.name for term in TERMS]
+SHOWN = 10 ** ((-60 + 60 / 32) / 10)  # by the law of SONAR, dB from -60 to 0
 ACOUSTIC = [term.name for term in TERMS if not term.of_noise]
 
 
@@ -110,6 +120,13 @@ def test_differences_are_those_of_pings_by_hand():
         difference, (full_image, _) = np.abs(images[0] - images[1]), images
         assert found[term.name].changes == pytest.approx(difference.sum() / full_image.sum(), rel=1e-9)
         assert found[term.name].worst_bin == pytest.approx(difference.max() / full_image.max(), rel=1e-9)
+        shown = np.maximum(*images) >= SHOWN
+        with np.errstate(divide="ignore"):  # bins may have no echo in one of the two
+            changed = shown & (np.abs(10 * np.log10(images[0] / images[1])) > 3)
+        # pings are float32, so that a bin at exactly 3 dB may fall on either side
+        assert found[term.name].changed_bins == pytest.approx(
+            changed.sum() / shown.sum(), abs=1 / shown.sum()
+        )
     # surface and floor reflect; E|g − 1| of speckle's exponential g is 2/e, here of few strong grains
     assert found["multipath"].changes > 0.003
     assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
@@ -150,12 +167,13 @@ def test_no_cost_is_negative(monkeypatch):
 def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     found = priced(room())
     for name in ("lobes", "bubbles"):
-        assert (found[name].changes, found[name].worst_bin, found[name].time_ms) == (0, 0, 0)
+        measures = found[name].changes, found[name].worst_bin, found[name].changed_bins
+        assert (*measures, found[name].time_ms) == (0, 0, 0, 0)
         assert found[name].on is False
     shiny = priced(room(specular=0.5, roughness_rad=0.05))["lobes"]
     assert shiny.changes > 0.01 and shiny.on and shiny.worst_bin > 0.1
     sphere = sg.Scene(room().bodies[1:], room().sonar_pose)  # curved everywhere: no planar reflector
-    assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, False)
+    assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, 0.0, False)
 
 
 def test_absorption_acts_through_the_noise_that_the_tvg_amplifies():
@@ -177,6 +195,31 @@ def test_of_several_poses_the_largest_change_counts():
         # all three share the samples that the most demanding one needs
         most = max(one[name].changes for one in single)
         assert together[name].changes == pytest.approx(most, rel=0.05)
+
+
+def test_a_bin_changes_if_a_display_shows_another_tone():
+    law = sg.Counts(low_db=-64.0)  # a display is black up to -62 dB
+    ratio = 10 ** (np.array([-3.1, -2.9, 0.0, 2.9, 3.1]) / 10)
+    for level_db, share in ((-61.0, 2 / 5), (-62.5, 1 / 2), (-66.0, 0.0)):
+        full = np.full((1, 5), 10 ** (level_db / 10))
+        # at -62.5 dB two of the other image's bins alone are brighter than black; one of them changes by more than 3 dB
+        assert changed_bins(full, full * ratio, law) == changed_bins(full * ratio, full, law) == share
+    appears, black = np.full((1, 4), 10**-6.1), np.zeros((1, 4))
+    assert changed_bins(appears, black, law) == changed_bins(black, appears, law) == 1.0
+    assert changed_bins(black, black, law) == 0.0
+    # automatic gain brings the level of each image to full scale: both are shown, and differ by 20 dB
+    faint = sg.Counts(low_db=-40.0, gain_percentile=99.0)
+    assert changed_bins(100 * appears, appears, faint) == 1.0
+    assert changed_bins(100 * appears, appears, replace(faint, gain_percentile=None)) == 0.0
+
+
+@pytest.mark.slow
+def test_a_term_that_changes_the_display_is_needed_however_little_echo_it_changes():
+    """A right TVG leaves absorption in the noise alone, which fills the empty half of the image."""
+    scene, sonar = sg.load_scene("diver_vertical"), sg.load_sonar("p900-45").with_range(8.0)
+    (absorption,) = [one for one in price(scene, sonar, 0.05) if one.name == "absorption"]
+    assert absorption.changes < 0.001 and absorption.changed_bins > 0.3 and absorption.on
+    assert sg.needed_acoustics(scene, sonar, 0.05).absorption_db_m is None
 
 
 def needed_and_full(scene, sonar, tolerance):
@@ -214,7 +257,10 @@ def test_small_terms_are_left_out_only_as_far_as_all_of_them_together_stay_small
     scene, left = room(0.0, surface_z_m=3.0), 0
     for tolerance in (0.006, 0.05, 0.3):
         found = priced(scene, tolerance).values()
-        on, off = ([one.changes for one in found if one.on is state] for state in (True, False))
+        on, off = (
+            [max(one.changes, one.changed_bins) for one in found if one.on is state]
+            for state in (True, False)
+        )
         assert max(off) <= min(on) and max(off) <= tolerance
         *_, share = needed_and_full(scene, SONAR, tolerance)
         assert share <= 1.1 * tolerance

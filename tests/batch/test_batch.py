@@ -20,7 +20,6 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.outputs import bright_bodies
 from sonar_gl.batch.parts import begin, create_store, finalize, make_part
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
@@ -50,10 +49,14 @@ def requests(small):
 
 @pytest.fixture(scope="module")
 def pings(small, requests):
-    """The pings that a simulator makes of the same requests, by sonar."""
+    return pings_of(small, requests)
+
+
+def pings_of(folder, requests, label_level_db=None):
+    """Return the pings that a simulator makes of the requests of a batch in `folder`, by sonar."""
     out = {}
     for name, sonar in requests.sonars.items():
-        group = xr.open_dataset(small / "out" / "pings.zarr", group=name)
+        group = xr.open_dataset(folder / "out" / "pings.zarr", group=name)
         samplings = zip(group.columns_per_beam.values.tolist(), group.rows.values.tolist(), strict=True)
         samplings, pings = [sg.Sampling(*one) for one in samplings], {}
         for sampling in set(samplings):
@@ -71,6 +74,7 @@ def pings(small, requests):
                             reflectivity=request.reflectivity,
                             water=request.water,
                             background=["floor", "wall"],
+                            label_level_db=label_level_db,
                         )
         out[name] = [pings[number] for number in range(len(requests))]
     return out
@@ -122,8 +126,7 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
         assert np.array_equal(stored.shadow, ping.shadow)
         n_shadowed += int(ping.shadow.sum())
         assert np.allclose(stored.body_echo, ping.body_echo[1:], rtol=1e-6)
-        bright = np.where(ping.intensity >= 1e-6, ping.body_id, 0).astype(np.uint16)
-        boxes = boxes_of(replace(ping, body_id=bright), 512)
+        boxes = boxes_of(ping, 512)
         visible = boxes.body_id.astype(int) - 1
         assert np.array_equal(np.flatnonzero(stored.body_bins), visible)
         assert np.array_equal(stored.body_pixels[visible], boxes.pixels)
@@ -338,7 +341,7 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
             (image,) = coco.loadImgs(number)
             picture = cv2.imread(str(folder / "images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
             mask = cv2.imread(str(folder / "masks" / image["file_name"]), cv2.IMREAD_UNCHANGED)
-            bodies = body_map(bright_bodies(ping, requests.job.labels), 100)
+            bodies = body_map(ping, 100)
             assert np.array_equal(mask, np.where(picture > 0, bodies, 0))
             law = sg.Counts(**image["counts"])
             assert law == ping.counts_law() and np.array_equal(
@@ -348,6 +351,25 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
             assert {a["body_id"] for a in annotations} == set(np.unique(mask)) - {0}
             for annotation in annotations:
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
+
+
+def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):
+    """Layers, boxes and masks are those of pings with this level; by default they are what the display shows."""
+    level_db = -25.0
+    path = write_job(
+        tmp_path, 2, LABELS.replace("[labels]", f"[labels]\nlevel_db = {level_db}") + "[coco]\nheight = 100"
+    )
+    make_all(path, tmp_path / "out")
+    for sonar, made in pings_of(tmp_path, BatchRequests(read_job(path)), level_db).items():
+        data = xr.open_dataset(tmp_path / "out" / "pings.zarr", group=sonar)
+        for number, ping in enumerate(made):
+            stored, boxes = data.isel(ping=number), boxes_of(ping, 512)
+            assert np.array_equal(stored.body_id, ping.body_id)
+            assert 0 < (ping.body_id > 0).sum() < (pings[sonar][number].body_id > 0).sum()
+            assert np.array_equal(stored.body_bins[boxes.body_id - 1], boxes.n_bins)
+            mask = tmp_path / "out" / "coco" / sonar / "masks" / "00000" / f"{number:08d}.png"
+            mask = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
+            assert (mask[mask > 0] == body_map(ping, 100)[mask > 0]).all() and (mask > 0).any()
 
 
 def test_pictures_and_npz_files_are_those_of_a_simulator(small, pings):

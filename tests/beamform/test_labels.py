@@ -10,6 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import atan, bin_table
+from sonar_gl.embed.sensor import Sensor
 from sonar_gl.sonar.samples import ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
 
@@ -255,6 +256,98 @@ def test_labels_of_a_moving_sonar():
     changed = np.argwhere((moved.body_id > 0) & (still.body_id != moved.body_id))
     assert len(changed) > 50
     assert all(tuple(getattr(moved, name)[tuple(at)] for name in names) in cells for at in changed)
+
+
+PILE = sg.Body("pile", trimesh.creation.cylinder(0.15, 40, sections=64), sg.pose(10, 0, 0), 0.8)
+LINE_ARRAY = replace(IDEAL, beam_pattern="line_array")
+PER_BIN = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share"
+
+
+def test_side_lobes_of_a_pile_do_not_carry_its_label():
+    """The pile lies within 0.86°; beams have their first null λ/L = 2°/0.886 beyond, and side lobes at -13 dB."""
+    bare = replace(SONAR, counts=sg.Counts(low_db=-180.0, high_db=0.0))
+    whole = ping([PILE], bare, LINE_ARRAY, label_level_db=-180.0)
+    top_db = 10 * np.log10(whole.intensity.max())
+    on_pile = np.abs(whole.azimuth_rad) < math.asin(0.15 / 10)
+    in_lobe = np.abs(whole.azimuth_rad) < math.asin(0.15 / 10) + math.asin(math.radians(2.0) / 0.886)
+    assert (whole.body_id[~in_lobe] == 1).sum() > 50  # the rectangle beside the pile
+    # the pile's width raises side lobes by less than 1.3 dB: down to 12 dB below the strongest bin there are none
+    window = sg.Counts(low_db=top_db - 12 - 1e-6, high_db=top_db - 12 + 1e-6)
+    shown = ping([PILE], replace(SONAR, counts=window), LINE_ARRAY)
+    np.testing.assert_array_equal(shown.intensity, whole.intensity)
+    assert not shown.body_id[~in_lobe].any()
+    strongest = whole.intensity.max(axis=0).argmax()
+    assert (shown.body_id[on_pile, strongest] == 1).all()
+    bright = whole.intensity >= np.float32(10 ** (shown.meta["label_level_db"] / 10))
+    assert 0 < bright.sum() < (whole.body_id > 0).sum()
+    for name, empty in zip(PER_BIN, (0, np.nan, np.nan, np.nan, 0.0), strict=True):
+        array = getattr(whole, name)
+        np.testing.assert_array_equal(getattr(shown, name), np.where(bright, array, array.dtype.type(empty)))
+    np.testing.assert_array_equal(shown.body_echo, whole.body_echo)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        sg.Counts(low_db=-25.0),
+        sg.Counts(low_db=-40.0, gain_db=7.0, bits=16),
+        sg.Counts(low_db=-20.0, gain_percentile=95.0),
+        sg.Counts("power", exponent=0.5, gain_percentile=99.0),
+    ],
+    ids=str,
+)
+def test_labelled_bins_are_those_that_a_display_shows(law):
+    """A display is black below 1/32 of full scale; counts are rounded."""
+    bodies = [FLOOR, plate("upright", 8.0, -HEIGHT_M, 1.0, y=(-3.0, 3.0))]
+    shown = ping(bodies, replace(SONAR, counts=law), LINE_ARRAY, background=["floor"])
+    counts, least = shown.counts().astype(float), law.full_scale / 32
+    assert (counts[shown.body_id > 0] >= least - 0.51).all() and (shown.body_id > 0).any()
+    assert (shown.body_id[counts > least + 0.51] > 0).all()
+    whole = ping(bodies, acoustics=LINE_ARRAY, background=["floor"], label_level_db=-180.0)
+    assert (shown.body_id > 0).sum() < (whole.body_id > 0).sum()
+    np.testing.assert_array_equal(shown.shadow, whole.shadow)
+    assert shown.shadow.any()
+
+
+def test_labels_do_not_depend_on_noise():
+    automatic = replace(SONAR, counts=sg.Counts(low_db=-30.0, gain_percentile=95.0))
+    still = ping([FLOOR], automatic)
+    loud = ping([FLOOR], automatic, noise=sg.Noise(speckle=True, electronic_db=-20.0), seed=3)
+    assert (still.intensity != loud.intensity).any()
+    for name in PER_BIN:
+        np.testing.assert_array_equal(getattr(still, name), getattr(loud, name))
+
+
+def test_level_of_labels_in_sequences_and_of_depth_images():
+    level_db = -40.0
+    with sg.Simulator(sg.Scene([FLOOR]), SONAR, IDEAL, sg.Sampling(2, 160)) as simulator:
+        (one,) = simulator.pings([HERE], labels=True, label_level_db=level_db)
+    np.testing.assert_array_equal(one.body_id > 0, one.intensity >= np.float32(10 ** (level_db / 10)))
+    assert 0 < (one.body_id > 0).sum() < (ping([FLOOR]).body_id > 0).sum()
+    camera, image = sg.Camera.of_fov(200, 120, fov_x_rad=1.0), np.full((120, 200), 6.0)
+    sonar, numbers = replace(SONAR, elevation_fov_deg=20.0), np.full((120, 200), 3)
+    with Sensor(sonar, IDEAL) as sensor:
+        got, all_of_it = (
+            sensor.ping_from_depth(image, camera, body_id=numbers, labels=True, label_level_db=level_db)
+            for level_db in (-15.0, -180.0)
+        )
+    bright = got.intensity >= np.float32(10**-1.5)
+    np.testing.assert_array_equal(got.body_id, np.where(bright, all_of_it.body_id, 0))
+    assert 0 < bright.sum() < (all_of_it.body_id > 0).sum()
+
+
+def test_level_of_labels_that_is_wrong():
+    for more, message in (
+        (
+            {"label_level_db": -40.0, "labels": False},
+            r"label_level_db needs labels=True \(got labels=False\)",
+        ),
+        ({"label_level_db": -200.0}, r"label_level_db must lie in -180\.\.180 \(got -200"),
+        ({"label_level_db": "low"}, "label_level_db must be a number .*'low'"),
+        ({"label_level_db": np.nan}, "label_level_db must lie in"),
+    ):
+        with pytest.raises(sg.Error, match=message):
+            ping([FLOOR], **more)
 
 
 def test_labels_of_depth_images():

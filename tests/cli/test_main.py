@@ -239,6 +239,17 @@ def test_labels_name_bodies():
     assert re.search(r" deg to \w+, of '(wall|box)'; ", out)
 
 
+def test_labels_from_a_level_on():
+    render("--labels", "--profile", "ideal", "--format", "npz")
+    shown = ping()
+    render("--labels", "--label-level", -15, "--profile", "ideal", "--format", "npz")
+    bright = ping()
+    assert bright.meta["label_level_db"] == -15
+    expected = np.where(bright.intensity >= np.float32(10**-1.5), shown.body_id, 0)
+    np.testing.assert_array_equal(bright.body_id, expected)
+    assert 0 < (bright.body_id > 0).sum() < (shown.body_id > 0).sum()
+
+
 def test_fan_options_change_the_picture():
     render("--format", "npz")
     got = ping()

@@ -285,6 +285,30 @@ def test_ablation():
 
 
 @pytest.mark.slow
+def test_cost_of_a_device():
+    """The chart's page has a place for the table; a device takes more time than profile ideal."""
+    page = (ROOT / "docs" / "chart.md").read_text(encoding="utf-8")
+    assert len(re.findall("<!-- table device -->\n.*?\n<!-- end -->", page, re.DOTALL)) == 1
+    Path("docs").mkdir()
+    Path("docs", "chart.md").write_text("<!-- table device -->\nold\n<!-- end -->\n")
+    run("tools.chart", "--device", "--only", "pylon", "--rounds", "5", "--out", "docs")
+    made = Path("docs", "chart.md").read_text()
+    row = re.search(
+        r"^\| `pylon` \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+)%, ([\d.]+)% \|$", made, re.MULTILINE
+    )
+    _, device, whole, *errors = map(float, row.groups())
+    assert 1 < device < whole and max(errors) <= 1.0
+
+
+@pytest.mark.slow
+def test_estimates_of_what_is_not_modelled():
+    """They do not depend on the machine's speed; other drivers draw the same samples."""
+    printed = run("tools.docs.unmodelled")
+    for line in printed.strip().splitlines():
+        assert line in (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
 def test_cost_of_multipath():
     printed = run("tools.docs.ablation", "tank", "--cost")
     assert re.match(

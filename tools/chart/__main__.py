@@ -2,6 +2,7 @@
 
     python -m tools.chart --out docs     # six scenes, two widths of beams, shimmer; about 20 minutes
     python -m tools.chart --only pylon
+    python -m tools.chart --device --out docs    # what the whole device costs over profile ideal; writes that table
     python -m tools.chart --quick        # under 2 minutes; exit status 1 if ours has left the front
 
 Times are medians, with the 95th percentile beside them, of pings that take turns while the sonar creeps.
@@ -22,10 +23,12 @@ from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.core.errors import MachineError
 from tools.bench import harness
 from tools.bench.harness import Contender
+from tools.chart import device
 from tools.chart.front import OUR_OPENGL, OURS, false_change, table, violations
 from tools.chart.rivals.methods import METHODS, best_factor
 from tools.chart.scenes import BEAMS, CACHE, SCENES, make_scene, make_sonar, make_truth
 from tools.chart.shimmer import shimmer
+from tools.docs.pages import put_table
 
 SLOW_MS = 40.0  # what is slower takes every third round only
 SHORT_MS = 10.0  # what is quicker pings once untimed before, so that its caches are warm
@@ -133,6 +136,16 @@ def report_shimmer(rows, uncertainties):
         )
 
 
+def chart_device(names, rounds: int, out: Path | None, about: str):
+    """Time the whole device over profile ideal; write the table of chart.md in the folder `out`."""
+    costs = {name: device.costs_of(name, rounds) for name in names}
+    text = device.table(costs)
+    print(text)
+    harness.print_aims(device.aims(costs))
+    if out:
+        put_table(out / "chart.md", "device", f"{about}; {rounds} rounds.\n\n{text}")
+
+
 def main():
     """Chart what the options name."""
     parser = argparse.ArgumentParser(prog="python -m tools.chart", description=__doc__.partition("\n")[0])
@@ -142,6 +155,7 @@ def main():
     parser.add_argument(
         "--quick", action="store_true", help="two scenes, few resolutions: does ours keep the front?"
     )
+    parser.add_argument("--device", action="store_true", help="only what the whole device costs over ideal")
     parser.add_argument("--out", type=Path, help="folder for the CSV files and pictures/; none if left out")
     parser.add_argument("--cache", type=Path, default=CACHE, help=f"folder of the truths; {CACHE}")
     parser.add_argument("--rounds", type=int, help="15, or 9 if quick")
@@ -152,6 +166,9 @@ def main():
     machine, date = harness.describe_machine(), datetime.date.today().isoformat()
     about = f"{harness.one_line(machine)}, {date}"
     print(f"{about}; load at the start {machine['load']:.1f} (quiet is below 0.3)", flush=True)
+    if options.device:
+        chart_device([name for name in only if name != "shimmer"], rounds, options.out, about)
+        return
     if options.out:
         from tools.chart import draw  # needs matplotlib, which the numbers alone do not
 

@@ -71,6 +71,7 @@ def table(prices) -> str:
                 "without": one.name,
                 "change of the image": percent(one.changes),
                 "worst bin": percent(one.worst_bin),
+                "bins > 3 dB": percent(one.changed_bins),
                 "cost, ms": f"{one.time_ms:.1f}" if one.changes else "-",
                 "needed at 1 %": "on" if one.on else "off",
             }
