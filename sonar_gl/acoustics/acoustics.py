@@ -18,6 +18,7 @@ from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
 BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
+BARE |= {"cross_talk": False}
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
     "demarco2015": BARE | {"range_law": "printed"},
@@ -27,6 +28,7 @@ PROFILES = {  # name: values of the fields that are None
         "transmit_beam": True,
         "specular": True,
         "bubbles": True,
+        "cross_talk": True,
     },
 }
 CHOICES = {  # field: allowed names
@@ -114,6 +116,9 @@ class Acoustics:
         Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
     bubbles : bool or None
         Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
+    cross_talk : bool or None
+        Whether the sonar's `cross_talk_db` counts: beams of one set receive some of each other's echoes. None: by
+        profile.
     multipath : "none", "incoherent" or "coherent"
         Whether echoes by way of planar reflectors are added, and how the two single-bounce paths add up:
         "incoherent" in power, "coherent" in phase.
@@ -147,6 +152,7 @@ class Acoustics:
     pulse: bool = False
     specular: bool | None = None
     bubbles: bool | None = None
+    cross_talk: bool | None = None
     multipath: str = "none"
 
     def __post_init__(self):
@@ -156,7 +162,7 @@ class Acoustics:
                 object.__setattr__(self, key, value)
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("transmit_beam", "pulse", "specular", "bubbles"):
+        for key in ("transmit_beam", "pulse", "specular", "bubbles", "cross_talk"):
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:

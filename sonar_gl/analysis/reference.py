@@ -15,6 +15,7 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.analysis.rays import (
     Aperture,
@@ -120,6 +121,8 @@ def reference_ping(
     intensity = ((halves[0].beam_sums + halves[1].beam_sums) * (fan.bins.gain * ray_sr)).astype(np.float32)
     if (weights := acoustics.pulse_weights(sonar)) is not None:
         intensity = matched_filter(intensity, weights)
+    if acoustics.cross_talk and sonar.cross_talk_db is not None:
+        intensity = leak_between_beams(intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
     body_echo = (halves[0].body_sums + halves[1].body_sums) * ray_sr
     for array in (intensity, body_echo):
         array.setflags(write=False)

@@ -42,6 +42,7 @@ class Term:
     off : fields that switch it off
     of_noise : True if these are fields of Noise, False if of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
+    acts_with : function Sonar -> False if the term does not act with such a sonar
     """
 
     name: str
@@ -49,6 +50,7 @@ class Term:
     off: dict
     of_noise: bool = False
     acts_in: Callable[[Scene], bool] = lambda scene: True
+    acts_with: Callable[[Sonar], bool] = lambda sonar: True
 
 
 def _field_on(name: str, on, off) -> Callable:
@@ -103,6 +105,12 @@ TERMS = (
         acts_in=lambda scene: bool(scene.plumes),
     ),
     Term("multipath", on=_field_on("multipath", "incoherent", off="none"), off={"multipath": "none"}),
+    Term(
+        "cross-talk",
+        on=_field_on("cross_talk", True, off=False),
+        off={"cross_talk": False},
+        acts_with=lambda sonar: sonar.cross_talk_db is not None,
+    ),
     SPECKLE,
     Term(
         "receiver noise",
@@ -240,7 +248,8 @@ class _Comparison:
         within the tolerance.
         """
         scene, tolerance = self.planner.scene, self._case.tolerance
-        changes = {term: self._change([term]) if term.acts_in(scene) else (0.0, 0.0) for term in TERMS}
+        acting = [term for term in TERMS if term.acts_in(scene) and term.acts_with(self._case.sonar)]
+        changes = {term: self._change([term]) if term in acting else (0.0, 0.0) for term in TERMS}
         off = [term for term in TERMS if changes[term][0] == 0]
         for term in sorted(TERMS, key=lambda term: changes[term][0]):
             if term in off:

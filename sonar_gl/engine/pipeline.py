@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
@@ -141,7 +142,10 @@ def finish(instrument: Instrument, received: ReceivedPing, report: PingReport) -
 def assemble(
     instrument: Instrument, received: ReceivedPing, origin: SampleOrigin, error_estimate: float | None = None
 ) -> Ping:
-    """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
+    """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
+
+    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`).
+    """
     setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
     request, labels = setup.request, {} if received.labels is None else vars(received.labels)
     intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
@@ -170,5 +174,15 @@ def assemble(
         acoustics=setup.acoustics,
         **labels,
     )
-    ping = shown_in_motion(ping, request.velocity)
+    ping = with_cross_talk(shown_in_motion(ping, request.velocity))
     return ping if request.noise is None else add_noise(ping, request.noise, request.seed, request.number)
+
+
+def with_cross_talk(ping: Ping) -> Ping:
+    """Return a ping with the cross-talk between the beams of its sonar, if its acoustics have it."""
+    sonar = ping.sonar
+    if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
+        return ping
+    intensity = leak_between_beams(ping.intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
+    intensity.setflags(write=False)
+    return replace(ping, intensity=intensity)

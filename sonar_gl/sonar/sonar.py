@@ -71,6 +71,9 @@ class Sonar:
         resolution cell is as long as a bin
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
+    cross_talk_db : level of cross-talk, dB: what a beam receives of the echo in each other beam of its set; None: none
+    cross_talk_beams : spacing of the beams of a set, which are received together: every 8th beam, if a frame takes 8
+        transmissions
     counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
 
     Raises
@@ -99,6 +102,8 @@ class Sonar:
     transmit_width_deg: float | None = None
     bandwidth_hz: float | None = None
     pulse_taper: str = "hamming"
+    cross_talk_db: float | None = None
+    cross_talk_beams: int = 8
     counts: Counts = DEFAULT_COUNTS
 
     def __post_init__(self):
@@ -108,6 +113,7 @@ class Sonar:
                 object.__setattr__(self, "counts", DEFAULT_COUNTS.changed(self.counts))
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
+        check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, 65536)
         for key, low, high, hint in (
             ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
             ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
@@ -118,9 +124,10 @@ class Sonar:
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
+            ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
         ):
             value = getattr(self, key)
-            if value is None and key in ("transmit_width_deg", "bandwidth_hz"):
+            if value is None and key in ("transmit_width_deg", "bandwidth_hz", "cross_talk_db"):
                 continue
             check_number(f"{location}: {key}", value, low, high, hint)
         for key, names in CHOICES.items():
