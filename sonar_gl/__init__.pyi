@@ -2,6 +2,7 @@
 
 from . import embed
 from .acoustics.acoustics import Acoustics
+from .acoustics.water import Water
 from .analysis.reference import reference_ping
 from .analysis.terms import needed_acoustics
 from .core.errors import Error
@@ -42,6 +43,7 @@ __all__ = [
     "Simulator",
     "Sonar",
     "SonarSensor",
+    "Water",
     "__version__",
     "bundled_scenes",
     "colorize",

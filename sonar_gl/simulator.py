@@ -137,7 +137,7 @@ class Simulator:
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
             `motion.shown_at`. None = it stands
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
-        water : of this ping alone, fields of `Acoustics` to values, as `Acoustics.in_water` takes them
+        water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
 
         Warns

@@ -182,9 +182,11 @@ def our_device(setup: Setup) -> tuple[sg.Sonar, sg.Acoustics, sg.Noise]:
         pulse_taper="uniform",
     )
     acoustics = sg.Acoustics.physical(
-        salinity_psu=0.0,  # the file's setting
-        temperature_c=22.0,  # at which fresh water has the file's speed of sound
-        sound_speed_m_s=setup.sound_speed_m_s,
+        water=sg.Water(
+            salinity_psu=0.0,  # the file's setting
+            temperature_c=22.0,  # at which fresh water has the file's speed of sound
+            sound_speed_m_s=setup.sound_speed_m_s,
+        ),
         elevation_pattern="line_array",
         pulse=True,
         tvg_k=30.0,  # by the rise of the real noise from the water to the far field

@@ -546,10 +546,10 @@ TERMS = {
     "elevation gaussian": {"elevation_pattern": "gaussian"},
     "pulse": {"pulse": True, "bandwidth_hz": 20e3, "pulse_taper": "uniform"},
     "pulse hamming": {"pulse": True, "bandwidth_hz": 30e3, "pulse_taper": "hamming"},
-    "water": {"temperature_c": 4.0, "salinity_psu": 8.0, "ph": 7.9, "tvg_absorption_db_m": 0.3},
-    "other absorption": {"absorption_formula": "ainslie_mccolm", "tvg_absorption_db_m": 0.3},
+    "water": {"water": sg.Water(4.0, 8.0, ph=7.9), "tvg_absorption_db_m": 0.3},
+    "other absorption": {"water": sg.Water(absorption_formula="ainslie_mccolm"), "tvg_absorption_db_m": 0.3},
     "TVG": {"tvg_k": 40.0, "tvg_absorption_db_m": 0.2},
-    "set speed": {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1500.0},
+    "set speed": {"water": sg.Water(sound_speed_m_s=1450.0), "sonar_sound_speed_m_s": 1500.0},
     "no lobes": {"specular": False},
 }
 NOISES = {
@@ -687,7 +687,7 @@ def cases() -> Iterator[tuple[str, Callable]]:
         yield f"far/{way}", partial(one, "far", sampling=sampling, time_s=2.5, **LABELS)
     yield "far/multipath", partial(one, "far", acoustics=sg.Acoustics.physical(multipath="incoherent"))
 
-    mu, water = {"ball": 0.1, "map": 0.5, "floor": 0.9}, {"temperature_c": 20.0, "salinity_psu": 5.0}
+    mu, water = {"ball": 0.1, "map": 0.5, "floor": 0.9}, sg.Water(temperature_c=20.0, salinity_psu=5.0)
     tvg = sg.Acoustics.physical(tvg_absorption_db_m=0.3)
     yield "this ping/bodies", partial(one, bodies=MOVED[1], **LABELS)
     yield "this ping/reflectivity", partial(one, reflectivity=mu, **LABELS)

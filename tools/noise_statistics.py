@@ -32,7 +32,7 @@ def even_ping(pose=None, level: float = 1.0, **acoustics) -> Ping:
     azimuth = np.radians(SPACING_DEG) * (np.arange(BEAMS) - (BEAMS - 1) / 2)
     shape = BEAMS, BINS, BEAMS * SPACING_DEG, 20.0, WIDTH_DEG
     sonar = sg.Sonar("even", FREQUENCY_HZ, *shape, 1.0, 1 + BINS * BIN_M)
-    acoustics = sg.Acoustics(**{"profile": "ideal", "sound_speed_m_s": SPEED_M_S} | acoustics)
+    acoustics = sg.Acoustics(**{"profile": "ideal", "water": sg.Water(sound_speed_m_s=SPEED_M_S)} | acoustics)
     intensity = np.full((BEAMS, BINS), level, np.float32)
     return Ping(intensity, azimuth, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics)
 

@@ -63,7 +63,7 @@ def measured_db(frequency_hz, aperture_deg, settings) -> np.ndarray:
     sonar = sg.Sonar("floor", frequency_hz, 9, bins, 45.0, aperture_deg, 2.0, 2.05, 2.05 + 0.1 * bins)
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * HALF_M
     floor = sg.Body("floor", trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
-    sonar, acoustics = described(sonar, depth_m=0.0, **settings)
+    sonar, acoustics = described(sonar, water=sg.Water(depth_m=0.0), **settings)
     with sg.Simulator(sg.Scene([floor]), sonar, acoustics, tolerance=0.003) as simulator:
         ping = simulator.ping(sg.pose(0, 0, HEIGHT_M))
     at = [np.abs(ping.range_m - r).argmin() for r in RANGES_M]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -12,9 +12,9 @@ import numpy as np
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
-from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
+from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 
 BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
@@ -34,23 +34,15 @@ PROFILES = {  # name: values of the fields that are None
 CHOICES = {  # field: allowed names
     "range_law": ("constant", "printed", "inverse", "sonar_equation"),
     "beam_pattern": ("box", "line_array", "gaussian"),
-    "absorption_formula": tuple(ABSORPTION_FORMULAS),
-    "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
     "elevation_pattern": ("box", "line_array", "gaussian"),
     "multipath": ("none", "incoherent", "coherent"),
 }
 BOUNDS = (  # field, least and greatest value, hint for messages
-    ("temperature_c", -2, 40, "give °C"),
-    ("salinity_psu", 0, 45, "give grams of salt per kilogram of water"),
-    ("depth_m", 0, 12000, "give metres below the surface, positive down"),
-    ("ph", 7, 9, "sea water has about 8"),
-    ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
-    ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
     ("sonar_sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
 )
-MOVED = {  # fields that describe the device: their names in `Sonar`
+MOVED_TO_SONAR = {  # fields that describe the device: their names in `Sonar`
     "taper": "receive_taper",
     "side_lobe_db": "side_lobe_db",
     "steered": "steered",
@@ -60,9 +52,7 @@ MOVED = {  # fields that describe the device: their names in `Sonar`
     "bandwidth_hz": "bandwidth_hz",
     "pulse_taper": "pulse_taper",
 }
-# Fields that describe the water, and that a ping may change.
-WATER = "temperature_c", "salinity_psu", "depth_m", "ph", "absorption_db_m", "sound_speed_m_s"
-
+MOVED_TO_WATER = tuple(field.name for field in fields(Water))
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
@@ -87,20 +77,12 @@ class Acoustics:
         counts as 1 mm and the product stays within 10^±30. None: by profile.
     beam_pattern : "box", "line_array", "gaussian" or None
         Receive beam pattern in azimuth. None: by profile.
-    temperature_c, salinity_psu, depth_m, ph : float
-        The water, for α and for the speed of sound: °C, practical salinity, metres below the surface, 1.
-    absorption_db_m : float or None
-        α, dB per metre one way. None: by `absorption_formula` at the sonar's frequency.
+    water : Water, or a table of its fields
+        The water, which has the absorption α and the speed of sound.
     tvg_k : float
         k of the TVG. 20 with the right α makes G = 1; 40 keeps the level of a point target.
     tvg_absorption_db_m : float or None
         α_tvg, the absorption that the TVG assumes, dB per metre one way. None: the right one, α.
-    absorption_formula : "francois_garrison" or "ainslie_mccolm"
-        Formula of α.
-    sound_speed_formula : "mackenzie" or "teos10"
-        Formula of the speed of sound; "teos10" requires gsw.
-    sound_speed_m_s : float or None
-        Speed of sound, metres per second. None: by `sound_speed_formula`.
     sonar_sound_speed_m_s : float or None
         Speed of sound that the sonar assumes, metres per second. The ranges that it shows are the true ones times
         this over the right speed. None: the right speed.
@@ -126,7 +108,7 @@ class Acoustics:
     Raises
     ------
     Error
-        if a name is unknown, has moved to `Sonar`, or a number is out of bounds.
+        if a name is unknown, has moved to `Sonar` or `Water`, or a number is out of bounds.
 
     >>> from sonar_gl.sonar.sonar import load_sonar
     >>> Acoustics.physical(tvg_k=40.0).range_gain(np.array([1.0, 10.0]), load_sonar("p900-45")).round(9).tolist()
@@ -136,16 +118,9 @@ class Acoustics:
     profile: str = "physical"
     range_law: str | None = None
     beam_pattern: str | None = None
-    temperature_c: float = 10.0
-    salinity_psu: float = 35.0
-    depth_m: float = 10.0
-    ph: float = 8.0
-    absorption_db_m: float | None = None
+    water: Water = DEFAULT_WATER
     tvg_k: float = 20.0
     tvg_absorption_db_m: float | None = None
-    absorption_formula: str = "francois_garrison"
-    sound_speed_formula: str = "mackenzie"
-    sound_speed_m_s: float | None = None
     sonar_sound_speed_m_s: float | None = None
     transmit_beam: bool | None = None
     elevation_pattern: str = "box"
@@ -160,6 +135,9 @@ class Acoustics:
         for key, value in PROFILES[self.profile].items():
             if getattr(self, key) is None:
                 object.__setattr__(self, key, value)
+        if not isinstance(self.water, Water):  # a table of a file
+            with errors_at("acoustics"):
+                object.__setattr__(self, "water", DEFAULT_WATER.changed(self.water))
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
         for key in ("transmit_beam", "pulse", "specular", "bubbles", "cross_talk"):
@@ -172,8 +150,8 @@ class Acoustics:
             check_number(f"acoustics: {key}", value, low, high, hint)
 
     def __new__(cls, *arguments, **fields):
-        """Refuse fields that describe the device."""
-        _check_moved("acoustics", fields)
+        """Refuse fields that describe the device or the water."""
+        check_moved("acoustics", fields)
         return super().__new__(cls)
 
     @classmethod
@@ -209,75 +187,55 @@ class Acoustics:
         30.0
         """
         keys = [item.partition("=")[0].strip() for item in text.split(",")]
-        _check_moved(f"acoustics {text!r}", keys)
+        check_moved(f"acoustics {text!r}", keys)
         if "needed" in keys:
             raise Error(f"acoustics {text!r}: needed takes no other settings: it chooses the terms itself")
+        if "water" in keys:
+            raise Error(
+                f'acoustics {text!r}: water has an option of its own (give --water "temperature_c=4")'
+            )
         if "" in keys:
             got = "a comma or nothing where a key must be"
             raise Error(f"acoustics {text!r}: must be key=value, ... (got {got})")
-        _, settings = parse_fields("acoustics", text, cls, without=("profile",))
+        _, settings = parse_fields("acoustics", text, cls, without=("profile", "water"))
         return replace(cls(profile), **settings)
 
     def meta(self) -> dict:
-        """Return the fields as plain values, for the record of a ping."""
+        """Return the fields as plain values, the water as a table, for the record of a ping."""
         return asdict(self)
 
     # ---- water --------------------------------------------------------------------------------------------
 
-    def in_water(self, water: dict) -> Acoustics:
+    def in_water(self, water: Water) -> Acoustics:
         """Return the same model in other water.
-
-        Parameters
-        ----------
-        water : values of any of temperature_c, salinity_psu, depth_m, ph, absorption_db_m, sound_speed_m_s
 
         Raises
         ------
         Error
-            if it has another key, a number is out of bounds, or the ranges that the sonar shows would change.
+            if it is no Water, or the ranges that the sonar shows would change.
 
-        >>> Acoustics.physical(ph=7.9).in_water({"temperature_c": 4.0}).sound_speed() < 1470
-        True
+        >>> Acoustics.physical(tvg_k=30.0).in_water(Water(temperature_c=4.0)).water.temperature_c
+        4.0
         """
-        check_kind("water", water, dict, 'such as {"temperature_c": 4.0, "salinity_psu": 8.0}')
-        for name in water:
-            if name not in WATER:
-                hint = nearest_names(str(name), WATER)
-                raise Error(
-                    f"water must contain fields of Acoustics that describe the water (got {name!r}; {hint})"
-                )
-        out = replace(self, **water)
+        check_kind("water", water, Water, "such as dataclasses.replace(acoustics.water, temperature_c=4.0)")
+        out = replace(self, water=water)
         if out.shown_per_true() != self.shown_per_true():
             raise Error(
                 "the speed of sound must not change where sonar_sound_speed_m_s is set, since echoes would be "
-                f"shown at other ranges (got {out.sound_speed():.2f} for {self.sound_speed():.2f} m/s; leave "
+                f"shown at other ranges (got {water.sound_speed():.2f} for {self.water.sound_speed():.2f} m/s; leave "
                 "sonar_sound_speed_m_s out, or make one Simulator for each water)"
             )
         return out
 
-    def absorption(self, frequency_hz: float) -> float:
-        """Return the absorption α at a frequency, dB per metre, one way."""
-        if self.absorption_db_m is not None:
-            return float(self.absorption_db_m)
-        water = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
-        return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *water))
-
-    def sound_speed(self) -> float:
-        """Return the speed of sound in this water, metres per second."""
-        if self.sound_speed_m_s is not None:
-            return float(self.sound_speed_m_s)
-        water = (self.temperature_c, self.salinity_psu, self.depth_m)
-        return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*water))
-
     def shown_per_true(self) -> float:
         """Return the ratio of shown to true ranges: the speed of sound that the sonar assumes, over the right one.
 
-        >>> round(10 * Acoustics(sonar_sound_speed_m_s=1500.0, sound_speed_m_s=1450.0).shown_per_true(), 4)
+        >>> round(10 * Acoustics(water=Water(sound_speed_m_s=1450.0), sonar_sound_speed_m_s=1500.0).shown_per_true(), 4)
         10.3448
         """
         if self.sonar_sound_speed_m_s is None:
             return 1.0
-        return self.sonar_sound_speed_m_s / self.sound_speed()
+        return self.sonar_sound_speed_m_s / self.water.sound_speed()
 
     def true_range_sonar(self, sonar):
         """Return the sonar whose bins lie at true ranges, and whose aperture is the support in elevation.
@@ -334,7 +292,7 @@ class Acoustics:
         linear power, float64, of the shape of `range_m`
 
         >>> from sonar_gl.sonar.sonar import load_sonar
-        >>> Acoustics.physical(tvg_k=30.0, absorption_db_m=0.5).tvg([10.0], load_sonar("p900-45")).tolist()
+        >>> Acoustics.physical(tvg_k=30.0, tvg_absorption_db_m=0.5).tvg([10.0], load_sonar("p900-45")).tolist()
         [10000.0]
         """
         r = np.asarray(range_m, np.float64)
@@ -345,7 +303,7 @@ class Acoustics:
 
     def _true_and_assumed_absorption(self, sonar) -> tuple[float, float]:
         """Return α of the water and α of the TVG, dB per metre, one way."""
-        true = self.absorption(sonar.frequency_hz)
+        true = self.water.absorption(sonar.frequency_hz)
         return true, true if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
 
     # ---- beam patterns ------------------------------------------------------------------------------------
@@ -461,17 +419,23 @@ class Acoustics:
 
     def pulse_response(self, sonar) -> tuple[float, str, float]:
         """Return bandwidth, taper and the speed of sound of the pulse, as `pulse.amplitude_response` takes them."""
-        speed_m_s = float(self.sonar_sound_speed_m_s or self.sound_speed())  # bins lie at shown ranges
+        speed_m_s = float(self.sonar_sound_speed_m_s or self.water.sound_speed())  # bins lie at shown ranges
         # the resolution cell is inversely proportional to the bandwidth
         as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m
         return float(sonar.bandwidth_hz or as_a_bin_hz), sonar.pulse_taper, speed_m_s
 
 
-def _check_moved(what: str, names) -> None:
-    """Raise an Error for the first name that is a field of `Sonar` now."""
+def check_moved(what: str, names) -> None:
+    """Raise an Error for the first name that is a field of `Sonar` or `Water` now."""
     for name in names:
-        if name in MOVED:
-            new = MOVED[name]
+        if name in MOVED_TO_WATER:
+            raise Error(
+                f"{what}: {name} describes the water, and is a field of Water now (write it there: "
+                f"water=sonar_gl.Water({name}=...) in Python, --water {name}=... on a command line, "
+                f"water = {{ {name} = ... }} in a job)"
+            )
+        if name in MOVED_TO_SONAR:
+            new = MOVED_TO_SONAR[name]
             raise Error(
                 f"{what}: {name} describes the device, and is a field of Sonar now (write it as {new} there: in a "
                 f"sonar's TOML file, by --sonar p900-45,{new}=..., or by dataclasses.replace)"

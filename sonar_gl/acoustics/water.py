@@ -1,10 +1,16 @@
-"""Absorption and speed of sound in sea water."""
+"""The water, and formulas of its absorption and speed of sound."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
 import numpy as np
 
+from sonar_gl.core.checks import check_choice, check_number, shown
+from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.core.key_values import parse_fields
 
 LATITUDE_DEG = (
     45.0  # for pressure from depth; at 1 km the speed at the poles or the equator differs by 0.05 m/s
@@ -129,3 +135,107 @@ ABSORPTION_FORMULAS = {
     "ainslie_mccolm": absorption_ainslie_mccolm,
 }
 SOUND_SPEED_FORMULAS = {"mackenzie": sound_speed_mackenzie, "teos10": sound_speed_teos10}
+CHOICES = {  # field: allowed names
+    "absorption_formula": tuple(ABSORPTION_FORMULAS),
+    "sound_speed_formula": tuple(SOUND_SPEED_FORMULAS),
+}
+BOUNDS = (  # field, least and greatest value, hint for messages
+    ("temperature_c", -2, 40, "give °C"),
+    ("salinity_psu", 0, 45, "give grams of salt per kilogram of water"),
+    ("depth_m", 0, 12000, "give metres below the surface, positive down"),
+    ("ph", 7, 9, "sea water has about 8"),
+    ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
+    ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+)
+
+
+@dataclass(frozen=True)
+class Water:
+    """The water between sonar and bodies: its absorption α and speed of sound c, the same everywhere.
+
+    Parameters
+    ----------
+    temperature_c, salinity_psu, depth_m, ph : float
+        The properties from which α and c follow: °C, practical salinity, metres below the surface, 1.
+    absorption_db_m : float or None
+        α, dB per metre one way. None: by `absorption_formula` at the sonar's frequency.
+    absorption_formula : "francois_garrison" or "ainslie_mccolm"
+        Formula of α.
+    sound_speed_formula : "mackenzie" or "teos10"
+        Formula of c; "teos10" requires gsw.
+    sound_speed_m_s : float or None
+        c, metres per second. None: by `sound_speed_formula`.
+
+    Raises
+    ------
+    Error
+        if a name is unknown, or a number is out of bounds.
+
+    >>> round(Water(temperature_c=25.0, depth_m=1000.0).sound_speed(), 3)
+    1550.744
+    """
+
+    temperature_c: float = 10.0
+    salinity_psu: float = 35.0
+    depth_m: float = 10.0
+    ph: float = 8.0
+    absorption_db_m: float | None = None
+    absorption_formula: str = "francois_garrison"
+    sound_speed_formula: str = "mackenzie"
+    sound_speed_m_s: float | None = None
+
+    def __post_init__(self):
+        for key, names in CHOICES.items():
+            check_choice(key, getattr(self, key), names, "water")
+        for key, low, high, hint in BOUNDS:
+            value = getattr(self, key)
+            if value is None and self.__dataclass_fields__[key].default is None:
+                continue
+            check_number(f"water: {key}", value, low, high, hint)
+
+    @classmethod
+    def parse(cls, text: str) -> Water:
+        """Return the water that the text "key=value,..." of a command line states.
+
+        >>> Water.parse("temperature_c=4,salinity_psu=8").salinity_psu
+        8.0
+        """
+        return cls(**parse_fields("water", text, cls)[1])
+
+    def changed(self, values: Mapping) -> Water:
+        """Return this water with other values of some fields, as a file gives them.
+
+        Raises
+        ------
+        Error
+            if the values are no table, or a field is unknown or out of bounds.
+
+        >>> Water(ph=7.9).changed({"temperature_c": 4.0}).ph
+        7.9
+        """
+        known = [field.name for field in fields(self)]
+        if not isinstance(values, Mapping):
+            raise Error(
+                f"water must be a Water, or a table such as {{ temperature_c = 4 }} (got {shown(values)})"
+            )
+        for key in values:
+            if key not in known:
+                raise Error(f"water: unknown key (got {shown(key)}; {nearest_names(str(key), known)})")
+        return replace(self, **values)
+
+    def absorption(self, frequency_hz: float) -> float:
+        """Return the absorption α at a frequency, dB per metre, one way."""
+        if self.absorption_db_m is not None:
+            return float(self.absorption_db_m)
+        properties = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
+        return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *properties))
+
+    def sound_speed(self) -> float:
+        """Return the speed of sound c, metres per second."""
+        if self.sound_speed_m_s is not None:
+            return float(self.sound_speed_m_s)
+        properties = (self.temperature_c, self.salinity_psu, self.depth_m)
+        return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*properties))
+
+
+DEFAULT_WATER = Water()

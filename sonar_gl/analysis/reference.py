@@ -104,8 +104,8 @@ def reference_ping(
     meta = {
         "sonar": asdict(sonar),
         "acoustics": acoustics.meta(),
-        "absorption_db_m": acoustics.absorption(sonar.frequency_hz),
-        "sound_speed_m_s": acoustics.sound_speed(),
+        "absorption_db_m": acoustics.water.absorption(sonar.frequency_hz),
+        "sound_speed_m_s": acoustics.water.sound_speed(),
         "profile": acoustics.profile,
         "bin_size_m": sonar.bin_size_m,
         "scene": scene.name,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
@@ -40,7 +41,7 @@ class Term:
     name : as in reports
     on : function (acoustics, noise, sonar) -> fields that switch the term on; {} if it is on
     off : fields that switch it off
-    of_noise : True if these are fields of Noise, False if of Acoustics
+    of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
     acts_with : function Sonar -> False if the term does not act with such a sonar
     """
@@ -49,8 +50,17 @@ class Term:
     on: Callable[[Acoustics, Noise, Sonar], dict]
     off: dict
     of_noise: bool = False
+    of_water: bool = False
     acts_in: Callable[[Scene], bool] = lambda scene: True
     acts_with: Callable[[Sonar], bool] = lambda sonar: True
+
+    def changed(self, acoustics: Acoustics, noise: Noise, values: dict) -> tuple[Acoustics, Noise]:
+        """Return both with other values of the term's fields."""
+        if self.of_noise:
+            return acoustics, replace(noise, **values)
+        if self.of_water:
+            return replace(acoustics, water=replace(acoustics.water, **values)), noise
+        return replace(acoustics, **values), noise
 
 
 def _field_on(name: str, on, off) -> Callable:
@@ -59,7 +69,7 @@ def _field_on(name: str, on, off) -> Callable:
 
 
 def _absorption_on(acoustics, noise, sonar) -> dict:
-    return {"absorption_db_m": None} if acoustics.absorption_db_m == 0 else {}
+    return {"absorption_db_m": None} if acoustics.water.absorption_db_m == 0 else {}
 
 
 def _speckle_on(acoustics, noise, sonar) -> dict:
@@ -80,7 +90,7 @@ SPECKLE = Term(
 )
 TERMS = (
     # without absorption the TVG remains as it is, so one that assumes the right absorption assumes none
-    Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}),
+    Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}, of_water=True),
     Term(
         "azimuth pattern",
         on=_field_on("beam_pattern", "line_array", off="box"),
@@ -124,21 +134,14 @@ TERMS = (
 def everything_on(acoustics: Acoustics, noise: Noise, sonar: Sonar) -> tuple[Acoustics, Noise]:
     """Return both with every term on; a term that is on stays as it is."""
     for term in TERMS:
-        changes = term.on(acoustics, noise, sonar)
-        if term.of_noise:
-            noise = replace(noise, **changes)
-        else:
-            acoustics = replace(acoustics, **changes)
+        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise, sonar))
     return acoustics, noise
 
 
 def without(acoustics: Acoustics, noise: Noise, terms: Iterable[Term]) -> tuple[Acoustics, Noise]:
     """Return both with some terms off."""
     for term in terms:
-        if term.of_noise:
-            noise = replace(noise, **term.off)
-        else:
-            acoustics = replace(acoustics, **term.off)
+        acoustics, noise = term.changed(acoustics, noise, term.off)
     return acoustics, noise
 
 
@@ -366,7 +369,9 @@ def price(
     return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices]
 
 
-def needed_acoustics(scene, sonar, tolerance: float = 0.01, pose=None) -> Acoustics:
+def needed_acoustics(
+    scene, sonar, tolerance: float = 0.01, pose=None, water: Water | None = None
+) -> Acoustics:
     """Return `Acoustics.physical` with only those terms on that a scene needs.
 
     The terms that are left out change the image by no more than the tolerance, all together. The same arguments
@@ -377,14 +382,16 @@ def needed_acoustics(scene, sonar, tolerance: float = 0.01, pose=None) -> Acoust
     scene, sonar : Scene, or a Simulator of it, and Sonar
     tolerance : 0.001..0.5, the share of the echo that may differ from that with every term on
     pose : (4, 4) world_from_sonar, or several of a sequence, of which five at most are used; None = the scene's
+    water : Water; None is `Water()`
 
     Raises
     ------
     Error
         if there is no pose, or an argument is wrong.
     """
+    acoustics = Acoustics.physical() if water is None else Acoustics.physical().in_water(water)
     poses = [pose] if pose is not None and np.ndim(pose) == 2 else pose
-    case = _make_case(scene, sonar, tolerance, poses)
+    case = _make_case(scene, sonar, tolerance, poses, acoustics)
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
         prices = _Comparison(stack, case).judge()

@@ -130,7 +130,7 @@ class VaryTable(Table):
     Attributes
     ----------
     bodies : bodies that move
-    water : fields of `Acoustics` that describe the water
+    water : fields of `Water`
     noise : fields of `Noise`
     """
 
@@ -231,6 +231,7 @@ class Job(Table):
     surface_z_m: Annotated[float, Field(ge=-1e5, le=1e5)] = None
     pings_per_part: Annotated[int, Field(ge=1, le=4096)] = None
     acoustics: dict = Field({})
+    water: dict = Field({})
     noise: dict = Field({})
     sonars: Annotated[list[SonarTable], Field(min_length=1)]
     poses: Annotated[list[dict], Field(min_length=1)]

@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sonar_gl.acoustics.acoustics import WATER, Acoustics
+from sonar_gl.acoustics.acoustics import Acoustics, check_moved
+from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
@@ -26,6 +27,7 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar
 VARY_STREAM, NOISE_STREAM = 101, 102  # of random numbers; never renumber: the bytes of data sets would change
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
 NOISE_PRESETS = {"none": Noise.none, "demarco2015": Noise.demarco2015, "physical": Noise.physical}
 
 
@@ -39,7 +41,8 @@ class BatchRequest:
     scene : index into the job's scenes
     time_s : time of transmission
     vehicle_pose : (4, 4) world_from_vehicle
-    bodies, reflectivity, water : changes in this ping, as in `PingRequest`
+    bodies, reflectivity : changes in this ping, as in `PingRequest`
+    water : Water of this ping, or None for that of the job
     noise : noise of this ping
     """
 
@@ -49,7 +52,7 @@ class BatchRequest:
     vehicle_pose: np.ndarray
     bodies: dict
     reflectivity: dict
-    water: dict
+    water: Water | None
     noise: Noise
 
     def for_sonar(
@@ -69,7 +72,7 @@ class BatchRequest:
             bodies=self.bodies,
             time_s=self.time_s,
             reflectivity=self.reflectivity,
-            water=self.water or None,
+            water=self.water,
             alone=True,  # whatever other pings its process makes
         )
 
@@ -112,7 +115,7 @@ class BatchRequests(Sequence):
         self.job = job
         self.sonars, self.mounts = _load_sonars(job)
         self.noise = _load_noise(job)
-        self.acoustics = build(Acoustics, job.acoustics, f"{job.where}: acoustics")
+        self.acoustics = _load_acoustics(job)
         trajectories = [self._load_trajectory(k) for k in range(len(job.poses))]
         _check_varied_fields(job, self.acoustics, self.noise)
         for output in ("pictures", "coco", "ros"):
@@ -155,7 +158,7 @@ class BatchRequests(Sequence):
             vehicle_pose,
             bodies,
             reflectivity,
-            water,
+            replace(self.acoustics.water, **water) if water else None,
             replace(self.noise, **noise),
         )
 
@@ -303,6 +306,14 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
         return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
 
 
+def _load_acoustics(job: Job) -> Acoustics:
+    where = f"{job.where}: acoustics"
+    check_moved(where, job.acoustics)
+    if "water" in job.acoustics:
+        raise Error(f"{where}: water is a table of its own (give a line [water], or water = {{ ... }})")
+    return build(Acoustics, {**job.acoustics, "water": build(Water, job.water, f"{job.where}: water")}, where)
+
+
 def _load_noise(job: Job) -> Noise:
     settings, where = dict(job.noise), f"{job.where}: noise"
     preset = settings.pop("preset", "none")
@@ -319,12 +330,13 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     """Check the tables vary.water and vary.noise, and that both ends of their ranges are allowed."""
     where, vary = job.where, job.vary
     for key in vary.water:
-        if key not in WATER:
-            raise Error(f"{where}: vary.water: unknown key (got {key!r}; {nearest_names(key, WATER)})")
+        if key not in VARIED_WATER:
+            hint = nearest_names(key, VARIED_WATER)
+            raise Error(f"{where}: vary.water: unknown key (got {key!r}; {hint})")
     if "median" in vary.noise:
         raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
     for end in (0, -1):
-        for base, table, name in ((acoustics, vary.water, "water"), (noise, vary.noise, "noise")):
+        for base, table, name in ((acoustics.water, vary.water, "water"), (noise, vary.noise, "noise")):
             values = {key: np.ravel(value)[end].item() for key, value in table.items()}
             if "looks" in values:
                 values["looks"] = int(values["looks"])

@@ -558,7 +558,7 @@ class MessageTypes:
         info = self.make(
             "marine_acoustic_msgs/PingInfo",
             sonar.frequency_hz,
-            ping.acoustics.sound_speed(),
+            ping.acoustics.water.sound_speed(),
             np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
             np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
         )

@@ -258,7 +258,7 @@ class PingTable:
         put("scene", request.scene)
         put("time_s", request.time_s)
         put("pose", request.vehicle_pose.ravel())
-        put("water", [request.water[key] for key in self.water])
+        put("water", [getattr(request.water, key) for key in self.water])
         put("noise", [getattr(request.noise, key) for key in self.noise])
         if self.moved:
             known = self._requests.bodies_and_plumes(request.scene)

@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.cli.options import POSE
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
@@ -61,15 +62,26 @@ def describe_sonar(scene: Scene) -> str:
 
 
 def acoustics_from(options, profile: str) -> Acoustics | None:
-    """Return the acoustics of --acoustics, which changes `profile`; None for `--acoustics needed`."""
+    """Return the acoustics of --water and --acoustics, which changes `profile`; None for `--acoustics needed`."""
+    water = water_from(options)
     if options.acoustics == "needed":
         if profile != "physical":
             raise Error(f"--acoustics needed needs --profile physical (got --profile {profile})")
         return None
     if options.acoustics is None:
-        return Acoustics(profile)
+        return Acoustics(profile, water=water)
     try:
-        return Acoustics.parse(options.acoustics, profile)
+        return replace(Acoustics.parse(options.acoustics, profile), water=water)
+    except Error as why:
+        raise Error(f"--{why}") from None
+
+
+def water_from(options) -> Water:
+    """Return the water of --water."""
+    if options.water is None:
+        return DEFAULT_WATER
+    try:
+        return Water.parse(options.water)
     except Error as why:
         raise Error(f"--{why}") from None
 

@@ -96,6 +96,7 @@ Examples:
 @option("bins", type=int)
 @option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
 @option("acoustics", show_default="the profile's")
+@option("water", show_default="the sea at 10 °C")
 @option("range_law", "printed", "constant", "inverse", show_default="printed")
 @option("noise", show_default="none; demarco2015 in that style")
 @option("style", "fan", "demarco2015", default="fan")

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import TURNS, needed_acoustics, price
-from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
@@ -40,7 +40,7 @@ def plan(scene_name: str, options) -> dict:
     scene = scene_from(scene_name, options)
     poses = poses_from(options, scene)[1]
     sonar = sonar_from(options, scene)
-    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
+    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
     return compare_plans(scene, sonar, acoustics, poses, options.tolerance)
 
 

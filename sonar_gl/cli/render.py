@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.cli.common import acoustics_from, poses_from, progress, scene_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, progress, scene_from, sonar_from, water_from
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
@@ -65,7 +65,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     sonar = sonar_from(options, scene)
     if options.counts is not None:
         sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))
-    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses)
+    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
         if not in_demarco or "npz" in options.formats:  # the paper's picture is made of points alone
@@ -203,7 +203,7 @@ class FrameWriter:
         if not len(steps_s):
             return
         acoustics, sonar = self.simulator.acoustics, self.simulator.sonar
-        max_rate_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.sound_speed())
+        max_rate_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed())
         shortest_s = float(steps_s.min())
         if shortest_s < (1 - 1e-6) / max_rate_hz:
             warnings.warn(

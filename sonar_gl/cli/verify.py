@@ -13,7 +13,7 @@ from sonar_gl.analysis.reference import MAX_RAYS, check_known
 from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.analysis.verify import MAX_ROUNDS, Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
-from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.output import echo
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
@@ -32,7 +32,7 @@ def verify(scene_name: str, options) -> dict:
     empty = Ping(np.zeros((sonar.n_beams, sonar.n_bins)), sonar.azimuth_rad, sonar.range_m)
     fan_geometry(empty, options.height)  # refuses a wrong height before the work begins
     acoustics = acoustics or replace(
-        needed_acoustics(scene, sonar, options.tolerance, pose), multipath="none"
+        needed_acoustics(scene, sonar, options.tolerance, pose, water_from(options)), multipath="none"
     )
     check_known(acoustics)
     acoustics = replace(acoustics, bubbles=False)

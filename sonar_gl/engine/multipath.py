@@ -140,7 +140,7 @@ class ImageSources:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
         self._image_stages = StageCache(engine, sonar, acoustics, *shared)
-        self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.sound_speed()
+        self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         self._scene, self._reflectors, self._rows = None, [], 0
         self.choice = HalvingChoice(self.COARSEST)
         self.use_scene(scene)

@@ -69,6 +69,6 @@ class Provenance:
     def _water(self, acoustics: Acoustics) -> dict:
         return {
             "acoustics": acoustics.meta(),
-            "absorption_db_m": acoustics.absorption(self._sonar.frequency_hz),
-            "sound_speed_m_s": acoustics.sound_speed(),
+            "absorption_db_m": acoustics.water.absorption(self._sonar.frequency_hz),
+            "sound_speed_m_s": acoustics.water.sound_speed(),
         }

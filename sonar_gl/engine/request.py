@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.acoustics.water import Water
 from sonar_gl.core.checks import check_kind, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
@@ -30,7 +31,7 @@ class PingRequest:
     time_s : seconds, at which plumes of bubbles are seen; None = 0
     velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame; or None
     reflectivity : names of bodies to μ, 0..1; or None
-    water : fields of `Acoustics` to values; or None
+    water : Water of this ping; or None for that of the acoustics
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
 
     Raises
@@ -49,7 +50,7 @@ class PingRequest:
     time_s: float | None = None
     velocity: np.ndarray | None = None
     reflectivity: dict | None = None
-    water: dict | None = None
+    water: Water | None = None
     alone: bool = False
 
     def __post_init__(self):

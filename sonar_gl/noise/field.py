@@ -153,7 +153,7 @@ class FieldNoise:
     @cached_property
     def _sound_speed_m_s(self) -> float:
         acoustics = self._ping.acoustics
-        return SOUND_SPEED_M_S if acoustics is None else acoustics.sound_speed()
+        return SOUND_SPEED_M_S if acoustics is None else acoustics.water.sound_speed()
 
     @cached_property
     def _bin_size_m(self) -> float:

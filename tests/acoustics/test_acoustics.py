@@ -2,7 +2,7 @@
 
 import doctest
 import json
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import FrozenInstanceError, asdict, fields, replace
 from functools import partial
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from sonar_gl.acoustics import acoustics, beam_pattern, boundary, pulse, water
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.core.errors import Error
 from sonar_gl.sonar.sonar import load_sonar
 
@@ -61,7 +62,7 @@ def test_a_tvg_of_20_log_r_with_the_right_absorption_cancels_the_transmission_lo
 
 def test_range_gain_of_the_physical_profile_is_the_sonar_equation(sonar):
     """r^-2 · 10^(−2αr/10) · 10^(TVG/10), term by term."""
-    acoustics = Acoustics.physical(depth_m=0, tvg_k=33.0, tvg_absorption_db_m=0.25)
+    acoustics = Acoustics.physical(water=Water(depth_m=0), tvg_k=33.0, tvg_absorption_db_m=0.25)
     r, alpha = sonar.range_m, 0.299463
     tvg_db = 33.0 * np.log10(r) + 2 * 0.25 * r
     expected = r**-2 * 10 ** (-2 * alpha * r / 10) * 10 ** (tvg_db / 10)
@@ -71,7 +72,7 @@ def test_range_gain_of_the_physical_profile_is_the_sonar_equation(sonar):
 
 def test_range_gain_without_tvg(sonar):
     """The two-way transmission loss of a surface's echo per solid angle is 20 log r + 2αr."""
-    acoustics = Acoustics.physical(absorption_db_m=0.3, tvg_k=0, tvg_absorption_db_m=0)
+    acoustics = Acoustics.physical(water=Water(absorption_db_m=0.3), tvg_k=0, tvg_absorption_db_m=0)
     gain_db = 10 * np.log10(acoustics.range_gain(np.array([1.0, 10.0, 50.0]), sonar))
     np.testing.assert_allclose(gain_db, [-0.6, -20 - 6, -33.97940008672037 - 30], rtol=1e-14)
 
@@ -79,7 +80,7 @@ def test_range_gain_without_tvg(sonar):
 def test_absorption_follows_the_frequency(sonar):
     acoustics = Acoustics.physical(tvg_absorption_db_m=0)
     low, high = (acoustics.range_gain([30.0], replace(sonar, frequency_hz=f))[0] for f in (450e3, 900e3))
-    extra_db = 60 * (acoustics.absorption(900e3) - acoustics.absorption(450e3))
+    extra_db = 60 * (Water().absorption(900e3) - Water().absorption(450e3))
     assert 10 * np.log10(low / high) == pytest.approx(extra_db, rel=1e-12)
     assert extra_db == pytest.approx(60 * (0.299296 - 0.109570), abs=1e-3)  # at 10 m depth
 
@@ -105,7 +106,8 @@ def test_the_printed_law_is_a_tvg_of_40_log_r(sonar):
 @pytest.mark.parametrize("k", [0, 20, 60])
 @pytest.mark.parametrize(("absorption", "assumed"), [(0, 1e5), (1e5, 0), (1e5, 1e5)])
 def test_range_gain_is_finite_and_positive_in_float32(sonar, k, absorption, assumed):
-    acoustics = Acoustics.physical(tvg_k=k, absorption_db_m=absorption, tvg_absorption_db_m=assumed)
+    water = Water(absorption_db_m=absorption)
+    acoustics = Acoustics.physical(water=water, tvg_k=k, tvg_absorption_db_m=assumed)
     gain = acoustics.range_gain(np.array([0.0, 1e-9, 0.5, 100.0, 1e5]), sonar).astype(np.float32)
     assert np.isfinite(gain).all() and (gain > 0).all()
 
@@ -153,7 +155,7 @@ def test_docstring_examples(module):
 
 
 def test_meta_survives_json():
-    acoustics = Acoustics.physical(tvg_k=30.0)
+    acoustics = Acoustics.physical(tvg_k=30.0, water=Water(ph=7.9))
     assert Acoustics(**json.loads(json.dumps(acoustics.meta()))) == acoustics
 
 
@@ -164,37 +166,21 @@ def test_meta_survives_json():
         ({"profile": None}, "unknown profile (got None; known are demarco2015, ideal, physical)"),
         ({"range_law": "print"}, "unknown range_law (got 'print'; did you mean 'printed'?)"),
         ({"beam_pattern": "dot"}, "unknown beam_pattern (got 'dot'; known are box, gaussian, line_array)"),
-        ({"temperature_c": 283}, "temperature_c must lie in -2..40 (got 283; give °C)"),
-        (
-            {"salinity_psu": -1},
-            "salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
-        ),
-        (
-            {"depth_m": -5},
-            "depth_m must lie in 0..12000 (got -5; give metres below the surface, positive down)",
-        ),
-        ({"ph": 0}, "ph must lie in 7..9 (got 0; sea water has about 8)"),
-        ({"ph": float("nan")}, "ph must lie in 7..9 (got nan; sea water has about 8)"),
         ({"tvg_k": 61}, "tvg_k must lie in 0..60 (got 61; usual are 20, 30 and 40)"),
         ({"tvg_k": "20"}, "tvg_k must be a number (got '20')"),
         ({"tvg_k": None}, "tvg_k must be a number (got None)"),
         (
-            {"absorption_db_m": -0.3},
-            "absorption_db_m must lie in 0..100000 "
+            {"tvg_absorption_db_m": -0.3},
+            "tvg_absorption_db_m must lie in 0..100000 "
             "(got -0.3; give dB per metre one way, a thousandth of dB per km)",
         ),
+        ({"water": {"temp_c": 4}}, "water: unknown key (got 'temp_c'; did you mean 'temperature_c'?)"),
+        ({"water": {"ph": 20}}, "water: ph must lie in 7..9 (got 20; sea water has about 8)"),
+        ({"water": 4}, "water must be a Water, or a table such as { temperature_c = 4 } (got 4)"),
         ({"beam_pattern": "boxes"}, "unknown beam_pattern (got 'boxes'; did you mean 'box'?)"),
         (
             {"elevation_pattern": None},
             "unknown elevation_pattern (got None; known are box, gaussian, line_array)",
-        ),
-        (
-            {"absorption_formula": "thorp"},
-            "unknown absorption_formula (got 'thorp'; known are ainslie_mccolm, francois_garrison)",
-        ),
-        (
-            {"sound_speed_formula": "teos"},
-            "unknown sound_speed_formula (got 'teos'; did you mean 'teos10'?)",
         ),
         ({"multipath": True}, "unknown multipath (got True; known are coherent, incoherent, none)"),
         ({"specular": "yes"}, "specular must be True or False (got 'yes')"),
@@ -204,7 +190,6 @@ def test_meta_survives_json():
             "sonar_sound_speed_m_s must lie in 1000..2000 "
             "(got 1.5; give metres per second, about 1500 in water)",
         ),
-        ({"sound_speed_m_s": True}, "sound_speed_m_s must be a number (got True)"),
         ({"pulse": 1}, "pulse must be True or False (got 1)"),
         ({"transmit_beam": "on"}, "transmit_beam must be True or False (got 'on')"),
     ],
@@ -219,6 +204,25 @@ def test_fields_that_have_moved_name_their_new_place(old, new):
     for make in (Acoustics, Acoustics.physical, partial(replace, Acoustics.ideal())):
         assert error_of(make, **{old: 1}).startswith(f"acoustics: {where}")
     assert error_of(Acoustics.parse, f"tvg_k=30,{old}=1").startswith(f"acoustics 'tvg_k=30,{old}=1': {where}")
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Water)])
+def test_fields_of_the_water_name_their_new_place(name):
+    where = f"{name} describes the water, and is a field of Water now (write it there: water=sonar_gl.Water({name}"
+    for make in (Acoustics, Acoustics.physical, partial(replace, Acoustics.ideal())):
+        assert error_of(make, **{name: 1}).startswith(f"acoustics: {where}")
+    assert error_of(Acoustics.parse, f"tvg_k=30,{name}=1").startswith(
+        f"acoustics 'tvg_k=30,{name}=1': {where}"
+    )
+
+
+def test_acoustics_in_other_water_differ_in_nothing_else():
+    water = Water(temperature_c=4.0, salinity_psu=8.0)
+    acoustics = Acoustics.physical(tvg_k=30.0).in_water(water)
+    assert acoustics == Acoustics.physical(tvg_k=30.0, water=water)
+    assert acoustics == Acoustics.physical(tvg_k=30.0, water={"temperature_c": 4.0, "salinity_psu": 8.0})
+    assert acoustics.in_water(Water()) == Acoustics.physical(tvg_k=30.0)
+    assert acoustics.meta()["water"] == asdict(water)
 
 
 def test_the_range_law_of_demarco2015_is_checked():

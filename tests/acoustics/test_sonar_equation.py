@@ -1,5 +1,7 @@
 """The reverberation of a flat floor against the sonar equation; ranges shown with a wrong speed of sound."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -25,7 +27,8 @@ def test_the_tool_prints_one_row_per_case(capsys, monkeypatch):
     assert all(float(row.split()[-2]) < WITHIN_DB for row in rows[1:])
 
 
-WRONG = {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1500.0}
+SLOW = sg.Water(sound_speed_m_s=1450.0)
+WRONG = {"water": SLOW, "sonar_sound_speed_m_s": 1500.0}
 SONAR = sg.Sonar("narrow", 900e3, 5, 480, 1.0, 1.0, 1.0, 2.0, 14.0)
 
 
@@ -48,7 +51,7 @@ def test_a_wrong_speed_of_sound_scales_ranges(make):
     assert result.meta["sonar"]["range_max_m"] == SONAR.range_max_m
     assert result.meta["acoustics"]["sonar_sound_speed_m_s"] == 1500.0
     # against the same water and the right setting, only the range gain differs
-    right = make(wall(10.0), sg.Acoustics.physical(sound_speed_m_s=1450.0))
+    right = make(wall(10.0), sg.Acoustics.physical(water=SLOW))
     gain = sg.Acoustics.physical(**WRONG).range_gain(np.array([shown]), SONAR)[0]
     assert result.intensity.sum() / right.intensity.sum() == pytest.approx(gain, rel=2e-3)
 
@@ -56,8 +59,9 @@ def test_a_wrong_speed_of_sound_scales_ranges(make):
 @pytest.mark.parametrize("law", ["constant", "printed", "inverse", "sonar_equation"])
 def test_range_gain_with_a_wrong_speed_of_sound(law):
     """The transmission loss follows the true range, the TVG the shown range."""
+    water = replace(SLOW, absorption_db_m=0.3)
     acoustics = sg.Acoustics.physical(
-        range_law=law, absorption_db_m=0.3, tvg_k=30.0, tvg_absorption_db_m=0.2, **WRONG
+        range_law=law, tvg_k=30.0, tvg_absorption_db_m=0.2, sonar_sound_speed_m_s=1500.0, water=water
     )
     shown = SONAR.range_m
     true = shown * 1450 / 1500
@@ -79,8 +83,8 @@ def test_the_no_echo_warning_has_shown_ranges():
 
 def test_the_right_speed_of_sound_changes_no_range():
     for settings in (
-        {"sound_speed_m_s": 1450.0},
-        {"sound_speed_m_s": 1450.0, "sonar_sound_speed_m_s": 1450.0},
+        {"water": SLOW},
+        {"water": SLOW, "sonar_sound_speed_m_s": 1450.0},
     ):
         acoustics = sg.Acoustics.physical(**settings)
         assert acoustics.true_range_sonar(SONAR) is SONAR

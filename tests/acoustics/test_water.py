@@ -1,6 +1,7 @@
 """Absorption and speed of sound against published and independently computed numbers."""
 
 import sys
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
@@ -108,24 +109,72 @@ def test_teos10_at_the_check_values_of_the_toolbox():
 
 
 def test_acoustics_uses_the_chosen_formulas():
-    water = {"temperature_c": 12.0, "salinity_psu": 33.0, "depth_m": 40.0}
-    mackenzie, teos10 = sg.Acoustics(**water), sg.Acoustics(**water, sound_speed_formula="teos10")
+    mackenzie = sg.Water(temperature_c=12.0, salinity_psu=33.0, depth_m=40.0)
+    teos10 = replace(mackenzie, sound_speed_formula="teos10")
     assert mackenzie.sound_speed() == sound_speed_mackenzie(12, 33, 40)
     assert teos10.sound_speed() == sound_speed_teos10(12, 33, 40) != mackenzie.sound_speed()
-    assert sg.Acoustics(sound_speed_m_s=1450, sound_speed_formula="teos10").sound_speed() == 1450
+    assert sg.Water(sound_speed_m_s=1450, sound_speed_formula="teos10").sound_speed() == 1450
     settings = (12.0, 33.0, 40.0, 8.0)
     assert mackenzie.absorption(9e5) == absorption_francois_garrison(9e5, *settings)
-    short = sg.Acoustics(**water, absorption_formula="ainslie_mccolm")
+    short = replace(mackenzie, absorption_formula="ainslie_mccolm")
     assert short.absorption(9e5) == absorption_ainslie_mccolm(9e5, *settings)
-    assert sg.Acoustics(absorption_db_m=0.1, absorption_formula="ainslie_mccolm").absorption(9e5) == 0.1
+    assert sg.Water(absorption_db_m=0.1, absorption_formula="ainslie_mccolm").absorption(9e5) == 0.1
 
 
 def test_teos10_without_gsw_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsw", None)  # as if it were not installed
     with pytest.raises(sg.Error) as caught:
-        sg.Acoustics(sound_speed_formula="teos10").sound_speed()
+        sg.Water(sound_speed_formula="teos10").sound_speed()
     assert str(caught.value) == (
         'sound_speed_formula "teos10" needs gsw, "mackenzie" does not (got no module gsw); to add it: '
         + install_command("teos10")
     )
-    assert sg.Acoustics().sound_speed() == pytest.approx(1490, abs=0.1)
+    assert sg.Water().sound_speed() == pytest.approx(1490, abs=0.1)
+
+
+NEGATIVE_ABSORPTION = (
+    "absorption_db_m must lie in 0..100000 (got -0.3; give dB per metre one way, a thousandth of dB per km)"
+)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"temperature_c": 283}, "temperature_c must lie in -2..40 (got 283; give °C)"),
+        ({"temperature_c": None}, "temperature_c must be a number (got None)"),
+        (
+            {"salinity_psu": -1},
+            "salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
+        ),
+        (
+            {"depth_m": -5},
+            "depth_m must lie in 0..12000 (got -5; give metres below the surface, positive down)",
+        ),
+        ({"ph": 0}, "ph must lie in 7..9 (got 0; sea water has about 8)"),
+        ({"ph": float("nan")}, "ph must lie in 7..9 (got nan; sea water has about 8)"),
+        ({"absorption_db_m": -0.3}, NEGATIVE_ABSORPTION),
+        ({"sound_speed_m_s": True}, "sound_speed_m_s must be a number (got True)"),
+        (
+            {"sound_speed_m_s": 1.5},
+            "sound_speed_m_s must lie in 1000..2000 (got 1.5; give metres per second, about 1500 in water)",
+        ),
+        (
+            {"absorption_formula": "thorp"},
+            "unknown absorption_formula (got 'thorp'; known are ainslie_mccolm, francois_garrison)",
+        ),
+        ({"sound_speed_formula": "teos"}, "unknown sound_speed_formula (got 'teos'; did you mean 'teos10'?)"),
+    ],
+)
+def test_fields_are_checked(settings, message):
+    for make in (lambda: sg.Water(**settings), lambda: sg.Water(ph=7.9).changed(settings)):
+        with pytest.raises(sg.Error) as caught:
+            make()
+        assert str(caught.value) == f"water: {message}"
+
+
+def test_water_is_a_value():
+    water = sg.Water(temperature_c=4.0, salinity_psu=8.0)
+    assert water == sg.Water.parse("temperature_c=4,salinity_psu=8") == sg.Water().changed(vars(water))
+    assert hash(water) == hash(replace(water)) and water != sg.Water()
+    with pytest.raises(FrozenInstanceError):
+        water.temperature_c = 5.0

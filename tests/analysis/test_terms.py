@@ -73,7 +73,7 @@ def test_every_switch_switches_its_term_off_and_on_again():
     ideal = {key: getattr(sg.Acoustics.ideal(), key) for key in ("beam_pattern", "specular", "bubbles")}
     assert {key: getattr(bare[0], key) for key in ideal} == ideal
     assert bare[0].multipath == "none" and not bare[0].pulse and bare[0].elevation_pattern == "box"
-    assert bare[0].absorption(900e3) == 0
+    assert bare[0].water.absorption(900e3) == 0
 
 
 def test_settings_of_terms_that_are_on_stay():

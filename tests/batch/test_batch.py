@@ -142,7 +142,7 @@ def test_varied_values_are_stored(small, requests):
     n_present = 0
     for number in range(N):
         request, stored = requests[number], data.isel(ping=number)
-        assert float(stored.water_temperature_c) == request.water["temperature_c"]
+        assert float(stored.water_temperature_c) == request.water.temperature_c
         assert float(stored.noise_electronic_db) == request.noise.electronic_db
         pose = request.bodies["box_1"]
         assert np.isnan(stored.moved_pose[0, :3]).all() == (pose is None)
@@ -155,13 +155,13 @@ def test_varied_values_are_stored(small, requests):
 
 
 def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(small, requests):
-    temperatures = [requests[n].water["temperature_c"] for n in range(N)]
+    temperatures = [requests[n].water.temperature_c for n in range(N)]
     again = BatchRequests(read_job(small / "job.toml"))
-    assert [again[n].water["temperature_c"] for n in reversed(range(N))] == temperatures[::-1]
+    assert [again[n].water.temperature_c for n in reversed(range(N))] == temperatures[::-1]
     assert len(set(temperatures)) == N
     assert all(2 <= t <= 20 for t in temperatures)
     other = BatchRequests(read_job(small / "job.toml").model_copy(update={"seed": 6}))
-    assert not {other[n].water["temperature_c"] for n in range(N)} & set(temperatures)
+    assert not {other[n].water.temperature_c for n in range(N)} & set(temperatures)
     table = requests.job.vary.bodies[0]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 2000}]})
     poses = [request.bodies["box_1"] for request in BatchRequests(job)]

@@ -15,6 +15,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.ros import (
     BagSettings,
     CameraRecord,
@@ -38,7 +39,7 @@ PORT = 3  # number of the beam farthest to port
 VEHICLE = pose(3, -2, -5, 0.1, -0.2, 2.0)
 SONAR = VEHICLE @ pose(0.4, 0.1, -0.3, pitch=0.3)
 IMAGING_SONAR = Sonar("four beams", 900e3, 4, 3, 80.0, 20.0, 1.5, 0.75, 2.25)
-ACOUSTICS = Acoustics.ideal().in_water({"sound_speed_m_s": 1481.5})
+ACOUSTICS = Acoustics.ideal().in_water(Water(sound_speed_m_s=1481.5))
 
 
 def make_ping(intensity=None, **changes):

@@ -172,7 +172,9 @@ def test_a_bubble_echoes_like_a_lambert_sphere():
 
 
 def test_elevation_and_gain():
-    acoustics = sg.Acoustics.physical(elevation_pattern="gaussian", tvg_k=30.0, absorption_db_m=0.3)
+    acoustics = sg.Acoustics.physical(
+        elevation_pattern="gaussian", tvg_k=30.0, water=sg.Water(absorption_db_m=0.3)
+    )
     level, raised = (
         ping(still(direction(1.0, up, 5.0)), acoustics=acoustics).intensity.sum(dtype=np.float64)
         for up in (0.0, 6.0)

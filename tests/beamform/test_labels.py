@@ -154,7 +154,7 @@ def test_true_range_is_the_mean_within_the_bin(reducer):
 
 def test_true_range_does_not_depend_on_the_sonar_s_speed_setting():
     """A sonar set to a higher speed of sound displays a plate too far away; the true range is unaffected."""
-    set_wrong = sg.Acoustics.physical(sound_speed_m_s=1450.0, sonar_sound_speed_m_s=1500.0)
+    set_wrong = sg.Acoustics.physical(water=sg.Water(sound_speed_m_s=1450.0), sonar_sound_speed_m_s=1500.0)
     got = ping([plate("plate", 10.0, -0.3, 0.3, y=(-0.3, 0.3))], acoustics=set_wrong)
     assert np.nanmin(got.true_range_m) == pytest.approx(10.0, abs=0.005)
     shown = got.range_m[(got.body_id > 0).any(axis=0)]

@@ -918,17 +918,49 @@ def test_process_in_ascii_tells_mistakes():
 
 def test_acoustics_change_fields_of_a_profile():
     render(
-        "--acoustics", "tvg_k=30,elevation_pattern=gaussian,specular=off,absorption_db_m=0.5,multipath=none"
+        "--acoustics",
+        "tvg_k=30,elevation_pattern=gaussian,specular=off,tvg_absorption_db_m=0.5,multipath=none",
     )
     made = ping().meta["acoustics"]
     wanted = sg.Acoustics.physical(
-        tvg_k=30.0, elevation_pattern="gaussian", specular=False, absorption_db_m=0.5, multipath="none"
+        tvg_k=30.0, elevation_pattern="gaussian", specular=False, tvg_absorption_db_m=0.5, multipath="none"
     )
     assert made == wanted.meta()
-    render("--profile", "ideal", "--acoustics", "absorption_db_m=none,beam_pattern=line_array")
+    render("--profile", "ideal", "--acoustics", "tvg_absorption_db_m=none,beam_pattern=line_array")
     assert ping().meta["acoustics"] == replace(sg.Acoustics.ideal(), beam_pattern="line_array").meta()
-    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "ph=7.9")
-    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), ph=7.9).meta()
+    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "tvg_k=30")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), tvg_k=30.0).meta()
+
+
+def test_water():
+    render("--water", "temperature_c=4,absorption_db_m=none", "--acoustics", "tvg_k=30")
+    water = sg.Water(temperature_c=4.0)
+    assert ping().meta["acoustics"] == sg.Acoustics.physical(tvg_k=30.0, water=water).meta()
+    assert ping().meta["absorption_db_m"] == water.absorption(900e3)
+    render("--water", "temperature_c=4", "--acoustics", "needed")
+    scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
+    assert ping().meta["acoustics"] == sg.needed_acoustics(scene, sonar, 0.05, sg.pose(), water).meta()
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("temp=4", "water 'temp=4': unknown name (got 'temp'; did you mean 'temperature_c'?)"),
+        (
+            "temperature_c",
+            "water 'temperature_c': temperature_c must have a value, as in temperature_c=... (got none)",
+        ),
+        ("temperature_c=cold", "water 'temperature_c=cold': temperature_c must be a number (got 'cold')"),
+        (
+            "salinity_psu=-1",
+            "water: salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
+        ),
+        ("tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
+        ("", "water '': unknown name (got ''; known are "),
+    ],
+)
+def test_mistakes_in_water(text, message):
+    assert refused("--water", text).startswith(f"--{message}")
 
 
 def test_acoustics_are_those_that_the_scene_needs():
@@ -948,11 +980,13 @@ def test_acoustics_are_those_that_the_scene_needs():
             "multipth=none",
             "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
         ),
-        ("needed,ph=8", "acoustics 'needed,ph=8': needed takes no other settings"),
+        ("needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
         ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
-        ("ph", "acoustics 'ph': ph must have a value, as in ph=... (got none)"),
-        ("ph=8,ph=8", "acoustics 'ph=8,ph=8': ph must be given once"),
-        ("ph=none", "acoustics 'ph=none': ph must be a number (got 'none')"),
+        ("tvg_k", "acoustics 'tvg_k': tvg_k must have a value, as in tvg_k=... (got none)"),
+        ("tvg_k=8,tvg_k=8", "acoustics 'tvg_k=8,tvg_k=8': tvg_k must be given once"),
+        ("tvg_k=none", "acoustics 'tvg_k=none': tvg_k must be a number (got 'none')"),
+        ("ph=8", "acoustics 'ph=8': ph describes the water, and is a field of Water now ("),
+        ("water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
         ("specular=maybe", "acoustics 'specular=maybe': specular must be yes or no (got 'maybe')"),
         ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
         ("multipath=coherrent", "acoustics: unknown multipath (got 'coherrent'; did you mean 'coherent' or "),

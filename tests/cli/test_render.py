@@ -209,7 +209,7 @@ def test_poses_that_follow_too_quickly(tmp_path):
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
     with sg.Simulator(scene, sonar, sampling=sg.Sampling(0.5, 24)) as simulator:
         assert sonar.max_ping_rate_hz(1500.0) == 50.0
-        least_s = 2 * 15.0 / simulator.acoustics.sound_speed()
+        least_s = 2 * 15.0 / simulator.acoustics.water.sound_speed()
         out = command.FrameWriter(simulator, None, tmp_path, ("npz",), sg.Noise())
         poses = np.stack([scene.sonar_pose] * 3)
         with pytest.warns(UserWarning, match=r"must be 0\.02\d+ s apart or more") as told:

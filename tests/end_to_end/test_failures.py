@@ -253,7 +253,7 @@ def test_overflow_and_underflow_of_gains(settings):
     assert 1e-31 < quiet < 1e-27  # 64 beams of 1e-30, not flushed to zero
     assert np.isfinite(ping.intensity).all()
     assert (ping.intensity >= 0).all()
-    assert np.isnan(naive.gain_by_factors(5e4, acoustics.absorption(sonar.frequency_hz)))
+    assert np.isnan(naive.gain_by_factors(5e4, acoustics.water.absorption(sonar.frequency_hz)))
 
 
 def test_a_plane_seen_edge_on_has_no_negative_echo():

@@ -18,7 +18,7 @@ PATCHY = np.linspace(0.1, 1.0, 12)
 ACOUSTICS = sg.Acoustics.physical(tvg_k=30.0, tvg_absorption_db_m=0.2, pulse=True, multipath="incoherent")
 NOISE = sg.Noise(speckle=True, electronic_db=-60.0)
 POSES = [sg.pose(0.1 * k, 0.05 * k, -2.0, yaw=0.02 * k) for k in range(7)]
-COLD = {"temperature_c": 2.0, "salinity_psu": 5.0}
+COLD = sg.Water(temperature_c=2.0, salinity_psu=5.0)
 FAST = [2.0, 0.5, 0, 0, 0, 0.4]
 
 
@@ -69,7 +69,7 @@ def test_a_ping_with_other_reflectivity_is_that_of_such_a_scene(monkeypatch, eng
 
 def test_a_ping_in_other_water_is_that_of_such_a_simulator(it):
     """The scene has multipath, bubbles, pulse, motion and noise; its surface is smooth."""
-    acoustics = replace(ACOUSTICS, **COLD)
+    acoustics = replace(ACOUSTICS, water=COLD)
     settings = {"noise": NOISE, "seed": 3, "labels": True, "time_s": 3.0, "velocity": FAST}
     with simulator(acoustics) as expected:
         in_cold = it.ping(POSES[0], water=COLD, **settings)
@@ -79,8 +79,8 @@ def test_a_ping_in_other_water_is_that_of_such_a_simulator(it):
         check_same(cold, expected.ping(POSES[0], **quiet))
     with sg.Simulator(it, SONAR, replace(ACOUSTICS, multipath="none"), SAMPLING) as straight:
         assert cold.intensity.sum() > 1.01 * straight.ping(POSES[0], water=COLD, **quiet).intensity.sum()
-    assert in_cold.meta["sound_speed_m_s"] == acoustics.sound_speed()
-    assert in_cold.meta["absorption_db_m"] == acoustics.absorption(900e3)
+    assert in_cold.meta["sound_speed_m_s"] == COLD.sound_speed()
+    assert in_cold.meta["absorption_db_m"] == COLD.absorption(900e3)
     warm = it.ping(POSES[0], **settings)
     assert in_cold.body_echo.sum() < 0.9 * warm.body_echo.sum()  # more absorption
     assert warm.meta["acoustics"] == ACOUSTICS.meta()
@@ -90,7 +90,7 @@ def test_single_pings_and_sequences_give_the_same_bytes(it):
     """Bodies, reflectivity and water change from ping to ping, within and across batches."""
     bodies = [{"plain": sg.pose(7, 0.2 * k, -2), "plume": None} if k % 2 else None for k in range(7)]
     reflectivities = [None if k == 3 else {"smooth": 0.1 * k} for k in range(7)]
-    waters = [None if k == 4 else {**COLD, "temperature_c": 3.0 * k} for k in range(7)]
+    waters = [None if k == 4 else replace(COLD, temperature_c=3.0 * k) for k in range(7)]
     settings = {"noise": NOISE, "seed": 5, "labels": True}
     changes = {"bodies": bodies, "reflectivities": iter(reflectivities), "waters": (w for w in waters)}
     together = list(it.pings(POSES, **settings, **changes))
@@ -110,7 +110,7 @@ def test_a_planned_sampling_follows_water_and_reflectivity():
         ping = one.ping(POSES[1], water=COLD, reflectivity={"plain": 0.1}, labels=True)
         pings = list(one.pings(POSES, waters=[COLD] * 7, reflectivities=[{"plain": 0.1}] * 7, labels=True))
     check_same(pings[1], ping)
-    with sg.Simulator(scene(plain=0.1), SONAR, replace(ACOUSTICS, **COLD), sampling) as expected:
+    with sg.Simulator(scene(plain=0.1), SONAR, replace(ACOUSTICS, water=COLD), sampling) as expected:
         np.testing.assert_array_equal(ping.body_echo, expected.ping(POSES[1], labels=True).body_echo)
 
 
@@ -120,25 +120,22 @@ def test_the_speed_of_sound_may_not_change_if_the_sonar_is_set_to_one():
     with pytest.raises(
         sg.Error, match=r"^the speed of sound must not change .* \(got 1418.51 for 1489.97 m/s; "
     ):
-        acoustics.in_water({"temperature_c": 2.0, "salinity_psu": 5.0})
-    assert acoustics.in_water({"ph": 7.5, "absorption_db_m": 0.1}).absorption(900e3) == 0.1
+        acoustics.in_water(COLD)
+    sour = sg.Water(ph=7.5, absorption_db_m=0.1)
+    assert acoustics.in_water(sour).water == sour
 
 
 KNOWN = "names in reflectivity must be bodies of the scene (got {!r}; there are: 'plain', 'smooth', 'patchy')"
 OUTSIDE = "the reflectivity of body 'plain' must be a number in 0..1 (got {!r})"
-NO_WATER = "water must contain fields of Acoustics that describe the water (got {!r}; known are " + ", ".join(
-    ["absorption_db_m", "depth_m", "ph", "salinity_psu", "sound_speed_m_s", "temperature_c)"]
-)
-NO_DICT = "water must be a dict (got str; such as {})".format({"temperature_c": 4.0, "salinity_psu": 8.0})
+NO_WATER = "water must be a Water (got {}; such as dataclasses.replace(acoustics.water, temperature_c=4.0))"
 REFUSED = [
     ({"reflectivity": {"diver": 0.5}}, KNOWN.format("diver")),
     ({"reflectivity": {"plume": 0.5}}, KNOWN.format("plume")),
     ({"reflectivity": {"plain": 1.01}}, OUTSIDE.format(1.01)),
     ({"reflectivity": {"plain": "mud"}}, OUTSIDE.format("mud")),
     ({"reflectivity": 0.5}, 'reflectivity must be a dict (got float; such as {"diver": 0.2})'),
-    ({"water": {"tvg_k": 30.0}}, NO_WATER.format("tvg_k")),
-    ({"water": {"ph": 20}}, "acoustics: ph must lie in 7..9 (got 20; sea water has about 8)"),
-    ({"water": "cold"}, NO_DICT.replace("'", '"')),
+    ({"water": {"temperature_c": 4.0}}, NO_WATER.format("dict")),
+    ({"water": "cold"}, NO_WATER.format("str")),
 ]
 
 

@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.engine.motion import shown_at
 
 SONAR = sg.Sonar("test", 900e3, 128, 600, 32.0, 16.0, 0.5, 1.0, 31.0)
-ACOUSTICS = replace(sg.Acoustics.ideal(), sound_speed_m_s=1500.0)
+ACOUSTICS = replace(sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1500.0))
 HERE = np.eye(4)
 STEP = math.radians(32 / 128)
 
@@ -74,7 +74,7 @@ def test_range_and_bearing_against_pings_from_the_pose_of_reception(yaw):
 def test_a_scene_against_pings_from_the_poses_of_reception():
     """Each bin is compared with a ping from the sonar's pose at its time of arrival; yaw only."""
     scene, sonar = sg.load_scene("pylon"), replace(SONAR, n_bins=60)
-    acoustics = sg.Acoustics.physical(sound_speed_m_s=1480.0)
+    acoustics = sg.Acoustics.physical(water=sg.Water(sound_speed_m_s=1480.0))
     yaw = -0.4
     with simulator(scene, sonar, acoustics) as run:
         pose = scene.sonar_pose

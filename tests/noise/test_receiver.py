@@ -29,7 +29,7 @@ def test_noise_rises_with_the_tvg(speckle):
     acoustics = Acoustics.physical(tvg_k=30.0)
     ping = even_ping(200, 4000, 2.0, level=0.0, **acoustics.meta())
     r = ping.range_m
-    expected = 2e-3 * r**3 * 10 ** (2 * acoustics.absorption(FREQUENCY_HZ) * r / 10)
+    expected = 2e-3 * r**3 * 10 ** (2 * acoustics.water.absorption(FREQUENCY_HZ) * r / 10)
     assert expected[-1] / expected[0] > 1e7  # from 1 to 51 m
     x = noisy(Noise(speckle=speckle, electronic_db=-30.0, ambient_db=-30.0), ping) / expected
     assert x.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(x.size))

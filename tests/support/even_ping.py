@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from sonar_gl import Ping, Sonar
+from sonar_gl import Ping, Sonar, Water
 from tests.support.settings import described
 
 FREQUENCY_HZ, SOUND_SPEED_M_S, BIN_M, RANGE_MIN_M = 900e3, 1500.0, 0.0125, 1.0
 BEAM_WIDTH_RAD = np.radians(1.0)
 UNIFORM_WIDTH = 0.885892941379  # −3 dB width of a uniform line array in λ/L: twice the x of sinc²(x) = 1/2
 HAMMING_SERIES = (0.23 / 0.54,)
+WATER = Water(sound_speed_m_s=SOUND_SPEED_M_S)
 SIGMAS = 5.0  # a tolerance of 5 standard errors fails by chance once in 1.7 million
 
 
@@ -22,7 +23,7 @@ def even_ping(n_beams=64, n_bins=256, spacing_deg=0.25, level=1.0, pose=None, **
     range_max_m = RANGE_MIN_M + BIN_M * n_bins
     fan_deg = min(360.0, n_beams * spacing_deg)
     sonar = Sonar("even", FREQUENCY_HZ, n_beams, n_bins, fan_deg, 20.0, 1.0, RANGE_MIN_M, range_max_m)
-    sonar, acoustics = described(sonar, **{"profile": "ideal", "sound_speed_m_s": SOUND_SPEED_M_S} | settings)
+    sonar, acoustics = described(sonar, **{"profile": "ideal", "water": WATER} | settings)
     intensity = np.full((n_beams, n_bins), level, np.float32)
     return Ping(intensity, sonar.azimuth_rad, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics)
 

@@ -62,8 +62,10 @@ pings_per_part = 4
 [acoustics]
 profile = "physical"
 tvg_k = 30.0
-temperature_c = 8.0
 pulse = true
+
+[water]
+temperature_c = 8.0
 
 [noise]
 preset = "physical"

@@ -156,7 +156,7 @@ def cost(name: str) -> str:
             sources = internals.count_image_sources(with_multipath, pose)
     # below 0 it is the variation of the times
     more = max(harness.ratio(times["both"] - times["direct"], times["direct"]), 0.0)
-    reflectors = planar_reflectors(scene, 2 * np.pi * sonar.frequency_hz / acoustics.sound_speed())
+    reflectors = planar_reflectors(scene, 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed())
     each = f", {more / sources:.2f} per reflector" if sources else ""
     return (
         f"{name:14} {len(reflectors):3} planar reflectors, {sources} simulated; "
