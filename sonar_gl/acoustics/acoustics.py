@@ -18,7 +18,7 @@ from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 
 BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
-BARE |= {"cross_talk": False}
+BARE |= {"cross_talk": False, "volume_reverberation": False}
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
     "demarco2015": BARE | {"range_law": "printed"},
@@ -29,6 +29,7 @@ PROFILES = {  # name: values of the fields that are None
         "specular": True,
         "bubbles": True,
         "cross_talk": True,
+        "volume_reverberation": True,
     },
 }
 CHOICES = {  # field: allowed names
@@ -98,6 +99,8 @@ class Acoustics:
         Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
     bubbles : bool or None
         Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
+    volume_reverberation : bool or None
+        Whether the water scatters, if it has a `volume_backscatter_db`. None: by profile.
     cross_talk : bool or None
         Whether the sonar's `cross_talk_db` counts: beams of one set receive some of each other's echoes. None: by
         profile.
@@ -127,6 +130,7 @@ class Acoustics:
     pulse: bool = False
     specular: bool | None = None
     bubbles: bool | None = None
+    volume_reverberation: bool | None = None
     cross_talk: bool | None = None
     multipath: str = "none"
 
@@ -140,7 +144,7 @@ class Acoustics:
                 object.__setattr__(self, "water", DEFAULT_WATER.changed(self.water))
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("transmit_beam", "pulse", "specular", "bubbles", "cross_talk"):
+        for key in ("transmit_beam", "pulse", "specular", "bubbles", "volume_reverberation", "cross_talk"):
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
@@ -305,6 +309,11 @@ class Acoustics:
         """Return α of the water and α of the TVG, dB per metre, one way."""
         true = self.water.absorption(sonar.frequency_hz)
         return true, true if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
+
+    @property
+    def volume_backscatter_db(self) -> float | None:
+        """S_v of the water, dB re 1/m, as far as the model includes it; None for no volume reverberation."""
+        return self.water.volume_backscatter_db if self.volume_reverberation else None
 
     # ---- beam patterns ------------------------------------------------------------------------------------
 

@@ -79,8 +79,8 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, if the acoustics include multipath or bubbles,
-        which the reference does not model, or if Embree is missing.
+        if an argument is of the wrong kind or out of bounds, if the acoustics include multipath, volume
+        reverberation or bubbles, which the reference does not model, or if Embree is missing.
 
     Warns
     -----
@@ -176,10 +176,15 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
 
 
 def check_known(acoustics: Acoustics) -> None:
-    """Raise an Error if the acoustics include multipath, which the reference does not model."""
+    """Raise an Error if the acoustics include what the reference does not model: multipath, scatterers in the water."""
     if acoustics.multipath != "none":
         got = acoustics.multipath
         raise Error(f"the reference does not model multipath (got multipath {got!r}; give multipath=none)")
+    if acoustics.volume_backscatter_db is not None:
+        raise Error(
+            "the reference does not model volume reverberation (got volume_backscatter_db = "
+            f"{acoustics.volume_backscatter_db:g}; give volume_reverberation=False)"
+        )
 
 
 def _check_bubbles(scene: Scene, acoustics: Acoustics) -> None:

@@ -43,7 +43,7 @@ class Term:
     off : fields that switch it off
     of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
-    acts_with : function Sonar -> False if the term does not act with such a sonar
+    acts_with : function (acoustics, sonar) -> False if the term does not act in such water or with such a sonar
     """
 
     name: str
@@ -52,7 +52,7 @@ class Term:
     of_noise: bool = False
     of_water: bool = False
     acts_in: Callable[[Scene], bool] = lambda scene: True
-    acts_with: Callable[[Sonar], bool] = lambda sonar: True
+    acts_with: Callable[[Acoustics, Sonar], bool] = lambda acoustics, sonar: True
 
     def changed(self, acoustics: Acoustics, noise: Noise, values: dict) -> tuple[Acoustics, Noise]:
         """Return both with other values of the term's fields."""
@@ -116,10 +116,16 @@ TERMS = (
     ),
     Term("multipath", on=_field_on("multipath", "incoherent", off="none"), off={"multipath": "none"}),
     Term(
+        "volume reverberation",
+        on=_field_on("volume_reverberation", True, off=False),
+        off={"volume_reverberation": False},
+        acts_with=lambda acoustics, sonar: acoustics.water.volume_backscatter_db is not None,
+    ),
+    Term(
         "cross-talk",
         on=_field_on("cross_talk", True, off=False),
         off={"cross_talk": False},
-        acts_with=lambda sonar: sonar.cross_talk_db is not None,
+        acts_with=lambda acoustics, sonar: sonar.cross_talk_db is not None,
     ),
     SPECKLE,
     Term(
@@ -251,7 +257,8 @@ class _Comparison:
         within the tolerance.
         """
         scene, tolerance = self.planner.scene, self._case.tolerance
-        acting = [term for term in TERMS if term.acts_in(scene) and term.acts_with(self._case.sonar)]
+        device = self._case.acoustics, self._case.sonar
+        acting = [term for term in TERMS if term.acts_in(scene) and term.acts_with(*device)]
         changes = {term: self._change([term]) if term in acting else (0.0, 0.0) for term in TERMS}
         off = [term for term in TERMS if changes[term][0] == 0]
         for term in sorted(TERMS, key=lambda term: changes[term][0]):

@@ -10,6 +10,7 @@ from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels
+from sonar_gl.beamform.volume import sum_volume, water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
@@ -71,7 +72,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, background)
     labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn))
 
 
 class ImageDrawer(Protocol):
@@ -111,12 +112,22 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
-    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn))
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
     """Sum the image sources of a ping, if it has any."""
     return None if drawn.images is None else receive_images(drawn.images, drawn.setup.gain)
+
+
+def receive_volume(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the echo of the water in front of surfaces; None if it does not scatter."""
+    setup = drawn.setup
+    strength_db = setup.acoustics.volume_backscatter_db
+    if strength_db is None:
+        return None
+    surface = water_surface(setup.request.pose, setup.surface_z_m)
+    return sum_volume(drawn.resolution.stage.beamformer, drawn.view.sectors, setup.gain, strength_db, surface)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -146,7 +157,8 @@ def assemble(
 
     Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`).
     """
-    setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
+    setup = received.drawn.setup
+    echo = received.direct.with_more(received.multipath).with_more(received.volume)
     request, labels = setup.request, {} if received.labels is None else vars(received.labels)
     intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
     for array in (intensity, *labels.values()):
@@ -160,7 +172,7 @@ def assemble(
             vars(received.drawn.resolution.stage.sampling)
         ),  # as asdict, in a twentieth of its time
         seed=request.seed,
-        has_echo=echo.total > 0,
+        has_echo=received.total > 0,
         **({} if time_s is None else {"time_s": time_s}),
     )
     ping = Ping(
