@@ -17,6 +17,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -322,6 +323,9 @@ class _Comparison:
         levels_db = noise.electronic_db, noise.ambient_db
         power = sum([10 ** (db / 10) for db in levels_db if db is not None])
         power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
+        ringing = ring_down_power(self._case.sonar.range_m, self._case.sonar, acoustics)
+        if noise.electronic_db is not None and ringing is not None:
+            power = power + ringing
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
 
     def _change(self, terms: list[Term]) -> tuple[float, float]:

@@ -20,6 +20,7 @@ BOUNDS = (  # field, least, most, hint
     ("ambient_db", -300, 100, LEVEL),
     ("interference_lines", 0, 1000, "a mean number in a ping"),
     ("interference_db", -300, 100, LEVEL),
+    ("dropped_beams", 0, 1, "a fraction of the beams"),
 )
 MAY_BE_NONE = ("speckle_shape", "electronic_db", "ambient_db")
 SWITCHES = ("speckle", "follow_motion")
@@ -29,7 +30,8 @@ SWITCHES = ("speckle", "follow_motion")
 class Noise:
     """Amounts of noise.
 
-    The terms apply in this order: speckle, receiver noise, interference, Gaussian, median, salt and pepper.
+    The terms apply in this order: speckle, receiver noise, interference, ring-down, Gaussian, median, salt and
+    pepper, dropped beams.
 
     Parameters
     ----------
@@ -49,9 +51,11 @@ class Noise:
         the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
     electronic_db, ambient_db : mean power of the receiver's self-noise and of ambient noise before the TVG,
         dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None for none.
-        The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
+        The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|².
+        Self-noise includes the ring-down of a sonar that states one (`ring_down.ring_down_power`)
     interference_lines : mean number of pulses of another sonar in a ping
     interference_db : power of such a pulse on the axis of a beam, as `electronic_db`
+    dropped_beams : fraction of beams whose data is lost in a ping: they are 0 in all bins
 
     Raises
     ------
@@ -71,6 +75,7 @@ class Noise:
     ambient_db: float | None = None
     interference_lines: float = 0.0
     interference_db: float = -40.0
+    dropped_beams: float = 0.0
 
     def __post_init__(self):
         for key in SWITCHES:

@@ -74,6 +74,9 @@ class Sonar:
     cross_talk_db : level of cross-talk, dB: what a beam receives of the echo in each other beam of its set; None: none
     cross_talk_beams : spacing of the beams of a set, which are received together: every 8th beam, if a frame takes 8
         transmissions
+    ring_down_db : power of the ringing of the transducer after the pulse, before the TVG, extrapolated to range 0, dB
+        relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None: none
+    ring_down_decay_db_m : how fast it decays, dB per metre of range
     counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
 
     Raises
@@ -104,6 +107,8 @@ class Sonar:
     pulse_taper: str = "hamming"
     cross_talk_db: float | None = None
     cross_talk_beams: int = 8
+    ring_down_db: float | None = None
+    ring_down_decay_db_m: float = 100.0
     counts: Counts = DEFAULT_COUNTS
 
     def __post_init__(self):
@@ -125,9 +130,16 @@ class Sonar:
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
             ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
+            ("ring_down_db", -300, 300, "give dB relative to the echo of an enclosing surface at 1 m"),
+            ("ring_down_decay_db_m", 0.1, 1e5, "give dB per metre of range, positive"),
         ):
             value = getattr(self, key)
-            if value is None and key in ("transmit_width_deg", "bandwidth_hz", "cross_talk_db"):
+            if value is None and key in (
+                "transmit_width_deg",
+                "bandwidth_hz",
+                "cross_talk_db",
+                "ring_down_db",
+            ):
                 continue
             check_number(f"{location}: {key}", value, low, high, hint)
         for key, names in CHOICES.items():

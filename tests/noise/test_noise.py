@@ -199,13 +199,13 @@ def test_parse(text, noise):
         ),
         (
             "median=3,none",
-            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
             "salt_and_pepper, speckle, speckle_shape)",
         ),
         (
             "none=1",
-            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, "
             "salt_and_pepper, speckle, speckle_shape)",
         ),
@@ -227,8 +227,8 @@ def test_wrong_text(text, expected):
 
 def test_empty_text_names_all_choices():
     assert message(Noise.parse, "") == (
-        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, electronic_db, "
-        "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
+        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, dropped_beams, "
+        "electronic_db, follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
         "salt_and_pepper, speckle, speckle_shape)"
     )
 
