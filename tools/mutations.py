@@ -511,7 +511,7 @@ MUTATIONS = (
     ),
     Mutation("volume/half a bin", "- covered / 2", "- covered", VOLUME),
     Mutation("volume/surface of the water", "is_surface = nearness >", "is_surface = 0 * nearness >", VOLUME),
-    Mutation("volume/slope of the surface", "np.full_like(u, -y)", "np.full_like(u, y)", VOLUME),
+    Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
     Mutation(
         "volume/nearer than the first bin",
         "plane[..., 0] * first_m > length",

@@ -93,21 +93,24 @@ def test_a_body_shadows_its_share_of_the_beams():
 
 
 @pytest.mark.filterwarnings("ignore:no echo came back")
-@pytest.mark.parametrize("pitch", [0.0, -0.3])
+@pytest.mark.parametrize(("roll", "pitch", "beam"), [(0.0, 0.0, 12), (0.0, -0.3, 12), (0.6, 0.0, 20)])
 @pytest.mark.parametrize("elevation_pattern", ["box", "line_array"])
-def test_it_ends_at_the_surface_of_the_water(pitch, elevation_pattern):
+def test_it_ends_at_the_surface_of_the_water(roll, pitch, beam, elevation_pattern):
     """The share of a beam's elevations below the surface, by quadrature over sines of elevation."""
     height_m = 0.6
     acoustics = ideal(elevation_pattern=elevation_pattern)
-    found = volume_of(sg.Scene([], surface_z_m=3.0), acoustics, pose=sg.pose(0, 0, 3.0 - height_m, 0, pitch))
+    pose = sg.pose(0, 0, 3.0 - height_m, roll, pitch)
+    found = volume_of(sg.Scene([], surface_z_m=3.0), acoustics, pose=pose)
     top = math.radians(acoustics.elevation_support_deg(SONAR))
     sines = (np.arange(4001) + 0.5) / 4001 * 2 * math.sin(top) - math.sin(top)
     two_way = acoustics.two_way_elevation_pattern(SONAR)
     weight = np.ones_like(sines) if two_way is None else two_way(sines)
-    beam = len(found) // 2
-    azimuth = SONAR.azimuth_rad[beam]
-    # rise per metre along a ray, pitch negative is up
-    rise = -math.sin(pitch) * np.sqrt(1 - sines**2) * math.cos(azimuth) + math.cos(pitch) * sines
+    azimuth, cosines = SONAR.azimuth_rad[beam], np.sqrt(1 - sines**2)
+    rise = pose[2, :3] @ [
+        cosines * math.cos(azimuth),
+        cosines * math.sin(azimuth),
+        sines,
+    ]  # per metre of range
     r = SONAR.range_m
     share = ((rise * r[:, None] < height_m) * weight).sum(1) / weight.sum()
     assert share.min() < 0.7
