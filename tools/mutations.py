@@ -67,6 +67,7 @@ NOISE = (
     "test_k_distribution|test_speckle",
     "test_place_locked_speckle|test_place_speckle|test_speckle",
 )
+CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
 STORE = ("test_store|test_batch",)
 ENCODING = ("test_batch",)
 RECORDS = ("test_records|test_batch",)
@@ -515,6 +516,41 @@ MUTATIONS = (
         "weight[k] * (even[b, k] - odd[b, k])",
         "weight[k] * (even[b, k] + odd[b, k])",
         NOISE,
+    ),
+    Mutation(
+        "noise/cross-talk keeps the sum",
+        "share / (1 + (len(beams) - 1) * share)",
+        "share / (1 + len(beams) * share)",
+        CROSS_TALK,
+    ),
+    Mutation("noise/set of beams", "out[first::spacing] +=", "out[first:] +=", CROSS_TALK),
+    Mutation(
+        "noise/decay of the ring-down",
+        "ring_down_decay_db_m * r, -300",
+        "ring_down_decay_db_m, -300",
+        RING_DOWN,
+    ),
+    # volume reverberation
+    Mutation(
+        "volume/water behind surfaces",
+        "even_response[:, None] - before",
+        "even_response[:, None] + 0 * before",
+        VOLUME,
+    ),
+    Mutation("volume/half a bin", "- covered / 2", "- covered", VOLUME),
+    Mutation("volume/surface of the water", "is_surface = nearness >", "is_surface = 0 * nearness >", VOLUME),
+    Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
+    Mutation(
+        "volume/nearer than the first bin",
+        "plane[..., 0] * first_m > length",
+        "plane[..., 0] * first_m > 1e9 * length",
+        VOLUME,
+    ),
+    Mutation(
+        "volume/transmit beam",
+        "self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)",
+        "np.ones(len(self._tiles[0]) * 4)",
+        VOLUME,
     ),
     Mutation(
         "noise/mean of looks",

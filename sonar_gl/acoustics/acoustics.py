@@ -24,6 +24,8 @@ BARE = {
     "pulse": False,
     "specular": False,
     "bubbles": False,
+    "cross_talk": False,
+    "volume_reverberation": False,
 }
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
@@ -36,6 +38,8 @@ PROFILES = {  # name: values of the fields that are None
         "pulse": True,
         "specular": True,
         "bubbles": True,
+        "cross_talk": True,
+        "volume_reverberation": True,
     },
 }
 CHOICES = {  # field: allowed names
@@ -112,6 +116,11 @@ class Acoustics:
         Whether smooth faces have a specular (Kirchhoff) backscatter lobe. None: by profile.
     bubbles : bool or None
         Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
+    volume_reverberation : bool or None
+        Whether the water scatters, if it has a `volume_backscatter_db`. None: by profile.
+    cross_talk : bool or None
+        Whether the sonar's `cross_talk_db` counts: beams of one set receive some of each other's echoes. None: by
+        profile.
     multipath : "none", "incoherent" or "coherent"
         Whether echoes by way of planar reflectors are added, and how the two single-bounce paths add up:
         "incoherent" in power, "coherent" in phase. They belong to a scene more than to a device, so that no profile
@@ -139,6 +148,8 @@ class Acoustics:
     pulse: bool | None = None
     specular: bool | None = None
     bubbles: bool | None = None
+    volume_reverberation: bool | None = None
+    cross_talk: bool | None = None
     multipath: str = "none"
 
     def __post_init__(self):
@@ -151,7 +162,7 @@ class Acoustics:
                 object.__setattr__(self, "water", DEFAULT_WATER.changed(self.water))
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("transmit_beam", "pulse", "specular", "bubbles"):
+        for key in ("transmit_beam", "pulse", "specular", "bubbles", "volume_reverberation", "cross_talk"):
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
@@ -316,6 +327,11 @@ class Acoustics:
         """Return α of the water and α of the TVG, dB per metre, one way."""
         true = self.water.absorption(sonar.frequency_hz)
         return true, true if self.tvg_absorption_db_m is None else self.tvg_absorption_db_m
+
+    @property
+    def volume_backscatter_db(self) -> float | None:
+        """S_v of the water, dB re 1/m, as far as the model includes it; None for no volume reverberation."""
+        return self.water.volume_backscatter_db if self.volume_reverberation else None
 
     # ---- beam patterns ------------------------------------------------------------------------------------
 

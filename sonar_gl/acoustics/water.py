@@ -146,12 +146,13 @@ BOUNDS = (  # field, least and greatest value, hint for messages
     ("ph", 7, 9, "sea water has about 8"),
     ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
+    ("volume_backscatter_db", -200, 0, "give dB re 1/m, usual are -90 to -50"),
 )
 
 
 @dataclass(frozen=True)
 class Water:
-    """The water between sonar and bodies: its absorption α and speed of sound c, the same everywhere.
+    """The water between sonar and bodies: its absorption α, speed of sound c and scatterers, the same everywhere.
 
     Parameters
     ----------
@@ -165,6 +166,9 @@ class Water:
         Formula of c; "teos10" requires gsw.
     sound_speed_m_s : float or None
         c, metres per second. None: by `sound_speed_formula`.
+    volume_backscatter_db : float or None
+        Volume backscattering strength S_v of plankton, fish, silt and small bubbles at the sonar's frequency, dB re
+        1/m: 10 log10 of the backscattering cross section per cubic metre. None: clear water.
 
     Raises
     ------
@@ -183,6 +187,7 @@ class Water:
     absorption_formula: str = "francois_garrison"
     sound_speed_formula: str = "mackenzie"
     sound_speed_m_s: float | None = None
+    volume_backscatter_db: float | None = None
 
     def __post_init__(self):
         for key, names in CHOICES.items():

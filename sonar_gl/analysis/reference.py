@@ -15,6 +15,7 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.analysis.rays import (
     Aperture,
@@ -78,8 +79,8 @@ def reference_ping(
     Raises
     ------
     Error
-        if an argument is of the wrong kind or out of bounds, if the acoustics include multipath or bubbles,
-        which the reference does not model, or if Embree is missing.
+        if an argument is of the wrong kind or out of bounds, if the acoustics include multipath, volume
+        reverberation or bubbles, which the reference does not model, or if Embree is missing.
 
     Warns
     -----
@@ -121,6 +122,8 @@ def reference_ping(
     intensity = ((halves[0].beam_sums + halves[1].beam_sums) * (fan.bins.gain * ray_sr)).astype(np.float32)
     if (weights := acoustics.pulse_weights(sonar)) is not None:
         intensity = matched_filter(intensity, weights)
+    if acoustics.cross_talk and sonar.cross_talk_db is not None:
+        intensity = leak_between_beams(intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
     body_echo = (halves[0].body_sums + halves[1].body_sums) * ray_sr
     for array in (intensity, body_echo):
         array.setflags(write=False)
@@ -174,10 +177,15 @@ def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
 
 
 def check_known(acoustics: Acoustics) -> None:
-    """Raise an Error if the acoustics include multipath, which the reference does not model."""
+    """Raise an Error if the acoustics include what the reference does not model: multipath, scatterers in the water."""
     if acoustics.multipath != "none":
         got = acoustics.multipath
         raise Error(f"the reference does not model multipath (got multipath {got!r}; give multipath=none)")
+    if acoustics.volume_backscatter_db is not None:
+        raise Error(
+            "the reference does not model volume reverberation (got volume_backscatter_db = "
+            f"{acoustics.volume_backscatter_db:g}; give volume_reverberation=False)"
+        )
 
 
 def _check_bubbles(scene: Scene, acoustics: Acoustics) -> None:

@@ -19,6 +19,7 @@ from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -47,6 +48,7 @@ class Term:
     off : fields that switch it off
     of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
+    acts_with : function (acoustics, sonar) -> False if the term does not act in such water or with such a sonar
     """
 
     name: str
@@ -55,6 +57,7 @@ class Term:
     of_noise: bool = False
     of_water: bool = False
     acts_in: Callable[[Scene], bool] = lambda scene: True
+    acts_with: Callable[[Acoustics, Sonar], bool] = lambda acoustics, sonar: True
 
     def changed(self, acoustics: Acoustics, noise: Noise, values: dict) -> tuple[Acoustics, Noise]:
         """Return both with other values of the term's fields."""
@@ -115,6 +118,18 @@ TERMS = (
         acts_in=lambda scene: bool(scene.plumes),
     ),
     Term("multipath", on=_field_on("multipath", "incoherent", off="none"), off={"multipath": "none"}),
+    Term(
+        "volume reverberation",
+        on=_field_on("volume_reverberation", True, off=False),
+        off={"volume_reverberation": False},
+        acts_with=lambda acoustics, sonar: acoustics.water.volume_backscatter_db is not None,
+    ),
+    Term(
+        "cross-talk",
+        on=_field_on("cross_talk", True, off=False),
+        off={"cross_talk": False},
+        acts_with=lambda acoustics, sonar: sonar.cross_talk_db is not None,
+    ),
     SPECKLE,
     Term(
         "receiver noise",
@@ -283,7 +298,9 @@ class _Comparison:
         within the tolerance: in its echo and in its displayed bins.
         """
         scene, tolerance = self.planner.scene, self._case.tolerance
-        changes = {term: self._change([term]) if term.acts_in(scene) else _Change(0, 0, 0) for term in TERMS}
+        device = self._case.acoustics, self._case.sonar
+        acting = [term for term in TERMS if term.acts_in(scene) and term.acts_with(*device)]
+        changes = {term: self._change([term]) if term in acting else _Change(0, 0, 0) for term in TERMS}
         off = [term for term in TERMS if changes[term].most == 0]
         for term in sorted(TERMS, key=lambda term: changes[term].most):
             if term in off:
@@ -346,6 +363,9 @@ class _Comparison:
         levels_db = receiver_levels_db(noise, self._case.sonar, acoustics)
         power = sum(10 ** (db / 10) for db in levels_db)
         power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
+        ringing = ring_down_power(self._case.sonar.range_m, self._case.sonar, acoustics)
+        if noise.self_noise and ringing is not None:
+            power = power + ringing
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
 
     def _change(self, terms: list[Term]) -> _Change:

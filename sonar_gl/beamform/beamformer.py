@@ -225,6 +225,20 @@ class Beamformer:
             for half in self._halves
         )
 
+    @cached_property
+    def even_response(self) -> np.ndarray:
+        """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
+        columns, height = self._column_sums(), 2 * self._top
+        if len(self.elevation_table):
+            ends = (self.elevation_table[0] + self.elevation_table[-1]) / 2
+            height *= (self.elevation_table.sum() - ends) / (ELEVATIONS - 1)
+        columns.sums[:] = (height * np.diff(self.fan.column_edges_rad))[:, None]
+        columns.spans[:] = 0, columns.sums.shape[1]
+        response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
+        columns.sums[:] = 0  # sums of samples only clear the columns that beams receive
+        columns.spans[:] = columns.sums.shape[1], 0
+        return response
+
     @property
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""

@@ -32,6 +32,7 @@ class PingSetup:
     pulse : weights of the matched filter, (n,) float32; None for a pulse shorter than a bin
     n_bodies : the highest number of a body
     background : (n_bodies + 1,) bool by number, for shadows; or None
+    surface_z_m : height of the water's surface, metres; None = out of reach
     """
 
     request: PingRequest
@@ -42,6 +43,7 @@ class PingSetup:
     pulse: np.ndarray | None
     n_bodies: int
     background: np.ndarray | None = None
+    surface_z_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +99,18 @@ class ReceivedPing:
     direct : BeamEcho of surfaces and bubbles
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
+    volume : BeamEcho of the water itself; None in clear water
     """
 
     drawn: DrawnPing
     direct: BeamEcho
     multipath: BeamEcho | None = None
     labels: Labels | None = None
+    volume: BeamEcho | None = None
 
     @property
     def total(self) -> float:
-        """The sum of the echo."""
+        """The sum of the echo of surfaces and bubbles, also by way of reflectors."""
         return self.direct.total + (0.0 if self.multipath is None else self.multipath.total)
 
 

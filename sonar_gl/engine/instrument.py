@@ -32,9 +32,14 @@ class Instrument:
         self.provenance = Provenance(sonar, acoustics)
 
     def set_up(
-        self, request: PingRequest, state: SceneState | None, n_bodies: int, background=None
+        self,
+        request: PingRequest,
+        state: SceneState | None,
+        n_bodies: int,
+        background=None,
+        surface_z_m: float | None = None,
     ) -> PingSetup:
-        """Return a request with what it takes to receive it; `background` as in `PingSetup`.
+        """Return a request with what it takes to receive it; `background` and `surface_z_m` as in `PingSetup`.
 
         Raises
         ------
@@ -46,7 +51,7 @@ class Instrument:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
         head_pose = self.sonar.head_pose(request.pose)
-        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, background)
+        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.beamform.labels import Labels, without_faint
+from sonar_gl.beamform.volume import sum_volume, water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
@@ -71,7 +73,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, background)
     labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn))
 
 
 class ImageDrawer(Protocol):
@@ -111,12 +113,22 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
-    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn))
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
     """Sum the image sources of a ping, if it has any."""
     return None if drawn.images is None else receive_images(drawn.images, drawn.setup.gain)
+
+
+def receive_volume(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the echo of the water in front of surfaces; None if it does not scatter."""
+    setup = drawn.setup
+    strength_db = setup.acoustics.volume_backscatter_db
+    if strength_db is None:
+        return None
+    surface = water_surface(setup.head_pose, setup.surface_z_m)
+    return sum_volume(drawn.resolution.stage.beamformer, drawn.view.sectors, setup.gain, strength_db, surface)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -142,8 +154,12 @@ def finish(instrument: Instrument, received: ReceivedPing, report: PingReport) -
 def assemble(
     instrument: Instrument, received: ReceivedPing, origin: SampleOrigin, error_estimate: float | None = None
 ) -> Ping:
-    """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
-    setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
+    """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
+
+    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`).
+    """
+    setup = received.drawn.setup
+    echo = received.direct.with_more(received.multipath).with_more(received.volume)
     request, labels, label_level_db = setup.request, {}, None
     intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
     if received.labels is not None:  # before the noise: they do not depend on its seed
@@ -162,7 +178,7 @@ def assemble(
             vars(received.drawn.resolution.stage.sampling)
         ),  # as asdict, in a twentieth of its time
         seed=request.seed,
-        has_echo=echo.total > 0,
+        has_echo=received.total > 0,
         **({} if time_s is None else {"time_s": time_s}),
         **({} if label_level_db is None else {"label_level_db": label_level_db}),
     )
@@ -177,5 +193,15 @@ def assemble(
         acoustics=setup.acoustics,
         **labels,
     )
-    ping = shown_in_motion(ping, request.velocity)
+    ping = with_cross_talk(shown_in_motion(ping, request.velocity))
     return ping if request.noise is None else add_noise(ping, request.noise, request.seed, request.number)
+
+
+def with_cross_talk(ping: Ping) -> Ping:
+    """Return a ping with the cross-talk between the beams of its sonar, if its acoustics have it."""
+    sonar = ping.sonar
+    if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
+        return ping
+    intensity = leak_between_beams(ping.intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
+    intensity.setflags(write=False)
+    return replace(ping, intensity=intensity)

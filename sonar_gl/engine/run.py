@@ -129,7 +129,8 @@ class Run:
             self._warn_of_air(request.pose)
             state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
             background = None if request.background is None else world.mask_of(request.background)
-            return self.instrument.set_up(request, state, len(world.scene.bodies), background)
+            n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
+            return self.instrument.set_up(request, state, n_bodies, background, surface_z_m)
 
     def _warn_of_air(self, pose: np.ndarray) -> None:
         """Warn, once, of a sonar above the water's surface."""

@@ -9,6 +9,7 @@ import numpy as np
 from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.random_streams import check_seed, stream
+from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 
@@ -38,11 +39,16 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
         return ping
     receiver = noise.has_receiver_noise or noise.interference_lines
     field_terms = noise.speckle or receiver
-    if not (field_terms or noise.gaussian or noise.median or noise.salt_and_pepper):
+    has_self_noise = noise.self_noise
+    ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if has_self_noise else None
+    of_bins = noise.gaussian or noise.median or noise.salt_and_pepper or noise.dropped_beams
+    if not (field_terms or of_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
     if field_terms:
         FieldNoise(ping, noise, seed, ping_number).apply(out)
+    if ringing is not None:
+        out += ringing.astype(np.float32)
     if noise.gaussian:
         add_normal(stream(seed, ping_number, "gaussian"), noise.gaussian, out)
     if noise.median:
@@ -53,6 +59,8 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
         uniform = stream(seed, ping_number, "salt_and_pepper").random(out.shape, dtype=np.float32)
         out[uniform < noise.salt_and_pepper / 2] = 0.0
         out[uniform >= 1 - noise.salt_and_pepper / 2] = 1.0
+    if noise.dropped_beams:
+        out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
     return replace(ping, intensity=out, meta={**ping.meta, **record})

@@ -15,6 +15,7 @@ STREAMS = {
     "texture": 5,
     "receiver": 6,
     "interference": 7,
+    "dropped_beams": 8,
 }
 
 

@@ -20,6 +20,7 @@ BOUNDS = (  # field, least, most, hint
     ("ambient_db", -300, 100, LEVEL),
     ("interference_lines", 0, 1000, "a mean number in a ping"),
     ("interference_db", -300, 100, LEVEL),
+    ("dropped_beams", 0, 1, "a fraction of the beams"),
 )
 MAY_BE_NONE = ("speckle_shape", "ambient_db")
 SWITCHES = ("speckle", "follow_motion", "self_noise", "thermal_noise")
@@ -32,7 +33,8 @@ MOVED = {
 class Noise:
     """Amounts of noise.
 
-    The terms apply in this order: speckle, receiver noise, interference, Gaussian, median, salt and pepper.
+    The terms apply in this order: speckle, receiver noise, interference, ring-down, Gaussian, median, salt and
+    pepper, dropped beams.
 
     Parameters
     ----------
@@ -50,7 +52,8 @@ class Noise:
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
         the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
-    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`. The TVG of range law
+    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar that states
+        one (`ring_down.ring_down_power`). The TVG of range law
         "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
     ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a surface of
         reflectivity 1 that surrounds the sonar at 1 m, likewise; None for none
@@ -58,6 +61,7 @@ class Noise:
     interference_db : power of such a pulse on the axis of a beam, as `ambient_db`
     thermal_noise : the thermal noise of the water, which adds as `self_noise`. Its level follows from the sonar's
         `source_level_db`, by `receiver.absolute_levels`
+    dropped_beams : fraction of beams whose data is lost in a ping: they are 0 in all bins
 
     Raises
     ------
@@ -78,6 +82,7 @@ class Noise:
     interference_lines: float = 0.0
     interference_db: float = -40.0
     thermal_noise: bool = False
+    dropped_beams: float = 0.0
 
     def __post_init__(self):
         for key in SWITCHES:

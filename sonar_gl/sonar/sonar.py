@@ -39,7 +39,14 @@ CHOICES = {  # field: allowed names
     "elevation_taper": TAPERS,
     "pulse_taper": ("uniform", "hamming"),
 }
-MAY_BE_NONE = "transmit_width_deg", "bandwidth_hz", "ping_rate_max_hz", "source_level_db"
+MAY_BE_NONE = (
+    "transmit_width_deg",
+    "bandwidth_hz",
+    "ping_rate_max_hz",
+    "source_level_db",
+    "cross_talk_db",
+    "ring_down_db",
+)
 UNPARSED = "name", "beam_azimuths_deg", "source", "counts"  # fields that a command line cannot set
 
 
@@ -74,6 +81,12 @@ class Sonar:
         resolution cell is as long as a bin
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
+    cross_talk_db : level of cross-talk, dB: what a beam receives of the echo in each other beam of its set; None: none
+    cross_talk_beams : spacing of the beams of a set, which are received together: every 8th beam, if a frame takes 8
+        transmissions
+    ring_down_db : power of the ringing of the transducer after the pulse, before the TVG, extrapolated to range 0, dB
+        relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None: none
+    ring_down_decay_db_m : how fast it decays, dB per metre of range
     counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
     tilt_deg : tilt of the head, which holds the arrays, inside the housing, degrees, positive down. Poses are those of
         the housing; azimuths, elevations and the fan are those of the head
@@ -109,6 +122,10 @@ class Sonar:
     transmit_width_deg: float | None = None
     bandwidth_hz: float | None = None
     pulse_taper: str = "hamming"
+    cross_talk_db: float | None = None
+    cross_talk_beams: int = 8
+    ring_down_db: float | None = None
+    ring_down_decay_db_m: float = 100.0
     counts: Counts = DEFAULT_COUNTS
     tilt_deg: float = 0.0
     ping_rate_max_hz: float | None = None
@@ -123,6 +140,7 @@ class Sonar:
                 object.__setattr__(self, "counts", DEFAULT_COUNTS.changed(self.counts))
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
+        check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, 65536)
         for key, low, high, hint in (
             ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
             ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
@@ -133,6 +151,9 @@ class Sonar:
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
+            ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
+            ("ring_down_db", -300, 300, "give dB relative to the echo of an enclosing surface at 1 m"),
+            ("ring_down_decay_db_m", 0.1, 1e5, "give dB per metre of range, positive"),
             ("tilt_deg", -90, 90, "give degrees, positive down"),
             ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
             ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),

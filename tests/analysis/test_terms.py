@@ -305,7 +305,7 @@ def test_mistakes():
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_a_scene_without_echo_needs_no_term():
     found = price(sg.Scene([], sg.pose()), SONAR, noise=sg.Noise(speckle=True, ambient_db=-300.0))
-    assert [one.changes for one in found if one.name in ACOUSTIC and one.name != "absorption"] == [0] * 6
+    assert not any(one.changes for one in found if one.name in ACOUSTIC and one.name != "absorption")
 
 
 @pytest.mark.parametrize(

@@ -199,13 +199,13 @@ def test_parse(text, noise):
         ),
         (
             "median=3,none",
-            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
             "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
         ),
         (
             "none=1",
-            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, "
+            "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
             "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
         ),
@@ -233,7 +233,7 @@ def test_wrong_text(text, expected):
 
 def test_empty_text_names_all_choices():
     assert message(Noise.parse, "") == (
-        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, "
+        "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, dropped_beams, "
         "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
         "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)"
     )
