@@ -70,6 +70,7 @@ class BatchRequest:
             time_s=self.time_s,
             reflectivity=self.reflectivity,
             water=self.water or None,
+            lobes=self.noise.speckle,
             alone=True,  # whatever other pings its process makes
         )
 

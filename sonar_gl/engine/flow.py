@@ -31,6 +31,7 @@ class PingSetup:
     pulse : weights of the matched filter, (n,) float32; None for a pulse shorter than a bin
     n_bodies : the highest number of a body
     background : (n_bodies + 1,) bool by number, for shadows; or None
+    lobes : the specular lobes are received by themselves, too: speckle spares them
     """
 
     request: PingRequest
@@ -40,6 +41,7 @@ class PingSetup:
     pulse: np.ndarray | None
     n_bodies: int
     background: np.ndarray | None = None
+    lobes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,7 @@ class DrawnPing:
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
     background : ViewSamples of the background bodies alone; None without shadows
+    lobes : ViewSamples that return the specular lobes alone; None where the ping does not need them
     """
 
     setup: PingSetup
@@ -83,6 +86,7 @@ class DrawnPing:
     view: ViewSamples
     images: ImageSourceSamples | None = None
     background: ViewSamples | None = None
+    lobes: ViewSamples | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +99,14 @@ class ReceivedPing:
     direct : BeamEcho of surfaces and bubbles
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
+    lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
     """
 
     drawn: DrawnPing
     direct: BeamEcho
     multipath: BeamEcho | None = None
     labels: Labels | None = None
+    lobes: BeamEcho | None = None
 
     @property
     def total(self) -> float:

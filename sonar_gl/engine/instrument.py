@@ -32,9 +32,9 @@ class Instrument:
         self.provenance = Provenance(sonar, acoustics)
 
     def set_up(
-        self, request: PingRequest, state: SceneState | None, n_bodies: int, background=None
+        self, request: PingRequest, state: SceneState | None, n_bodies: int, background=None, lobes: bool = False
     ) -> PingSetup:
-        """Return a request with what it takes to receive it; `background` as in `PingSetup`.
+        """Return a request with what it takes to receive it; `background` and `lobes` as in `PingSetup`.
 
         Raises
         ------
@@ -45,7 +45,7 @@ class Instrument:
         if request.water is not None:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
-        return PingSetup(request, state, acoustics, gain, pulse, n_bodies, background)
+        return PingSetup(request, state, acoustics, gain, pulse, n_bodies, background, lobes)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -20,6 +20,8 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import Ping
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.samples import ViewSamples
 
 
 def make_ping(run: Run, request: PingRequest) -> Ping:
@@ -63,14 +65,12 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     tried, plan = chosen
     stage = tried.stage
     resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
-    background = None
-    if setup.background is not None:
-        state = setup.state.only(setup.background[1:])
-        (background,) = stage.draw([setup.request.pose], [state], keep_last=True)
+    pairs = [(setup, state) for state in partial_states(setup)]
+    parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
     (images,) = run.draw_images(resolution, [tried.view], [setup])
-    drawn = DrawnPing(setup, resolution, tried.view, images, background)
+    drawn = drawn_ping(setup, resolution, tried.view, images, parts)
     labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels, receive_lobes(drawn))
 
 
 class ImageDrawer(Protocol):
@@ -84,21 +84,39 @@ def draw(
     images_by: ImageDrawer, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
-    stage, n = resolution.stage, len(setups)
-    poses, states = [setup.request.pose for setup in setups], [setup.state for setup in setups]
-    shadowed = [setup for setup in setups if setup.background is not None]
-    views = stage.draw(
-        poses + [setup.request.pose for setup in shadowed],
-        states + [setup.state.only(setup.background[1:]) for setup in shadowed],
+    n = len(setups)
+    whole = [(setup, setup.state) for setup in setups]
+    parts = [(setup, state) for setup in setups for state in partial_states(setup)]
+    views = resolution.stage.draw(
+        *poses_and_states(whole + parts),
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
     images = images_by.draw_images(resolution, views[:n], setups)
-    backgrounds = iter(views[n:])
+    drawn_parts = iter(views[n:])
     return [
-        DrawnPing(setup, resolution, *both, None if setup.background is None else next(backgrounds))
+        drawn_ping(setup, resolution, *both, drawn_parts)
         for setup, *both in zip(setups, views[:n], images, strict=True)
     ]
+
+
+def partial_states(setup: PingSetup) -> list[SceneState]:
+    """Return the states of a ping's further views: the background alone and the specular lobes alone, if needed."""
+    background = [] if setup.background is None else [setup.state.only(setup.background[1:])]
+    return background + ([setup.state.without_diffuse_echo()] if setup.lobes else [])
+
+
+def poses_and_states(pairs: Sequence[tuple[PingSetup, SceneState]]) -> tuple[list, list]:
+    """Return the poses of some pings, and the states to draw from there."""
+    return [setup.request.pose for setup, _ in pairs], [state for _, state in pairs]
+
+
+def drawn_ping(
+    setup: PingSetup, resolution: Resolution, view: ViewSamples, images, parts: Iterator[ViewSamples]
+) -> DrawnPing:
+    """Return a drawn ping; it takes the views of its `partial_states` from `parts`."""
+    background = None if setup.background is None else next(parts)
+    return DrawnPing(setup, resolution, view, images, background, next(parts) if setup.lobes else None)
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
@@ -110,12 +128,19 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
-    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels)
+    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels, receive_lobes(drawn))
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
     """Sum the image sources of a ping, if it has any."""
     return None if drawn.images is None else receive_images(drawn.images, drawn.setup.gain)
+
+
+def receive_lobes(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the specular lobes of a ping by themselves, where it needs them. Bubbles attenuate them, but have none."""
+    if drawn.lobes is None:
+        return None
+    return drawn.resolution.stage.beamformer.sum_footprints(drawn.lobes.sectors, drawn.setup.gain)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -144,8 +169,11 @@ def assemble(
     """Do the receiver's last steps: matched filter, motion during the ping, noise; and record how it was made."""
     setup, echo = received.drawn.setup, received.direct.with_more(received.multipath)
     request, labels = setup.request, {} if received.labels is None else vars(received.labels)
-    intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
-    for array in (intensity, *labels.values()):
+    intensity, coherent = (
+        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
+        for one in (echo.intensity, received.lobes and received.lobes.intensity)
+    )
+    for array in (intensity, coherent, *labels.values()):
         if array is not None:
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
@@ -168,6 +196,7 @@ def assemble(
         error_estimate=error_estimate,
         sonar=instrument.sonar,
         acoustics=setup.acoustics,
+        coherent=coherent,
         **labels,
     )
     ping = shown_in_motion(ping, request.velocity)

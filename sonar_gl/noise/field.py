@@ -41,11 +41,15 @@ class FieldNoise:
     def apply(self, intensity: np.ndarray) -> None:
         """Apply the terms to echoes (B, K) float32, in place.
 
+        Texture and speckle act on the diffuse part of the echo, not on the ping's `coherent` part.
+
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
         noise = self._noise
         levels_db = [db for db in (noise.electronic_db, noise.ambient_db) if db is not None]
         power = self._mean_power(*levels_db) if levels_db else None
+        if self._coherent_amplitude is not None:  # what is left is diffuse; rounding may make it negative
+            np.maximum(intensity - self._ping.coherent, 0, out=intensity)
         if noise.speckle and noise.speckle_shape is not None:
             exponential = np.ones_like(intensity)
             self._multiply_by_speckle(exponential, "texture")
@@ -71,24 +75,30 @@ class FieldNoise:
             add_interference(intensity, noise.interference_lines, power, *receiver)
 
     def _apply_look(self, intensity, power, look: int) -> None:
-        """Replace echoes E, in place, by one look |√E g + √N n|²: g speckle or 1, n receiver noise.
+        """Replace diffuse echoes E, in place, by one look |√C + √E g + √N n|²: g speckle or 1, n receiver noise.
 
-        `power` is the noise's mean power N, (K,), or None. The fields g and n have the same correlation. If
-        both are new in each ping, one field of power E + N has the same statistics: exactly in each bin, and
-        between neighbours where the echo is even.
+        C is the coherent echo. `power` is the noise's mean power N, (K,), or None. The fields g and n have the
+        same correlation. If both are new in each ping, one field of power E + N has the same statistics:
+        exactly in each bin, and between neighbours where the echo is even.
         """
-        noise = self._noise
-        if power is None or (noise.speckle and not noise.follow_motion):
-            if power is not None:
-                intensity += power
+        noise, coherent = self._noise, self._coherent_amplitude
+        is_one_field = noise.speckle and not noise.follow_motion
+        if is_one_field and power is not None:
+            intensity += power
+        if coherent is None and (is_one_field or power is None):
             self._multiply_by_speckle(intensity, "speckle", look)
             return
         total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
-        if noise.speckle:
+        if is_one_field:
+            add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
+        elif noise.speckle:
             np.multiply(np.sqrt(intensity)[:, None], self._place_locked_field("speckle", look), out=total)
         else:
             np.sqrt(intensity, out=total[:, 0])
-        add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
+        if coherent is not None:
+            total[:, 0] += coherent
+        if power is not None and not is_one_field:
+            add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
         np.square(total, out=total)
         np.add(total[:, 0], total[:, 1], out=intensity)
 
@@ -120,6 +130,15 @@ class FieldNoise:
         """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""
         power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
         return np.minimum(power, MAX_POWER).astype(np.float32)
+
+    @cached_property
+    def _coherent_amplitude(self) -> np.ndarray | None:
+        """Amplitude of the echo that speckle spares, (B, K); None if there is none, or no speckle.
+
+        A circular g takes no notice of its phase, so that the phase may be 0 in all bins.
+        """
+        coherent = self._ping.coherent
+        return None if coherent is None or not self._noise.speckle else np.sqrt(coherent)
 
     @cached_property
     def _tvg(self) -> np.ndarray:

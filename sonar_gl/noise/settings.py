@@ -33,16 +33,16 @@ class Noise:
 
     Parameters
     ----------
-    speckle : fully developed speckle: the echo times an exponential variate of mean 1, correlated between
-        overlapping beams as by a line array
+    speckle : fully developed speckle: the diffuse echo times an exponential variate of mean 1, correlated between
+        overlapping beams as by a line array. Specular lobes are one steady echo, which it spares
     gaussian : standard deviation of Gaussian noise in each bin, relative to full scale 1; negative sums
         become 0
     salt_and_pepper : fraction of bins set to 0 or to full scale 1, half each
     median : 0 (none), 3 or 5: size of a median filter over beams and bins
     cloud_gaussian_m : metres, standard deviation of the noise on the point cloud of the founding paper's
         picture; it does not act on pings
-    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the echo, and the
-        contrast becomes √(1 + 2/ν); None for fully developed speckle
+    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the diffuse echo, and
+        the contrast becomes √(1 + 2/ν); None for fully developed speckle
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
@@ -104,13 +104,15 @@ class Noise:
 
     @classmethod
     def physical(cls) -> Noise:
-        """Return speckle, and self-noise that shows in distant shadows.
+        """Return place-locked speckle, and self-noise that shows in distant shadows.
+
+        A sonar that stands still sees the same speckle again, as real ones do (docs/realism.md), and new noise.
 
         At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB becomes −43 dB
         of full scale; at 10 m it becomes −64 dB. The level is 32 dB above the thermal noise of
         `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not measured.
         """
-        return cls(speckle=True, electronic_db=-90.0)
+        return cls(speckle=True, follow_motion=True, electronic_db=-90.0)
 
     @classmethod
     def parse(cls, text: str) -> Noise:
@@ -120,7 +122,7 @@ class Noise:
 
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
-        >>> Noise.parse("physical,electronic_db=none") == Noise(speckle=True)
+        >>> Noise.parse("physical,electronic_db=none") == Noise(speckle=True, follow_motion=True)
         True
         """
         profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
