@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,6 +21,37 @@ from sonar_gl.ping import Ping
 SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
 MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
+
+
+@lru_cache(maxsize=2)  # speckle and texture of a sonar that stands still
+def _field_at(
+    correlation: FieldCorrelation,
+    n_bins: int,
+    bin_size_m: float,
+    wavelength_m: float,
+    pulse: tuple | None,
+    place: bytes,
+    key: tuple[int, str, int],
+) -> np.ndarray:
+    """Return a place-locked field, (B, 2, K), read-only.
+
+    Parameters
+    ----------
+    correlation : without the pulse, which is given by itself
+    place : the first two rows of the pose, float64
+    key : seed, term and look
+    """
+    if pulse is not None:
+        correlation = correlation._replace(pulse_weights=field_weights(bin_size_m, *pulse))
+    seed, term, look = key
+
+    def generator(cell_x, cell_y, chunk):
+        return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+
+    pose = np.frombuffer(place).reshape(2, 4)
+    out = place_locked_field(correlation, n_bins, bin_size_m, wavelength_m, pose, generator, pulse)
+    out.setflags(write=False)
+    return out
 
 
 class FieldNoise:
@@ -112,13 +143,10 @@ class FieldNoise:
     def _place_locked_field(self, term: str, look: int) -> np.ndarray:
         """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number."""
         sonar, pose = self._required("sonar", PLACE_LOCKED), self._required("pose", PLACE_LOCKED)
-
-        def generator(cell_x, cell_y, chunk):
-            key = (n + (1 << 31) for n in (cell_x, cell_y, chunk))
-            return stream(self._seed, 0, term, *key, look)
-
         shape = len(self._ping.range_m), self._bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
-        return place_locked_field(self._correlation, *shape, np.asarray(pose), generator, self._pulse)
+        place = np.asarray(pose, np.float64)[:2].tobytes()
+        correlation = self._correlation._replace(pulse_weights=None)
+        return _field_at(correlation, *shape, self._pulse, place, (self._seed, term, look))
 
     def _stream(self, term: str) -> np.random.Generator:
         """Return the term's random generator, which continues from one look to the next."""

@@ -46,7 +46,7 @@ class Noise:
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
-        the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
+        seed and pose of the sonar; `place_locked_speckle.place_locked_field` states which motion changes it
     electronic_db, ambient_db : mean power of the receiver's self-noise and of ambient noise before the TVG,
         dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None for none.
         The TVG of range law "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
@@ -82,7 +82,7 @@ class Noise:
                 continue
             check_number(f"noise: {key}", value, low, high, hint)
         check_whole_number("noise: looks", self.looks, 1, 1000)
-        for key in ("speckle_shape", "looks", "follow_motion"):
+        for key in ("speckle_shape", "looks"):  # follow_motion does nothing then: "physical,speckle=no" is plain
             value = getattr(self, key)
             if not self.speckle and value != type(self).__dataclass_fields__[key].default:
                 raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")
