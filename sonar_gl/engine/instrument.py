@@ -32,7 +32,12 @@ class Instrument:
         self.provenance = Provenance(sonar, acoustics)
 
     def set_up(
-        self, request: PingRequest, state: SceneState | None, n_bodies: int, background=None, lobes: bool = False
+        self,
+        request: PingRequest,
+        state: SceneState | None,
+        n_bodies: int,
+        background=None,
+        lobes: bool = False,
     ) -> PingSetup:
         """Return a request with what it takes to receive it; `background` and `lobes` as in `PingSetup`.
 

@@ -141,7 +141,9 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     def shown(power: np.ndarray) -> np.ndarray:
         along, across = (np.zeros(shape, np.float32) for shape in (power.shape, power.shape[::-1]))
         _redistribute(power, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
-        _redistribute(np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across)
+        _redistribute(
+            np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across
+        )
         power = np.ascontiguousarray(across.T / width)
         power.setflags(write=False)
         return power

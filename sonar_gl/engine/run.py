@@ -136,7 +136,9 @@ class Run:
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""
         bodies = zip(self.world.scene.bodies, state.present, strict=True)
-        return self.instrument.acoustics.specular and any(one.specular > 0 for one, present in bodies if present)
+        return self.instrument.acoustics.specular and any(
+            one.specular > 0 for one, present in bodies if present
+        )
 
     def _warn_of_air(self, pose: np.ndarray) -> None:
         """Warn, once, of a sonar above the water's surface."""

@@ -18,9 +18,9 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
 
     Parameters
     ----------
-    ping : speckle spares its `coherent` echo; the beam width of its `sonar` correlates the fields of overlapping beams, and its
-        `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them beams or bins
-        are independent
+    ping : speckle spares its `coherent` echo; the beam width of its `sonar` correlates the fields of overlapping
+        beams, and its `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them
+        beams or bins are independent
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
 

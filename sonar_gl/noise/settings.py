@@ -82,7 +82,10 @@ class Noise:
                 continue
             check_number(f"noise: {key}", value, low, high, hint)
         check_whole_number("noise: looks", self.looks, 1, 1000)
-        for key in ("speckle_shape", "looks"):  # follow_motion does nothing then: "physical,speckle=no" is plain
+        for key in (
+            "speckle_shape",
+            "looks",
+        ):  # follow_motion does nothing then: "physical,speckle=no" is plain
             value = getattr(self, key)
             if not self.speckle and value != type(self).__dataclass_fields__[key].default:
                 raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")

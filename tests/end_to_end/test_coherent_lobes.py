@@ -37,9 +37,7 @@ def test_the_coherent_part_is_what_lobes_add(engine, labels, pulse):
     request = PingRequest(sg.pose(), labels=labels, background=("floor",) if labels else None)
     acoustics = sg.Acoustics.physical(pulse=pulse)
     found = coherent(request, engine, acoustics)
-    with sg.Simulator(
-        SCENE, SONAR, replace(acoustics, specular=False), SAMPLING, engine=engine
-    ) as simulator:
+    with sg.Simulator(SCENE, SONAR, replace(acoustics, specular=False), SAMPLING, engine=engine) as simulator:
         diffuse = simulator.ping(sg.pose(), labels=labels, background=["floor"] if labels else None)
     added = found.intensity.astype(np.float64) - diffuse.intensity
     # sums in float32, of echoes up to the peak
@@ -119,7 +117,9 @@ def test_a_plate_face_on_is_steady():
 @pytest.mark.parametrize(("diffuse", "below_db"), [(None, None), (0.002, 0.5)])
 def test_a_plate_speckles_as_its_roughness_tells(diffuse, below_db):
     """With new speckle in each ping: √(2 D/C) of the amplitude, D the diffuse part. Steel's is 19 dB below its lobe."""
-    plate = PLATE if diffuse is None else replace(PLATE, reflectivity=diffuse, specular=0.8, roughness_rad=0.1)
+    plate = (
+        PLATE if diffuse is None else replace(PLATE, reflectivity=diffuse, specular=0.8, roughness_rad=0.1)
+    )
     levels_db, part = peak_levels_db(SPECKLE, sg.Scene([plate]))
     rice_db = 10 / np.log(10) * np.sqrt(2 * part)
     assert levels_db.std() == pytest.approx(rice_db, rel=SIGMAS * 0.05)

@@ -146,7 +146,9 @@ def test_the_ping_itself_stays():
 
 
 def test_meta_records_the_noise():
-    record = json.loads(json.dumps(add_noise(even_ping(8, 9, pose=HERE), Noise.physical(), np.int64(3), 2).meta))
+    record = json.loads(
+        json.dumps(add_noise(even_ping(8, 9, pose=HERE), Noise.physical(), np.int64(3), 2).meta)
+    )
     assert (record["seed"], record["ping_number"]) == (3, 2)
     assert Noise(**record["noise"]) == Noise.physical()
 
