@@ -64,8 +64,8 @@ def test_an_absent_body_has_no_lobe():
 
 def test_motion_moves_both_parts_alike():
     request = PingRequest(sg.pose(), velocity=[2.0, 1.0, 0, 0, 0, 0.5])
-    mirrors = sg.Scene([replace(PLATE, reflectivity=0.0, material=None, specular=0.8)])
-    found = coherent(request, scene=mirrors)
+    polished = sg.Scene([replace(PLATE, reflectivity=0.0, material=None, specular=0.8)])
+    found = coherent(request, scene=polished)
     np.testing.assert_array_equal(found.coherent, found.intensity)
 
 
