@@ -61,7 +61,7 @@ def _absorption_on(acoustics, noise, sonar) -> dict:
 
 
 def _speckle_on(acoustics, noise, sonar) -> dict:
-    return {} if noise.speckle else {"speckle": True}
+    return {} if noise.speckle else {"speckle": True, "follow_motion": Noise.physical().follow_motion}
 
 
 def _receiver_noise_on(acoustics, noise, sonar) -> dict:
@@ -73,7 +73,7 @@ def _receiver_noise_on(acoustics, noise, sonar) -> dict:
 SPECKLE = Term(
     "speckle",
     on=_speckle_on,
-    off={"speckle": False, "speckle_shape": None, "looks": 1},
+    off={"speckle": False, "speckle_shape": None, "looks": 1, "follow_motion": False},
     of_noise=True,
 )
 TERMS = (
