@@ -56,6 +56,8 @@ class Ping:
     shadow : (B, K) bool or None, whether bodies in front of the background have blocked its echo
     sonar : the Sonar of the ping; None if unknown, as in a `Ping` made from arrays alone
     acoustics : the Acoustics of the ping, in its own water; None if unknown
+    coherent : (B, K) float32 or None, the part of `intensity` that specular lobes return: a steady echo, which
+        speckle spares. Only in pings without noise for which it was asked, as those of a batch
     """
 
     intensity: np.ndarray
@@ -73,6 +75,7 @@ class Ping:
     shadow: np.ndarray | None = None
     sonar: Sonar | None = None
     acoustics: Acoustics | None = None
+    coherent: np.ndarray | None = None
 
     @property
     def bin_size_m(self) -> float:

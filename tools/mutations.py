@@ -559,6 +559,19 @@ MUTATIONS = (
         NOISE,
         (("out /= np.float32(looks)", "out /= np.float32(looks + 1)"),),
     ),
+    Mutation(
+        "noise/coherent echo that speckles, too",
+        "np.maximum(intensity - self._ping.coherent, 0, out=intensity)",
+        "np.maximum(intensity, 0, out=intensity)",
+        ("test_coherent_echo",),
+    ),
+    Mutation(
+        "noise/diffuse echo among the lobes",
+        "[setup.state.without_diffuse_echo()]",
+        "[setup.state]",
+        ("test_coherent_lobes",),
+    ),
+    Mutation("noise/interpolation of beams", "np.sinc(off) * window", "window", NOISE),
     # the store of a batch
     Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", ENCODING),
     Mutation(

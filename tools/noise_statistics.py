@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 
 import numpy as np
 
@@ -25,16 +26,19 @@ FREQUENCY_HZ, SPEED_M_S = 900e3, 1500.0
 LENGTH_M = aperture_width() * SPEED_M_S / FREQUENCY_HZ / np.radians(WIDTH_DEG)  # of the aperture
 HALF_NULL_HZ = SPEED_M_S / (4 * BIN_M)  # a pulse whose c/2B is two bins
 HAMMING = 0.23 / 0.54
+SONAR_FIELDS = {field.name for field in fields(sg.Sonar)}
 
 
-def even_ping(pose=None, level: float = 1.0, **acoustics) -> Ping:
-    """Return a ping of the same echo in all beams and bins."""
+def even_ping(pose=None, level: float = 1.0, coherent: float = 0.0, **settings) -> Ping:
+    """Return a ping of the same echo in all beams and bins; settings are fields of `Sonar` and `Acoustics`."""
+    of_sonar = {key: settings.pop(key) for key in SONAR_FIELDS & settings.keys()}
     azimuth = np.radians(SPACING_DEG) * (np.arange(BEAMS) - (BEAMS - 1) / 2)
     shape = BEAMS, BINS, BEAMS * SPACING_DEG, 20.0, WIDTH_DEG
-    sonar = sg.Sonar("even", FREQUENCY_HZ, *shape, 1.0, 1 + BINS * BIN_M)
-    acoustics = sg.Acoustics(**{"profile": "ideal", "water": sg.Water(sound_speed_m_s=SPEED_M_S)} | acoustics)
+    sonar = sg.Sonar("even", FREQUENCY_HZ, *shape, 1.0, 1 + BINS * BIN_M, **of_sonar)
+    acoustics = sg.Acoustics(**{"profile": "ideal", "water": sg.Water(sound_speed_m_s=SPEED_M_S)} | settings)
     intensity = np.full((BEAMS, BINS), level, np.float32)
-    return Ping(intensity, azimuth, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics)
+    part = np.full_like(intensity, coherent) if coherent else None
+    return Ping(intensity, azimuth, sonar.range_m, pose=pose, sonar=sonar, acoustics=acoustics, coherent=part)
 
 
 def hamming_correlation(x):
@@ -115,6 +119,10 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
         yield name, wanted, Tally(pings(count, noise)).mean
     found = Tally(pings(count, Noise(ambient_db=-10))).contrast
     yield "the same, no speckle: contrast (Rice)", np.sqrt(0.2 + 0.01) / 1.1, found
+    for part in (0.5, 0.99):
+        wanted = np.sqrt(2 * part * (1 - part) + (1 - part) ** 2)
+        found = Tally(pings(count, speckle, even_ping(coherent=part))).contrast
+        yield f"coherent part {part:g}: contrast (Rice)", wanted, found
     for share in (0.05, 0.125, 0.25):
         found = moved_correlation(count, (0, share * LENGTH_M, 0))
         yield f"place-locked, {share:g} apertures aside", (1 - 2 * share) ** 2, found

@@ -78,7 +78,7 @@ def _absorption_on(acoustics, noise, sonar) -> dict:
 
 
 def _speckle_on(acoustics, noise, sonar) -> dict:
-    return {} if noise.speckle else {"speckle": True}
+    return {} if noise.speckle else {"speckle": True, "follow_motion": Noise.physical().follow_motion}
 
 
 def _receiver_noise_on(acoustics, noise, sonar) -> dict:

@@ -79,6 +79,7 @@ class BatchRequest:
             time_s=self.time_s,
             reflectivity=self.reflectivity,
             water=self.water,
+            lobes=self.noise.speckle,
             alone=True,  # whatever other pings its process makes
         )
 

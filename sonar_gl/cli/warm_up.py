@@ -190,6 +190,8 @@ def _work_without_opengl():
     ping = _labelled_ping()
     for noise in NOISES:
         add_noise(ping, noise, 0)
+    # beams that overlap so widely that place-locked speckle is interpolated
+    add_noise(replace(ping, sonar=replace(SONAR, beam_width_deg=20.0)), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)
     # a batch leaves out dark cells, in an array of its own, which is not read-only

@@ -44,6 +44,7 @@ from sonar_gl.engine.stage import Stage
 from sonar_gl.gl import lifetime
 from sonar_gl.gl.host import CurrentContext, HostContext
 from sonar_gl.gl.shaders import load_shader
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
 from sonar_gl.sonar.fan import NEAR_M
@@ -203,7 +204,7 @@ class Sensor:
         camera : Camera; or a list of cameras for a wide fan. Then depth is a list as long, and so are normals,
             body_id and an image of reflectivity where they are used. Where images overlap, the first one counts
         pose : (4, 4) world_from_sonar, None for the origin; it is stored with the ping, and place-locked speckle
-            depends on it
+            depends on it; with None every ping has its own speckle
         holds : contents of depth: "planar", metres along the camera's axis, as in most depth cameras; "range",
             metres along each pixel's ray. `metres_ahead` converts a z-buffer
         normals : (H, W, 3) float, normals of the faces, not smoothed, of any length and on either side, camera axes
@@ -249,7 +250,9 @@ class Sensor:
         return Stage(sampling, beamformer)
 
     def _request(self, pose, noise, seed, number, labels, velocity, label_level_db) -> PingRequest:
-        """Return the checked request; a pose of None is the origin."""
+        """Return the checked request; a pose of None is the origin, with speckle that is locked to no place."""
+        if pose is None and isinstance(noise, Noise):
+            noise = replace(noise, follow_motion=False)
         pose = check_pose(np.eye(4) if pose is None else pose)
         more = {"velocity": velocity, "label_level_db": label_level_db}
         return PingRequest(pose, noise, seed, number, labels, **more)

@@ -33,6 +33,7 @@ class PingSetup:
     n_bodies : the highest number of a body
     background : (n_bodies + 1,) bool by number, for shadows; or None
     surface_z_m : height of the water's surface, metres; None = out of reach
+    lobes : the specular lobes are received by themselves, too: speckle spares them
     """
 
     request: PingRequest
@@ -44,6 +45,7 @@ class PingSetup:
     n_bodies: int
     background: np.ndarray | None = None
     surface_z_m: float | None = None
+    lobes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,7 @@ class DrawnPing:
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
     background : ViewSamples of the background bodies alone; None without shadows
+    lobes : ViewSamples that return the specular lobes alone; None where the ping does not need them
     """
 
     setup: PingSetup
@@ -87,6 +90,7 @@ class DrawnPing:
     view: ViewSamples
     images: ImageSourceSamples | None = None
     background: ViewSamples | None = None
+    lobes: ViewSamples | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +104,7 @@ class ReceivedPing:
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
     volume : BeamEcho of the water itself; None in clear water
+    lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
     """
 
     drawn: DrawnPing
@@ -107,6 +112,7 @@ class ReceivedPing:
     multipath: BeamEcho | None = None
     labels: Labels | None = None
     volume: BeamEcho | None = None
+    lobes: BeamEcho | None = None
 
     @property
     def total(self) -> float:

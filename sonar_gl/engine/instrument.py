@@ -38,8 +38,9 @@ class Instrument:
         n_bodies: int,
         background=None,
         surface_z_m: float | None = None,
+        lobes: bool = False,
     ) -> PingSetup:
-        """Return a request with what it takes to receive it; `background` and `surface_z_m` as in `PingSetup`.
+        """Return a request with what it takes to receive it; `background`, `surface_z_m` and `lobes` as in `PingSetup`.
 
         Raises
         ------
@@ -51,7 +52,9 @@ class Instrument:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
         head_pose = self.sonar.head_pose(request.pose)
-        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m)
+        return PingSetup(
+            request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m, lobes
+        )
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

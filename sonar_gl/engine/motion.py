@@ -143,16 +143,23 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     whole_turn = 2 * math.pi if azimuth[-1] - azimuth[0] > 2 * math.pi - 1e-9 else 0.0
     # first along each beam, then, as it depends on the range that is shown, across the beams
     width = np.diff(azimuth)[:, None].astype(np.float32)
-    along, across = (
-        np.zeros(shape, np.float32) for shape in (ping.intensity.shape, ping.intensity.shape[::-1])
-    )
     nearer, even = _nearer(own, velocity, sound_speed), np.ones(len(r))
-    _redistribute(ping.intensity, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
     aside = azimuth + _turned(azimuth, 0.0, velocity, *speeds)
     turned = _turned(0.0, r, velocity, *speeds) - _turned(0.0, 0.0, velocity, *speeds)
-    _redistribute(np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across)
-    intensity = np.ascontiguousarray(across.T / width)
-    intensity.setflags(write=False)
+
+    def shown(power: np.ndarray) -> np.ndarray:
+        along, across = (np.zeros(shape, np.float32) for shape in (power.shape, power.shape[::-1]))
+        _redistribute(power, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
+        _redistribute(
+            np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across
+        )
+        power = np.ascontiguousarray(across.T / width)
+        power.setflags(write=False)
+        return power
+
+    powers = {"intensity": shown(ping.intensity)}
+    if ping.coherent is not None:
+        powers["coherent"] = shown(ping.coherent)
     labels = {name: getattr(ping, name) for name in EMPTY_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order
@@ -167,4 +174,4 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
             labels[name] = np.where(inside, array[cell], array.dtype.type(EMPTY_LABELS[name]))
             labels[name].setflags(write=False)
     meta = {**ping.meta, "velocity": [float(v) for v in given]}
-    return replace(ping, intensity=intensity, meta=meta, **labels)
+    return replace(ping, meta=meta, **powers, **labels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -23,6 +23,8 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import Ping
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.samples import ViewSamples
 
 
 def make_ping(run: Run, request: PingRequest) -> Ping:
@@ -66,14 +68,14 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     tried, plan = chosen
     stage = tried.stage
     resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
-    background = None
-    if setup.background is not None:
-        state = setup.state.only(setup.background[1:])
-        (background,) = stage.draw([setup.head_pose], [state], keep_last=True)
+    pairs = [(setup, state) for state in partial_states(setup)]
+    parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
     (images,) = run.draw_images(resolution, [tried.view], [setup])
-    drawn = DrawnPing(setup, resolution, tried.view, images, background)
+    drawn = drawn_ping(setup, resolution, tried.view, images, parts)
     labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn))
+    return ReceivedPing(
+        drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
+    )
 
 
 class ImageDrawer(Protocol):
@@ -87,21 +89,39 @@ def draw(
     images_by: ImageDrawer, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
-    stage, n = resolution.stage, len(setups)
-    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-    shadowed = [setup for setup in setups if setup.background is not None]
-    views = stage.draw(
-        poses + [setup.head_pose for setup in shadowed],
-        states + [setup.state.only(setup.background[1:]) for setup in shadowed],
+    n = len(setups)
+    whole = [(setup, setup.state) for setup in setups]
+    parts = [(setup, state) for setup in setups for state in partial_states(setup)]
+    views = resolution.stage.draw(
+        *poses_and_states(whole + parts),
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
     images = images_by.draw_images(resolution, views[:n], setups)
-    backgrounds = iter(views[n:])
+    drawn_parts = iter(views[n:])
     return [
-        DrawnPing(setup, resolution, *both, None if setup.background is None else next(backgrounds))
+        drawn_ping(setup, resolution, *both, drawn_parts)
         for setup, *both in zip(setups, views[:n], images, strict=True)
     ]
+
+
+def partial_states(setup: PingSetup) -> list[SceneState]:
+    """Return the states of a ping's further views: the background alone and the specular lobes alone, if needed."""
+    background = [] if setup.background is None else [setup.state.only(setup.background[1:])]
+    return background + ([setup.state.without_diffuse_echo()] if setup.lobes else [])
+
+
+def poses_and_states(pairs: Sequence[tuple[PingSetup, SceneState]]) -> tuple[list, list]:
+    """Return the poses of some pings, and the states to draw from there."""
+    return [setup.head_pose for setup, _ in pairs], [state for _, state in pairs]
+
+
+def drawn_ping(
+    setup: PingSetup, resolution: Resolution, view: ViewSamples, images, parts: Iterator[ViewSamples]
+) -> DrawnPing:
+    """Return a drawn ping; it takes the views of its `partial_states` from `parts`."""
+    background = None if setup.background is None else next(parts)
+    return DrawnPing(setup, resolution, view, images, background, next(parts) if setup.lobes else None)
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
@@ -113,7 +133,9 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
-    return ReceivedPing(drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn))
+    return ReceivedPing(
+        drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
+    )
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
@@ -129,6 +151,13 @@ def receive_volume(drawn: DrawnPing) -> BeamEcho | None:
         return None
     surface = water_surface(setup.head_pose, setup.surface_z_m)
     return sum_volume(drawn.resolution.stage.beamformer, drawn.view.sectors, setup.gain, strength_db, surface)
+
+
+def receive_lobes(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the specular lobes of a ping by themselves, where it needs them. Bubbles attenuate them, but have none."""
+    if drawn.lobes is None:
+        return None
+    return drawn.resolution.stage.beamformer.sum_footprints(drawn.lobes.sectors, drawn.setup.gain)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -161,13 +190,16 @@ def assemble(
     setup = received.drawn.setup
     echo = received.direct.with_more(received.multipath).with_more(received.volume)
     request, labels, label_level_db = setup.request, {}, None
-    intensity = echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse)
+    intensity, coherent = (
+        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
+        for one in (echo.intensity, received.lobes and received.lobes.intensity)
+    )
     if received.labels is not None:  # before the noise: they do not depend on its seed
         label_level_db = request.label_level_db
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
         labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
-    for array in (intensity, *labels.values()):
+    for array in (intensity, coherent, *labels.values()):
         if array is not None:
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
@@ -191,6 +223,7 @@ def assemble(
         error_estimate=error_estimate,
         sonar=instrument.sonar,
         acoustics=setup.acoustics,
+        coherent=coherent,
         **labels,
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
@@ -202,6 +235,9 @@ def with_cross_talk(ping: Ping) -> Ping:
     sonar = ping.sonar
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
-    intensity = leak_between_beams(ping.intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
-    intensity.setflags(write=False)
-    return replace(ping, intensity=intensity)
+    powers = {"intensity": ping.intensity, "coherent": ping.coherent}
+    for name, power in powers.items():
+        if power is not None:
+            powers[name] = leak_between_beams(power, sonar.cross_talk_db, sonar.cross_talk_beams)
+            powers[name].setflags(write=False)
+    return replace(ping, **powers)

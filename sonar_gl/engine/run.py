@@ -24,6 +24,7 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
 from sonar_gl.scene.extent import air_text
+from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
@@ -129,8 +130,16 @@ class Run:
             self._warn_of_air(request.pose)
             state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
             background = None if request.background is None else world.mask_of(request.background)
+            lobes = request.separates_lobes and self._returns_lobes(state)
             n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-            return self.instrument.set_up(request, state, n_bodies, background, surface_z_m)
+            return self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
+
+    def _returns_lobes(self, state: SceneState) -> bool:
+        """Return whether a body that is present may return a specular lobe."""
+        bodies = zip(self.world.scene.bodies, state.present, strict=True)
+        return self.instrument.acoustics.specular and any(
+            one.specular > 0 for one, present in bodies if present
+        )
 
     def _warn_of_air(self, pose: np.ndarray) -> None:
         """Warn, once, of a sonar above the water's surface."""

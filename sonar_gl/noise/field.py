@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,6 +21,37 @@ from sonar_gl.ping import Ping
 SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
 MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
+
+
+@lru_cache(maxsize=2)  # speckle and texture of a sonar that stands still
+def _field_at(
+    correlation: FieldCorrelation,
+    n_bins: int,
+    bin_size_m: float,
+    wavelength_m: float,
+    pulse: tuple | None,
+    place: bytes,
+    key: tuple[int, str, int],
+) -> np.ndarray:
+    """Return a place-locked field, (B, 2, K), read-only.
+
+    Parameters
+    ----------
+    correlation : without the pulse, which is given by itself
+    place : the first two rows of the pose, float64
+    key : seed, term and look
+    """
+    if pulse is not None:
+        correlation = correlation._replace(pulse_weights=field_weights(bin_size_m, *pulse))
+    seed, term, look = key
+
+    def generator(cell_x, cell_y, chunk):
+        return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+
+    pose = np.frombuffer(place).reshape(2, 4)
+    out = place_locked_field(correlation, n_bins, bin_size_m, wavelength_m, pose, generator, pulse)
+    out.setflags(write=False)
+    return out
 
 
 class FieldNoise:
@@ -41,11 +72,15 @@ class FieldNoise:
     def apply(self, intensity: np.ndarray) -> None:
         """Apply the terms to echoes (B, K) float32, in place.
 
+        Texture and speckle act on the diffuse part of the echo, not on the ping's `coherent` part.
+
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
         noise = self._noise
         levels_db = self._levels_db()
         power = self._mean_power(*levels_db) if levels_db else None
+        if self._coherent_amplitude is not None:  # what is left is diffuse; rounding may make it negative
+            np.maximum(intensity - self._ping.coherent, 0, out=intensity)
         if noise.speckle and noise.speckle_shape is not None:
             exponential = np.ones_like(intensity)
             self._multiply_by_speckle(exponential, "texture")
@@ -81,24 +116,30 @@ class FieldNoise:
         return receiver_levels_db(noise, sonar, acoustics)
 
     def _apply_look(self, intensity, power, look: int) -> None:
-        """Replace echoes E, in place, by one look |√E g + √N n|²: g speckle or 1, n receiver noise.
+        """Replace diffuse echoes E, in place, by one look |√C + √E g + √N n|²: g speckle or 1, n receiver noise.
 
-        `power` is the noise's mean power N, (K,), or None. The fields g and n have the same correlation. If
-        both are new in each ping, one field of power E + N has the same statistics: exactly in each bin, and
-        between neighbours where the echo is even.
+        C is the coherent echo. `power` is the noise's mean power N, (K,), or None. The fields g and n have the
+        same correlation. If both are new in each ping, one field of power E + N has the same statistics:
+        exactly in each bin, and between neighbours where the echo is even.
         """
-        noise = self._noise
-        if power is None or (noise.speckle and not noise.follow_motion):
-            if power is not None:
-                intensity += power
+        noise, coherent = self._noise, self._coherent_amplitude
+        is_one_field = noise.speckle and not noise.follow_motion
+        if is_one_field and power is not None:
+            intensity += power
+        if coherent is None and (is_one_field or power is None):
             self._multiply_by_speckle(intensity, "speckle", look)
             return
         total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
-        if noise.speckle:
+        if is_one_field:
+            add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
+        elif noise.speckle:
             np.multiply(np.sqrt(intensity)[:, None], self._place_locked_field("speckle", look), out=total)
         else:
             np.sqrt(intensity, out=total[:, 0])
-        add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
+        if coherent is not None:
+            total[:, 0] += coherent
+        if power is not None and not is_one_field:
+            add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
         np.square(total, out=total)
         np.add(total[:, 0], total[:, 1], out=intensity)
 
@@ -112,14 +153,10 @@ class FieldNoise:
     def _place_locked_field(self, term: str, look: int) -> np.ndarray:
         """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number."""
         sonar, pose = self._required("sonar", PLACE_LOCKED), self._required("pose", PLACE_LOCKED)
-
-        def generator(cell_x, cell_y, chunk):
-            key = (n + (1 << 31) for n in (cell_x, cell_y, chunk))
-            return stream(self._seed, 0, term, *key, look)
-
         shape = len(self._ping.range_m), self._bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
-        head_pose = np.asarray(sonar.head_pose(pose))
-        return place_locked_field(self._correlation, *shape, head_pose, generator, self._pulse)
+        place = np.asarray(sonar.head_pose(pose), np.float64)[:2].tobytes()
+        correlation = self._correlation._replace(pulse_weights=None)
+        return _field_at(correlation, *shape, self._pulse, place, (self._seed, term, look))
 
     def _stream(self, term: str) -> np.random.Generator:
         """Return the term's random generator, which continues from one look to the next."""
@@ -131,6 +168,15 @@ class FieldNoise:
         """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""
         power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
         return np.minimum(power, MAX_POWER).astype(np.float32)
+
+    @cached_property
+    def _coherent_amplitude(self) -> np.ndarray | None:
+        """Amplitude of the echo that speckle spares, (B, K); None if there is none, or no speckle.
+
+        A circular g takes no notice of its phase, so that the phase may be 0 in all bins.
+        """
+        coherent = self._ping.coherent
+        return None if coherent is None or not self._noise.speckle else np.sqrt(coherent)
 
     @cached_property
     def _tvg(self) -> np.ndarray:

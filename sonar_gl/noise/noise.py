@@ -19,9 +19,9 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
 
     Parameters
     ----------
-    ping : the beam width of its `sonar` correlates the fields of overlapping beams, and its
-        `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them beams or bins
-        are independent
+    ping : speckle spares its `coherent` echo; the beam width of its `sonar` correlates the fields of overlapping
+        beams, and its `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them
+        beams or bins are independent
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
 
@@ -63,4 +63,4 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
         out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, meta={**ping.meta, **record})
+    return replace(ping, intensity=out, coherent=None, meta={**ping.meta, **record})

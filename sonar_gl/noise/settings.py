@@ -38,23 +38,23 @@ class Noise:
 
     Parameters
     ----------
-    speckle : fully developed speckle: the echo times an exponential variate of mean 1, correlated between
-        overlapping beams as by a line array
+    speckle : fully developed speckle: the diffuse echo times an exponential variate of mean 1, correlated between
+        overlapping beams as by a line array. Specular lobes are one steady echo, which it spares
     gaussian : standard deviation of Gaussian noise in each bin, relative to full scale 1; negative sums
         become 0
     salt_and_pepper : fraction of bins set to 0 or to full scale 1, half each
     median : 0 (none), 3 or 5: size of a median filter over beams and bins
     cloud_gaussian_m : metres, standard deviation of the noise on the point cloud of the founding paper's
         picture; it does not act on pings
-    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the echo, and the
-        contrast becomes √(1 + 2/ν); None for fully developed speckle
+    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the diffuse echo, and
+        the contrast becomes √(1 + 2/ν); None for fully developed speckle
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
-        the sonar's pose; `place_locked_speckle.place_locked_field` states which motion changes it
-    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar that states
-        one (`ring_down.ring_down_power`). The TVG of range law
-        "sonar_equation" amplifies it, other laws have no TVG. Fields add: |√E g + √N n|²
+        seed and pose of the sonar; `place_locked_speckle.place_locked_field` states which motion changes it
+    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar
+        that states one (`ring_down.ring_down_power`). The TVG of range law "sonar_equation" amplifies it, other
+        laws have no TVG. Fields add: |√E g + √N n|²
     ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a surface of
         reflectivity 1 that surrounds the sonar at 1 m, likewise; None for none
     interference_lines : mean number of pulses of another sonar in a ping
@@ -94,7 +94,8 @@ class Noise:
                 continue
             check_number(f"noise: {key}", value, low, high, hint)
         check_whole_number("noise: looks", self.looks, 1, 1000)
-        for key in ("speckle_shape", "looks", "follow_motion"):
+        # follow_motion does nothing without it: "physical,speckle=no" is plain
+        for key in ("speckle_shape", "looks"):
             value = getattr(self, key)
             if not self.speckle and value != type(self).__dataclass_fields__[key].default:
                 raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")
@@ -126,14 +127,16 @@ class Noise:
 
     @classmethod
     def physical(cls) -> Noise:
-        """Return speckle, and self-noise that shows in distant shadows.
+        """Return place-locked speckle, and self-noise that shows in distant shadows.
+
+        A sonar that stands still sees the same speckle again, as real ones do (docs/realism.md), and new noise.
 
         At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB, the default of
         `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 32 dB above the
         thermal noise of `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not
         measured.
         """
-        return cls(speckle=True, self_noise=True)
+        return cls(speckle=True, follow_motion=True, self_noise=True)
 
     @classmethod
     def parse(cls, text: str) -> Noise:
@@ -143,7 +146,7 @@ class Noise:
 
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
-        >>> Noise.parse("physical,self_noise=off") == Noise(speckle=True)
+        >>> Noise.parse("physical,self_noise=off") == Noise(speckle=True, follow_motion=True)
         True
         """
         check_moved_amounts(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])

@@ -40,6 +40,10 @@ class SceneState:
             mu = np.append(mu, np.ones(n, mu.dtype))
         return replace(self, poses=poses, present=np.append(self.present, np.zeros(n, bool)), reflectivity=mu)
 
+    def without_diffuse_echo(self) -> SceneState:
+        """Return this state with bodies that return their specular lobes alone."""
+        return replace(self, reflectivity=np.zeros(len(self.poses), np.float32))
+
     def without_bubbles(self) -> SceneState:
         """Return this state without bubbles."""
         return replace(self, bubbles=None)

@@ -312,7 +312,7 @@ def test_labelled_bins_are_those_that_a_display_shows(law):
 def test_labels_do_not_depend_on_noise():
     automatic = replace(SONAR, counts=sg.Counts(low_db=-30.0, gain_percentile=95.0))
     still = ping([FLOOR], automatic)
-    loud = ping([FLOOR], automatic, noise=sg.Noise(speckle=True, electronic_db=-20.0), seed=3)
+    loud = ping([FLOOR], automatic, noise=sg.Noise(speckle=True, ambient_db=-20.0), seed=3)
     assert (still.intensity != loud.intensity).any()
     for name in PER_BIN:
         np.testing.assert_array_equal(getattr(still, name), getattr(loud, name))

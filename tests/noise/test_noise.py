@@ -17,6 +17,7 @@ from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import SIGMAS, even_ping
 
+HERE = sonar_gl.pose(0.2, 0.2)
 LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
 ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, True, -30.0, 3.0)
 
@@ -111,12 +112,15 @@ def test_seeds_and_ping_numbers_differ():
     assert len(pings) == 4
 
 
-def test_same_bytes_for_any_number_of_threads():
+@pytest.mark.parametrize("locked", [False, True])
+def test_same_bytes_for_any_number_of_threads(locked):
     """BLAS starts a thread per core; no sum may depend on their number."""
     code = (
-        "import hashlib; from sonar_gl.noise.noise import add_noise; from sonar_gl.noise.settings import Noise; "
+        "import hashlib; import numpy as np; from sonar_gl.noise.noise import add_noise; "
+        "from sonar_gl.noise.settings import Noise; "
         "from tests.support.even_ping import even_ping; "
-        "intensity = add_noise(even_ping(512, 700, 0.09), Noise.physical(), 3).intensity; "
+        f"noise = Noise(speckle=True, follow_motion={locked}, ambient_db=-90.0); "
+        "intensity = add_noise(even_ping(512, 700, 0.09, pose=np.eye(4)), noise, 3).intensity; "
         "print(hashlib.sha256(intensity.tobytes()).hexdigest())"
     )
     root = str(Path(sonar_gl.__file__).parent.parent)
@@ -132,7 +136,7 @@ def test_same_bytes_for_any_number_of_threads():
 
 
 def test_the_ping_itself_stays():
-    ping = even_ping(8, 9)
+    ping = even_ping(8, 9, pose=HERE)
     out = add_noise(ping, Noise.physical(), seed=np.int64(3), ping_number=2)
     assert (ping.intensity == 1).all() and "noise" not in ping.meta
     assert out.intensity.dtype == np.float32 and out.intensity.shape == (8, 9)
@@ -142,7 +146,9 @@ def test_the_ping_itself_stays():
 
 
 def test_meta_records_the_noise():
-    record = json.loads(json.dumps(add_noise(even_ping(8, 9), Noise.physical(), np.int64(3), 2).meta))
+    record = json.loads(
+        json.dumps(add_noise(even_ping(8, 9, pose=HERE), Noise.physical(), np.int64(3), 2).meta)
+    )
     assert (record["seed"], record["ping_number"]) == (3, 2)
     assert Noise(**record["noise"]) == Noise.physical()
 
@@ -161,7 +167,7 @@ def test_read_only_and_transposed_arrays():
 def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
-    assert Noise.physical() == Noise(speckle=True, self_noise=True)
+    assert Noise.physical() == Noise(speckle=True, follow_motion=True, self_noise=True)
 
 
 @pytest.mark.parametrize(
@@ -173,11 +179,12 @@ def test_profiles():
         ("gaussian=0.01,median=3", Noise(gaussian=0.01, median=3)),
         (" speckle , gaussian = 1e-3 ", Noise(speckle=True, gaussian=1e-3)),
         ("speckle=no", Noise()),
-        ("physical,median=3.0", Noise(speckle=True, self_noise=True, median=3)),
+        ("physical,median=3.0", replace(Noise.physical(), median=3)),
+        ("physical,speckle=no", Noise(follow_motion=True, self_noise=True)),
         ("speckle,follow_motion,looks=4", Noise(speckle=True, follow_motion=True, looks=4)),
         ("speckle,speckle_shape=0.5,follow_motion=no", Noise(speckle=True, speckle_shape=0.5)),
         ("self_noise,ambient_db=-100", Noise(self_noise=True, ambient_db=-100.0)),
-        ("physical,self_noise=off,speckle_shape=none", Noise(speckle=True)),
+        ("physical,self_noise=off,speckle_shape=none", Noise(speckle=True, follow_motion=True)),
         ("interference_lines=2,interference_db=-30", Noise(interference_lines=2, interference_db=-30)),
     ],
 )
@@ -252,10 +259,6 @@ def test_empty_text_names_all_choices():
         ({"looks": 0}, "noise: looks must be a whole number in 1..1000 (got 0)"),
         ({"looks": 2.0}, "noise: looks must be a whole number in 1..1000 (got 2.0)"),
         ({"looks": 2}, "noise: looks needs speckle (got 2 without it; switch speckle on)"),
-        (
-            {"follow_motion": True},
-            "noise: follow_motion needs speckle (got True without it; switch speckle on)",
-        ),
         (
             {"ambient_db": np.nan},
             f"noise: ambient_db must lie in -300..100 (got nan; {LEVEL})",

@@ -74,7 +74,8 @@ def test_turning_moves_the_pattern_by_beams(yaw, beams):
 
 def test_moving_ahead_moves_the_pattern_in_range():
     forward = 3 * BIN_M * AHEAD
-    assert correlation(moved(0, *forward)[BORESIGHT, :-3], moved(0)[BORESIGHT, 3:]) > 0.999
+    # beams are interpolated between nodes up to 2 degrees aside, whose apertures slide by some hundredths
+    assert correlation(moved(0, *forward)[BORESIGHT, :-3], moved(0)[BORESIGHT, 3:]) > 0.998
 
 
 def test_moving_ahead_by_half_a_bin_interpolates():

@@ -7,7 +7,8 @@ A frame is a ping of profile `physical` with `Noise.physical()`, as a fan image 
 it adds to a bare ping (profile `ideal`, no noise) is divided by the time of tracing 256 x 512 regular rays
 over the same fan: as the chart's rivals do (packets of eight rays, two threads), and through `embreex` (one
 thread). So is what beam patterns, speckle and receiver noise add by themselves. The time of PNG encoding is
-printed beside: sequences are written while the next ping is made.
+printed beside: sequences are written while the next ping is made; and so is noise where the sonar has not
+moved, and with new speckle in each ping.
 
 Both pings have the samples that tolerance 0.01 asks for with profile `ideal`.
 """
@@ -30,6 +31,7 @@ from tools.chart.rivals.rays import Rays
 
 ROUNDS = 100, 2
 ADDED = ("noise", "fan image", "Jet")
+NEW_SPECKLE = replace(sg.Noise.physical(), follow_motion=False)
 RAYS = (256, 512)  # across the fan, up the aperture
 
 
@@ -89,6 +91,8 @@ def measure(scene, sonar, rounds: int) -> dict[str, np.ndarray]:
                 "ping, ideal": lambda number: ideal.ping(pose(number)),
                 "ping, physical": step("ping", lambda number: physical.ping(pose(number))),
                 "noise": step("noisy", lambda k: add_noise(frame["ping"], sg.Noise.physical(), 0, k)),
+                "noise, at rest": lambda k: add_noise(frame["ping"], sg.Noise.physical(), 0, k),
+                "noise, new speckle": lambda k: add_noise(frame["ping"], NEW_SPECKLE, 0, k),
                 "fan image": step("image", lambda _: sg.fan_image(frame["noisy"])),
                 "Jet": step("picture", lambda _: sg.colorize(frame["image"])),
                 "PNG, beside": lambda _: cv2.imencode(".png", frame["picture"]),
