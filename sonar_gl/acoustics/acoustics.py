@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from sonar_gl.acoustics.beam_pattern import ArrayPattern, gaussian_pattern, line_array_pattern
+from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import ABSORPTION_FORMULAS, SOUND_SPEED_FORMULAS
@@ -17,13 +17,20 @@ from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
-BARE = {"beam_pattern": "box", "transmit_beam": False, "specular": False, "bubbles": False}
+BARE = {
+    "beam_pattern": "box",
+    "far_side_lobes": False,
+    "transmit_beam": False,
+    "specular": False,
+    "bubbles": False,
+}
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
     "demarco2015": BARE | {"range_law": "printed"},
     "physical": {
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
+        "far_side_lobes": True,
         "transmit_beam": True,
         "specular": True,
         "bubbles": True,
@@ -85,6 +92,9 @@ class Acoustics:
         counts as 1 mm and the product stays within 10^±30. None: by profile.
     beam_pattern : "box", "line_array", "gaussian" or None
         Receive beam pattern in azimuth. None: by profile.
+    far_side_lobes : bool or None
+        Whether beams of a line array receive beyond their 4th null: all side lobes in azimuth over the whole fan, and
+        the floor of the sonar's `element_error_db`. None: by profile.
     temperature_c, salinity_psu, depth_m, ph : float
         The water, for α and for the speed of sound: °C, practical salinity, metres below the surface, 1.
     absorption_db_m : float or None
@@ -131,6 +141,7 @@ class Acoustics:
     profile: str = "physical"
     range_law: str | None = None
     beam_pattern: str | None = None
+    far_side_lobes: bool | None = None
     temperature_c: float = 10.0
     salinity_psu: float = 35.0
     depth_m: float = 10.0
@@ -156,7 +167,7 @@ class Acoustics:
                 object.__setattr__(self, key, value)
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("transmit_beam", "pulse", "specular", "bubbles"):
+        for key in ("far_side_lobes", "transmit_beam", "pulse", "specular", "bubbles"):
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
@@ -372,11 +383,28 @@ class Acoustics:
         if self.beam_pattern == "gaussian":
             return partial(gaussian_pattern, **settings)
         return partial(
-            line_array_pattern, taper=sonar.receive_taper, side_lobe_db=sonar.side_lobe_db, **settings
+            line_array_pattern,
+            taper=sonar.receive_taper,
+            side_lobe_db=sonar.side_lobe_db,
+            floor=self._floor(sonar),
+            **settings,
         )
 
+    def far_pattern(self, sonar) -> FarPattern | None:
+        """Return what beams receive beyond `receive_support_rad`; None if nothing."""
+        if not (self.far_side_lobes and self.beam_pattern == "line_array"):
+            return None
+        width = math.radians(sonar.beam_width_deg)
+        array = ArrayPattern("line_array", width, sonar.receive_taper, sonar.side_lobe_db)
+        return FarPattern(array, sonar.steered, self._floor(sonar))
+
+    def _floor(self, sonar) -> float:
+        """Return the mean power that errors of the elements add to the receive pattern."""
+        level_db = sonar.element_error_db
+        return 10 ** (level_db / 10) if self.far_side_lobes and level_db is not None else 0.0
+
     def receive_support_rad(self, sonar) -> float:
-        """Return the half-width of the receive pattern's support, radians; beyond it from the axis the power is 0.
+        """Return the half-width of the receive pattern's support, radians; beyond it are the far side lobes alone.
 
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
         beam where its power is 1e-4.
