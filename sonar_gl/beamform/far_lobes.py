@@ -188,13 +188,12 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
     nodes, node_weights = np.polynomial.legendre.leggauss(8)
     widths = np.diff(edges)
     azimuths = edges[:-1, None] + widths[:, None] * (nodes + 1) / 2
-    middle = blocks.pattern.coordinate((edges[:-1] + edges[1:]) / 2)
-    block = np.clip(np.searchsorted(blocks.edges, middle, side="right") - 1, 0, n_blocks - 1)
-    begins = np.searchsorted(block, np.arange(n_blocks + 1))  # columns rise, and so do their blocks
-    values = blocks.values(blocks.pattern.coordinate(azimuths) - blocks.edges[block, None])
-    means = np.einsum("cnr,n->cr", values, node_weights / 2)
-    by_moment = np.zeros((n_blocks * rank, C), np.float32)
-    by_moment[block[:, None] * rank + np.arange(rank), np.arange(C)[:, None]] = means
+    places = blocks.pattern.coordinate(azimuths)
+    block = np.clip(np.searchsorted(blocks.edges, places, side="right") - 1, 0, n_blocks - 1)  # (C, 8)
+    values = blocks.values(places - blocks.edges[block]) * (node_weights / 2)[:, None]
+    means = np.zeros((n_blocks, C, rank))  # a wide column may lie in several blocks
+    np.add.at(means, (block, np.arange(C)[:, None]), values)
+    by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
     # what each beam receives of each column, 1 on its axis: (B, C)
     B, n = blocks.expansion.shape
     rows = blocks.coupling.reshape(-1, n, n_blocks * rank)[blocks.first_moment // n]
@@ -212,20 +211,27 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
     corrected = near.weights * (near.width_rad / width_rad)[:, None] - less
     return FarLobes(
         near=kernels.beam_tiles(near.first, corrected.astype(np.float32)),
-        condense=_condensing_tiles(means * transmitted[:, None], begins, rank),
+        condense=_condensing_tiles(means * transmitted[:, None], block),
         couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
         expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
     )
 
 
-def _condensing_tiles(means, begins, rank: int) -> kernels.BeamTiles:
-    """Return tiles that sum the columns of each block, from `begins` on, into its moments."""
-    counts = np.diff(begins)
-    width = int(counts.max())
-    weights = np.zeros((len(counts), rank, width + -width % 4), np.float32)
-    for j, (a, n) in enumerate(zip(begins, counts, strict=False)):
-        weights[j, :, :n] = means[a : a + n].T
+def _condensing_tiles(means, block) -> kernels.BeamTiles:
+    """Return tiles that sum columns into the moments of blocks.
+
+    Parameters
+    ----------
+    means : (J, C, rank) of the functions over columns
+    block : (C, n) of nodes of the columns, rising
+    """
+    n_blocks, C, rank = means.shape
+    first = np.minimum(np.searchsorted(block[:, -1], np.arange(n_blocks)), C - 1)
+    past = np.searchsorted(block[:, 0], np.arange(n_blocks), side="right")
+    width = max(int((past - first).max()), 1)
+    weights = np.zeros((n_blocks, rank, width + -width % 4), np.float32)
+    for j, (a, b) in enumerate(zip(first, past, strict=True)):
+        weights[j, :, : max(b - a, 0)] = means[j, a:b].T
     tiles = weights.reshape(-1, kernels.TILE_BEAMS, weights.shape[2]).transpose(0, 2, 1)
-    first = np.repeat(begins[:-1], rank // kernels.TILE_BEAMS)
-    return kernels.BeamTiles(first, np.ascontiguousarray(tiles))
+    return kernels.BeamTiles(np.repeat(first, rank // kernels.TILE_BEAMS), np.ascontiguousarray(tiles))
