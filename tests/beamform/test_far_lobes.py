@@ -64,8 +64,8 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     null, column = far.array.support_sine(), np.diff(edges).max()
     u, in_front = far.sine_of(difference), pattern(middles, sonar.azimuth_rad[:, None]) > 0
     support = in_front & (u < null - column)
-    # the solid angle that normalises a beam holds the far side lobes' error, and lacks what fades off before 90 degrees,
-    # of a floor of -38 dB and beams of 4 degrees 2.3e-3 of it
+    # the solid angle that normalises a beam holds the far side lobes' error, and lacks what fades off
+    # before 90 degrees, of a floor of -38 dB and beams of 4 degrees 2.3e-3 of it
     exact = received * insonified
     np.testing.assert_allclose(found[support], exact[support], rtol=3e-3, atol=1e-6)
     beyond = far.is_far(difference) & in_front & (u > null + column)
