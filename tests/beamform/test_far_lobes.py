@@ -11,6 +11,8 @@ import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import TOLERANCE, make_lobe_blocks
+from sonar_gl.beamform.workspace import Workspace
+from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar import presets
 
 P900 = sg.load_sonar("p900-45")
@@ -29,9 +31,12 @@ DEVICES = {
 }
 
 
-def weights_of(beamformer) -> np.ndarray:
-    """Return (B, columns) of beams: what each receives of columns that hold 1, each in a bin of its own."""
-    fan, columns = beamformer.fan, beamformer._column_sums()
+def fan_and_weights(sonar, acoustics) -> tuple[Fan, np.ndarray]:
+    """Return the fan, and (B, columns) what each beam receives of columns that hold 1, each in a bin of its own."""
+    workspace = Workspace()
+    beamformer = make_beamformer(sonar, acoustics, sg.Sampling(1, 16), workspace=workspace)
+    fan = beamformer.fan
+    columns = workspace.column_sums(fan.n_columns, sonar.n_bins)
     n_columns, n_bins = columns.sums.shape
     out = np.empty((fan.sonar.n_beams, n_columns))
     for begin in range(0, n_columns, n_bins):
@@ -40,16 +45,14 @@ def weights_of(beamformer) -> np.ndarray:
         columns.sums[begin + k, k] = 1
         columns.spans[begin + k] = np.column_stack([k, k + 1])
         out[:, begin + k] = beamformer.weigh(np.empty(0, np.float32)).intensity[:, k]
-    columns.spans[:] = 0, n_bins
-    return out
+    return fan, out
 
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_beams_weigh_all_columns_by_the_pattern(name):
     """Within the support exactly, beyond it within TOLERANCE of the floor and the side lobe's peak."""
     sonar = DEVICES[name]
-    fan = (beamformer := make_beamformer(sonar, PHYSICAL, sg.Sampling(1, 16))).fan
-    found = weights_of(beamformer)
+    fan, weights = fan_and_weights(sonar, PHYSICAL)
     edges, axes = fan.column_edges_rad, sonar.azimuth_rad[:, None, None]
     nodes, parts = np.polynomial.legendre.leggauss(8)
     azimuths = edges[:-1, None] + np.diff(edges)[:, None] * (nodes + 1) / 2
@@ -57,7 +60,7 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     received = pattern(azimuths, axes) @ (parts / 2)
     insonified = np.ones(fan.n_columns) if transmit is None else transmit(azimuths) @ (parts / 2)
     height = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
-    found *= (received @ np.diff(edges))[:, None] * height
+    found = weights * (received @ np.diff(edges))[:, None] * height
     far = PHYSICAL.far_pattern(sonar)
     middles = (edges[1:] + edges[:-1]) / 2
     difference = far.coordinate(middles) - far.coordinate(sonar.azimuth_rad)[:, None]
@@ -73,7 +76,7 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     # TOLERANCE bounds the error at nodes; 16 of them a lobe are interpolated linearly, off by 1 % of its peak
     # along beams and as much along columns
     assert error[beyond].max(initial=0) < TOLERANCE + 0.02
-    level = weights_of(beamformer) @ (np.diff(edges) * height)
+    level = weights @ (np.diff(edges) * height)
     if transmit is None:
         np.testing.assert_allclose(
             level, 1, rtol=3e-5
@@ -101,10 +104,10 @@ def test_a_floor_alone_is_exact():
     weights = {}
     for level in (-20.0, -30.0):
         device = replace(sonar, element_error_db=level)
-        beamformer = make_beamformer(device, PHYSICAL, sg.Sampling(1, 16))
-        edges = beamformer.fan.column_edges_rad
+        fan, found = fan_and_weights(device, PHYSICAL)
+        edges = fan.column_edges_rad
         power = PHYSICAL.receive_pattern(device)((edges[1:] + edges[:-1]) / 2, device.azimuth_rad[:, None])
-        weights[level] = weights_of(beamformer) * (power @ np.diff(edges))[:, None]
+        weights[level] = found * (power @ np.diff(edges))[:, None]
         far = PHYSICAL.far_pattern(device)
     sines = far.sine_of((edges[1:] + edges[:-1]) / 2 - device.azimuth_rad[:, None])
     beyond = sines > far.array.support_sine() + np.diff(edges).max()
@@ -138,17 +141,17 @@ def test_a_bright_post_spreads_over_the_fan_as_the_pattern_says():
 def test_boxes_and_gaussian_beams_have_no_far_side_lobes():
     for pattern in ("box", "gaussian"):
         off, on = (sg.Acoustics.physical(beam_pattern=pattern, far_side_lobes=far) for far in (False, True))
-        weights = [weights_of(make_beamformer(P900, one, sg.Sampling(1, 16))) for one in (off, on)]
+        weights = [fan_and_weights(P900, one)[1] for one in (off, on)]
         np.testing.assert_array_equal(*weights)
 
 
 def test_switched_off_the_pattern_ends_at_its_support():
     acoustics = sg.Acoustics.physical(far_side_lobes=False)
-    beamformer = make_beamformer(P900, acoustics, sg.Sampling(1, 16))
-    edges = beamformer.fan.column_edges_rad
+    fan, weights = fan_and_weights(P900, acoustics)
+    edges = fan.column_edges_rad
     apart = np.abs((edges[1:] + edges[:-1]) / 2 - P900.azimuth_rad[:, None])
     outside = apart > acoustics.receive_support_rad(P900) + np.diff(edges).max()
-    assert not weights_of(beamformer)[outside].any()
+    assert not weights[outside].any()
 
 
 def test_labels_do_not_depend_on_far_side_lobes():
