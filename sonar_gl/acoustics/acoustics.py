@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from sonar_gl.acoustics.beam_pattern import ArrayPattern, gaussian_pattern, line_array_pattern
+from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
@@ -19,6 +19,7 @@ from sonar_gl.core.key_values import parse_fields
 
 BARE = {
     "beam_pattern": "box",
+    "far_side_lobes": False,
     "transmit_beam": False,
     "elevation_pattern": "box",
     "pulse": False,
@@ -33,6 +34,7 @@ PROFILES = {  # name: values of the fields that are None
     "physical": {
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
+        "far_side_lobes": True,
         "transmit_beam": True,
         "elevation_pattern": "line_array",
         "pulse": True,
@@ -48,6 +50,15 @@ CHOICES = {  # field: allowed names
     "elevation_pattern": ("box", "line_array", "gaussian"),
     "multipath": ("none", "incoherent", "coherent"),
 }
+SWITCHES = (
+    "far_side_lobes",
+    "transmit_beam",
+    "pulse",
+    "specular",
+    "bubbles",
+    "volume_reverberation",
+    "cross_talk",
+)
 BOUNDS = (  # field, least and greatest value, hint for messages
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
@@ -95,6 +106,9 @@ class Acoustics:
         counts as 1 mm and the product stays within 10^±30. None: by profile.
     beam_pattern : "box", "line_array", "gaussian" or None
         Receive beam pattern in azimuth. None: by profile.
+    far_side_lobes : bool or None
+        Whether beams of a line array receive beyond their 4th null: all side lobes in azimuth over the whole fan, and
+        the floor of the sonar's `element_error_db`. None: by profile.
     water : Water, or a table of its fields
         The water, which has the absorption α and the speed of sound.
     tvg_k : float
@@ -139,6 +153,7 @@ class Acoustics:
     profile: str = "physical"
     range_law: str | None = None
     beam_pattern: str | None = None
+    far_side_lobes: bool | None = None
     water: Water = DEFAULT_WATER
     tvg_k: float = 20.0
     tvg_absorption_db_m: float | None = None
@@ -162,7 +177,7 @@ class Acoustics:
                 object.__setattr__(self, "water", DEFAULT_WATER.changed(self.water))
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "acoustics")
-        for key in ("transmit_beam", "pulse", "specular", "bubbles", "volume_reverberation", "cross_talk"):
+        for key in SWITCHES:
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         for key, low, high, hint in BOUNDS:
@@ -363,11 +378,28 @@ class Acoustics:
         if self.beam_pattern == "gaussian":
             return partial(gaussian_pattern, **settings)
         return partial(
-            line_array_pattern, taper=sonar.receive_taper, side_lobe_db=sonar.side_lobe_db, **settings
+            line_array_pattern,
+            taper=sonar.receive_taper,
+            side_lobe_db=sonar.side_lobe_db,
+            floor=self._floor(sonar),
+            **settings,
         )
 
+    def far_pattern(self, sonar) -> FarPattern | None:
+        """Return what beams receive beyond `receive_support_rad`; None if nothing."""
+        if not (self.far_side_lobes and self.beam_pattern == "line_array"):
+            return None
+        width = math.radians(sonar.beam_width_deg)
+        array = ArrayPattern("line_array", width, sonar.receive_taper, sonar.side_lobe_db)
+        return FarPattern(array, sonar.steered, self._floor(sonar))
+
+    def _floor(self, sonar) -> float:
+        """Return the mean power that errors of the elements add to the receive pattern."""
+        level_db = sonar.element_error_db
+        return 10 ** (level_db / 10) if self.far_side_lobes and level_db is not None else 0.0
+
     def receive_support_rad(self, sonar) -> float:
-        """Return the half-width of the receive pattern's support, radians; beyond it from the axis the power is 0.
+        """Return the half-width of the receive pattern's support, radians; beyond it are the far side lobes alone.
 
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
         beam where its power is 1e-4.

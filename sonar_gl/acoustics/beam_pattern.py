@@ -17,6 +17,8 @@ HAMMING = 0.23 / 0.54  # half the amplitude of cos(2πz/L) over the mean weight
 # A line array's pattern is cut at this null, its 4th: the main lobe and three side lobes to each side are
 # kept.
 SUPPORT_NULL = 4
+# Cosine of the angle off the axis, 75 degrees, from which on far side lobes of beams steered "alike" fall to nothing.
+FADE_COSINE = 0.26
 
 
 @lru_cache(maxsize=64)
@@ -223,15 +225,95 @@ class ArrayPattern:
             z = math.cos(math.pi * (null - 0.5) / order)
             z /= math.cosh(math.acosh(10 ** (self.side_lobe_db / 20)) / order)
             return self._edge_sine * elements / math.pi * math.acos(z) / x
+        return self._edge_sine * self.support_nulls() / x
+
+    def support_nulls(self) -> int:
+        """Return the number of nulls up to that at `support_sine`; beyond, they are about evenly spread."""
+        if self.taper == "chebyshev":
+            _, elements = self._edge_and_elements(self._edge_level)
+            return min(SUPPORT_NULL, max((elements - 1) // 2, 1))
         # every whole x above the order of the series is a null
-        order = len(taper_series(self.taper, self.side_lobe_db))
-        return self._edge_sine * max(SUPPORT_NULL, order + 1) / x
+        return max(SUPPORT_NULL, len(taper_series(self.taper, self.side_lobe_db)) + 1)
+
+
+@dataclass(frozen=True)
+class FarPattern:
+    """What a beam of a line array receives beyond the support of its pattern, continued into the support.
+
+    Of the support, it has a ripple as high as the next side lobe in place of the main lobe and of the first side
+    lobes: all of it oscillates alike, so that a few functions of azimuth describe it.
+
+    Parameters
+    ----------
+    array : ArrayPattern, "line_array"
+    steered : as for `line_array_pattern`
+    floor : mean power that element errors receive from any direction in front of the array, relative to the axis
+    """
+
+    array: ArrayPattern
+    steered: str = "alike"
+    floor: float = 0.0
+
+    @property
+    def lobe_sine(self) -> float:
+        """Width of a far side lobe, the distance of two nulls, in sine."""
+        return self.array.support_sine() / self.array.support_nulls()
+
+    def coordinate(self, azimuth_rad) -> np.ndarray:
+        """Return the coordinate of which the pattern takes differences: azimuth, or its sine."""
+        azimuth = np.asarray(azimuth_rad, np.float64)
+        return np.sin(azimuth) if self.steered == "straight" else azimuth
+
+    def sine_of(self, difference) -> np.ndarray:
+        """Return |u| of a difference of coordinates."""
+        return np.abs(difference if self.steered == "straight" else np.sin(difference))
+
+    def is_far(self, difference) -> np.ndarray:
+        """Return where `power` is the pattern."""
+        if self.steered == "straight":
+            return np.abs(difference) >= self.array.support_sine()
+        return (np.cos(difference) >= FADE_COSINE) & (self.sine_of(difference) >= self.array.support_sine())
+
+    def power(self, difference) -> np.ndarray:
+        """Return the far side lobes and the floor, by the difference of the coordinates of direction and axis.
+
+        Beams steered "alike" receive nothing from behind, and their power falls to that from FADE_COSINE on, not in a
+        step.
+        """
+        u, null = self.sine_of(difference), self.array.support_sine()
+        within = u < null
+        ripple = self.ripple_power() * np.sin(np.pi * u / self.lobe_sine) ** 2
+        power = self.floor + np.where(within, ripple, self.array.power(np.where(within, null, u)))
+        if self.steered == "straight":
+            return power
+        t = np.clip(np.cos(difference) / FADE_COSINE, 0, 1)
+        return power * t * t * (3 - 2 * t)
+
+    def peak(self, difference) -> np.ndarray:
+        """Return the floor and the greatest power of the side lobe at a difference of coordinates."""
+        lobe, u = self.lobe_sine, self.sine_of(difference)
+        place = np.arange(math.ceil(u.max() / lobe) + 1)
+        near = np.abs(lobe * (place[:, None] + np.linspace(-1, 1, 65)))
+        power = np.where(near < self.array.support_sine(), 0.0, self.array.power(near)).max(axis=1)
+        power = np.where(power == 0, self.ripple_power(), power)
+        return self.floor + np.interp(u, lobe * place, power)
+
+    def ripple_power(self) -> float:
+        """Return the power of the strongest lobe beyond the support."""
+        null = self.array.support_sine()
+        return float(self.array.power(null * np.linspace(1, 2, 1001)).max())
 
 
 def line_array_pattern(
-    azimuth_rad, steer_azimuth_rad, beam_width_rad, taper="uniform", side_lobe_db=30.0, steered="alike"
+    azimuth_rad,
+    steer_azimuth_rad,
+    beam_width_rad,
+    taper="uniform",
+    side_lobe_db=30.0,
+    steered="alike",
+    floor=0.0,
 ):
-    """Return the one-way power pattern of a beam of a line array, 1 on its axis.
+    """Return the one-way power pattern of a beam of a line array, 1 on its axis (1 + floor with element errors).
 
     The pattern is 0 behind the array: more than 90° from the beam's axis, or from the straight array's. It
     does not depend on elevation: a beam is upright, not a cone about the array's line.
@@ -245,16 +327,21 @@ def line_array_pattern(
     steered : "alike": u = sin(ψ − ψ0), since a data sheet gives one width, and curved or many-faced arrays
         keep it over the fan. "straight": u = sin ψ − sin ψ0, as for one straight array: the width grows as
         1/cos ψ0, by 1.414 at 45° and 2.366 at 65°
+    floor : mean power that random errors of the elements add in every direction, relative to the axis
 
     Notes
     -----
+    Errors of the gain and the phase of N equal elements, independent, of variance σ², add σ²/N to the mean power
+    pattern, in all directions alike: Van Trees, 2002, section 2.6.3; Skolnik, Introduction to Radar Systems,
+    3rd ed., 2001, section 9.12. A single array's floor varies about this mean.
+
     Source: Urick, Principles of Underwater Sound, 3rd ed., 1983; Van Trees, Optimum Array Processing, 2002
 
     >>> round(float(line_array_pattern(np.radians(0.5), 0.0, np.radians(1.0))), 9)
     0.5
     """
     pattern = ArrayPattern("line_array", float(beam_width_rad), taper, side_lobe_db)
-    return _steered_power(pattern, azimuth_rad, steer_azimuth_rad, steered)
+    return _steered_power(pattern, azimuth_rad, steer_azimuth_rad, steered, floor)
 
 
 def gaussian_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad, steered="alike"):
@@ -273,12 +360,12 @@ def gaussian_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad, steered="al
     return _steered_power(pattern, azimuth_rad, steer_azimuth_rad, steered)
 
 
-def _steered_power(pattern: ArrayPattern, azimuth_rad, steer_azimuth_rad, steered: str):
+def _steered_power(pattern: ArrayPattern, azimuth_rad, steer_azimuth_rad, steered: str, floor=0.0):
     """Return the power of a steered array, 0 behind it."""
     azimuth, steer = (np.asarray(a, np.float64) for a in (azimuth_rad, steer_azimuth_rad))
     if steered == "straight":
-        return np.where(np.cos(azimuth) > 0, pattern.power(np.sin(azimuth) - np.sin(steer)), 0.0)
-    return np.where(np.cos(azimuth - steer) > 0, pattern.power(np.sin(azimuth - steer)), 0.0)
+        return np.where(np.cos(azimuth) > 0, pattern.power(np.sin(azimuth) - np.sin(steer)) + floor, 0.0)
+    return np.where(np.cos(azimuth - steer) > 0, pattern.power(np.sin(azimuth - steer)) + floor, 0.0)
 
 
 def box_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad):

@@ -300,6 +300,8 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     """Return the fan, with the beam patterns evaluated at its nodes."""
     axes, pattern = sonar.azimuth_rad, acoustics.receive_pattern(sonar)
     support_rad = acoustics.receive_support_rad(sonar)
+    # a support of 90 degrees is all that is in front of an array
+    all_lobes = acoustics.far_pattern(sonar) is not None and support_rad < np.pi / 2
     start, stop = axes[0] - support_rad, axes[-1] + support_rad
     if stop - start >= 2 * np.pi:
         start, stop = -np.pi, np.pi
@@ -315,6 +317,10 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
         step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
         node_azimuths = np.linspace(start, stop, int(np.ceil(span / step)) + 1)
         mean_pattern = pattern(axes[:, None] + support_rad * middles, axes[:, None]).mean(axis=1)
+        if all_lobes:  # of all azimuths from which rays come, by the trapezoidal rule
+            parts = np.diff(node_azimuths, prepend=start, append=stop)
+            power = pattern(node_azimuths, axes[:, None]) @ ((parts[:-1] + parts[1:]) / 2)
+            mean_pattern = power / (2 * support_rad)
     height, elevation = 2 * max_sine, acoustics.two_way_elevation_pattern(sonar)
     if elevation is not None:
         height *= elevation(max_sine * middles).mean()
@@ -327,7 +333,7 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
         if pattern is None:  # a node stands for the interval up to the next one
             places = np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
         offset = _wrap(places - axes[:, None], -np.pi)
-        weights = (np.abs(offset) <= support_rad * (1 + 1e-9)).astype(float)
+        weights = (all_lobes | (np.abs(offset) <= support_rad * (1 + 1e-9))).astype(float)
         beams = np.flatnonzero(weights.any(axis=1))
         weights, offset = weights[beams], offset[beams]
         if pattern is not None:

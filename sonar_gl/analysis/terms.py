@@ -100,6 +100,11 @@ TERMS = (
         off={"beam_pattern": "box"},
     ),
     Term(
+        "far side lobes",
+        on=_field_on("far_side_lobes", True, off=False),
+        off={"far_side_lobes": False},
+    ),
+    Term(
         "elevation pattern",
         on=_field_on("elevation_pattern", "line_array", off="box"),
         off={"elevation_pattern": "box"},

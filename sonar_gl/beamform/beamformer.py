@@ -11,6 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
+from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.worker import SecondThread
@@ -73,6 +74,7 @@ def beam_weights(
     reach_rad: float,
     transmit_pattern: Callable | None = None,
     elevation_pattern: Callable | None = None,
+    whole_columns: bool = False,
 ) -> BeamWeights:
     """Weigh columns by the beam pattern, over the solid angle of each beam.
 
@@ -83,6 +85,7 @@ def beam_weights(
     transmit_pattern : function (azimuth_rad) -> power pattern of the projector, or None for a uniform one.
         The beam's solid angle leaves it out: beams are weak where the projector is
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
+    whole_columns : weigh columns as wholes, also where the reach ends within them
     """
     sonar, n_columns = fan.sonar, fan.n_columns
     edges, axes = fan.column_edges_rad, sonar.azimuth_rad
@@ -101,7 +104,8 @@ def beam_weights(
     first = np.minimum(first, len(edges) - 1 - width)
     low = edges[first[:, None] + np.arange(width)] - axes[:, None]
     high = edges[first[:, None] + np.arange(width) + 1] - axes[:, None]
-    low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
+    if not whole_columns:
+        low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
     received = high - low
     nodes, node_weights = np.polynomial.legendre.leggauss(8)
     steer, power = axes[:, None, None], 1.0
@@ -112,12 +116,13 @@ def beam_weights(
     height = 2 * fan.max_sine
     if elevation_pattern is not None:
         height *= elevation_pattern(fan.max_sine * np.linspace(-1, 1, 2 * ELEVATIONS - 1)[1::2]).mean()
-    solid_angle = received.sum(axis=1) * height
+    width_rad = received.sum(axis=1)
     if transmit_pattern is not None:
         received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
     # the sums of a column hold its whole width in azimuth
     share = received / np.diff(edges)[first[:, None] + np.arange(width)]
-    return BeamWeights(first - origin, np.ascontiguousarray(share / solid_angle[:, None], np.float32))
+    weights = np.ascontiguousarray(share / (width_rad * height)[:, None], np.float32)
+    return BeamWeights(first - origin, weights, width_rad, height)
 
 
 def make_beamformer(
@@ -151,9 +156,23 @@ def make_beamformer(
         acoustics.max_elevation_deg(sonar) if side_lobes else 0.0,
     )
     workspace = workspace or Workspace()
-    made_of = fan, pattern, reach, acoustics.transmit_pattern(sonar), elevation
-    weights = workspace.weights(fan.column_edges_rad, lambda: beam_weights(*made_of))
-    return Beamformer(fan, weights, elevation, thread, is_box, workspace)
+    far_pattern, transmit, edges = (
+        acoustics.far_pattern(sonar),
+        acoustics.transmit_pattern(sonar),
+        fan.column_edges_rad,
+    )
+
+    def weigh() -> tuple[BeamWeights, FarLobes | None]:
+        blocks = None
+        if far_pattern is not None:
+            ends_rad = float(edges[0]), float(edges[-1])
+            blocks = workspace.lobe_blocks(
+                ends_rad, lambda: make_lobe_blocks(far_pattern, sonar.azimuth_rad, ends_rad)
+            )
+        weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None)
+        return weights, None if blocks is None else far_lobes(blocks, weights, edges, transmit)
+
+    return Beamformer(fan, *workspace.weights(edges, weigh), elevation, thread, is_box, workspace)
 
 
 class Beamformer:
@@ -165,6 +184,7 @@ class Beamformer:
     Parameters
     ----------
     fan, weights : Fan and BeamWeights
+    far_lobes : what beams receive beyond these weights; None for nothing
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     thread : for the second half; None does both halves in the caller's thread
     is_box : beams are boxes, which end where columns end
@@ -180,6 +200,7 @@ class Beamformer:
         self,
         fan: Fan,
         weights: BeamWeights,
+        far_lobes: FarLobes | None = None,
         elevation_pattern: Callable | None = None,
         thread: SecondThread | None = None,
         is_box: bool = True,
@@ -197,7 +218,9 @@ class Beamformer:
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
         self._spread = fan.sampling.reducer == "footprint"
-        received = weights.received(fan.n_columns)
+        self._far = far_lobes
+        # far side lobes receive all columns
+        received = np.ones(fan.n_columns, bool) if far_lobes else weights.received(fan.n_columns)
         middle = (fan.n_columns + 1) // 2
         self._halves = (0, middle), (middle, fan.n_columns)
         self.strips = tuple(
@@ -242,9 +265,8 @@ class Beamformer:
     @property
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""
-        return self._tiles[1].nbytes + sum(
-            a.nbytes for half in self.strips for strips in half for a in strips
-        )
+        weights = self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
+        return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips)
 
     def _column_sums(self) -> ColumnSums:
         return self._workspace.column_sums(self.fan.n_columns, self.fan.sonar.n_bins)
@@ -258,7 +280,11 @@ class Beamformer:
 
     def sum_footprints(self, samples: Sequence[SectorSamples], gain=NO_GAIN) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain."""
+        self._sum_footprints(samples)
+        return self.weigh(gain)
 
+    def _sum_footprints(self, samples: Sequence[SectorSamples]) -> None:
+        """Sum surfaces into columns."""
         of_sectors = [(whole_rows(one.plane_echo), one.lattice) for one in samples]
         columns = self._column_sums()
 
@@ -276,7 +302,6 @@ class Beamformer:
                 )
 
         self._run(work, self._rows(samples) < FEW_ROWS)
-        return self.weigh(gain)
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -354,7 +379,8 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, alone = background
-            unshadowed = self.sum_footprints(alone).intensity
+            self._sum_footprints(alone)
+            unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
         return self._labeller.find(runs, self._run_of(samples), gain, n_bodies, mask, unshadowed)
 
     def _run_of(self, samples) -> Callable:
@@ -376,16 +402,60 @@ class Beamformer:
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
+        if self._far is None:
+            return BeamEcho(*self._weigh_support(self._tiles, gain))
+        out, _ = self._weigh_support(tuple(self._far.near), gain)
+        return BeamEcho(out, self._add_far_lobes(out, gain))
+
+    def _weigh_support(self, tiles: tuple, gain) -> tuple[np.ndarray, float]:
+        """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
         out, totals, columns = self._pool.empty(), [0.0, 0.0], self._column_sums()
 
         def work(half):
             totals[half] = kernels.weigh_columns(
-                columns.sums, columns.spans, self._tiles, self._parts[half], gain, out
+                columns.sums, columns.spans, tiles, self._parts[half], gain, out
             )
 
         bins = np.maximum(columns.spans[:, 1] - columns.spans[:, 0], 0).mean()
-        self._run(work, self._tiles[1].size * bins < FEW_PRODUCTS)
-        return BeamEcho(out, sum(totals))
+        self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
+        return out, sum(totals)
+
+    def _add_far_lobes(self, out: np.ndarray, gain) -> float:
+        """Add to beams what they receive by far side lobes; return the sum of all."""
+        far, columns, totals = self._far, self._column_sums(), [0.0, 0.0]
+        used = columns.spans[columns.spans[:, 0] < columns.spans[:, 1]]
+        if not len(used):
+            return 0.0
+        span = int(used[:, 0].min()), int(used[:, 1].max())
+        condense, couple, K = tuple(far.condense), tuple(far.couple), out.shape[1]
+        n_condense, n_couple = (kernels.TILE_BEAMS * len(tiles[0]) for tiles in (condense, couple))
+        of_columns, of_beams = self._workspace.moments(n_condense, n_couple, K)
+        spans = np.tile(span, (n_condense, 1))
+
+        def sum_columns(half):
+            tiles = _half_of(len(condense[0]), half)
+            kernels.weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
+
+        def spread(half):
+            tiles = _half_of(len(couple[0]), half)
+            kernels.weigh_columns(of_columns, spans, couple, tiles, NO_GAIN, of_beams)
+
+        def add(half):
+            beams = _half_of(len(out), half)
+            totals[half] = kernels.add_far_lobes(
+                of_beams, far.first_moment, far.expansion, beams, span, gain, out
+            )
+
+        is_little = far.products * (span[1] - span[0]) < FEW_PRODUCTS
+        for work in (sum_columns, spread, add):
+            self._run(work, is_little)
+        return sum(totals)
+
+
+def _half_of(n: int, half: int) -> tuple[int, int]:
+    """Return first and past the last of n things that are done by a half."""
+    middle = (n + 1) // 2
+    return (middle, n) if half else (0, middle)
 
 
 def _strips_within(strips, half: tuple[int, int], received) -> tuple:

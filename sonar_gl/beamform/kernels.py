@@ -520,6 +520,52 @@ def weigh_columns(column_sums, spans, tiles, part, gain, out):
     return total
 
 
+@compiled
+def add_far_lobes(moments, first_moment, expansion, part, span, gain, out):
+    """Add what some beams receive by far side lobes, times the gain; return the sum of these beams.
+
+    Where the pattern has a null, errors of the far side lobes may leave less than nothing, which counts as nothing.
+
+    Parameters
+    ----------
+    moments : (n, K) of blocks of beams
+    first_moment, expansion : (B,) int64 and (B, rank) float32; the rank is a multiple of 4
+    part : (2,) first and past the last of the beams
+    span : (2,) first bin and past the last that may differ from 0
+    gain, out : as in `weigh_columns`
+    """
+    total = 0.0
+    begin, end = uint64(span[0]), uint64(span[1])
+    n = expansion.shape[1]
+    row = np.empty(out.shape[1], np.float32)
+    for b in range(part[0], part[1]):
+        for k in range(begin, end):
+            row[k] = 0.0
+        for r in range(0, n, 4):
+            m = first_moment[b] + r
+            m0, m1, m2, m3 = uint64(m), uint64(m + 1), uint64(m + 2), uint64(m + 3)
+            w0, w1, w2, w3 = expansion[b, r], expansion[b, r + 1], expansion[b, r + 2], expansion[b, r + 3]
+            for k in range(begin, end):
+                row[k] += (w0 * moments[m0, k] + w1 * moments[m1, k]) + (
+                    w2 * moments[m2, k] + w3 * moments[m3, k]
+                )
+        ub = uint64(b)
+        if gain.shape[0]:
+            for k in range(begin, end):
+                row[k] *= gain[k]
+        for k in range(begin, end):
+            out[ub, k] = max(out[ub, k] + row[k], np.float32(0.0))
+        first = second = third = fourth = 0.0
+        last = begin + (end - begin) // uint64(4) * uint64(4)
+        for k in range(begin, last, uint64(4)):
+            first, second = first + out[ub, k], second + out[ub, k + uint64(1)]
+            third, fourth = third + out[ub, k + uint64(2)], fourth + out[ub, k + uint64(3)]
+        for k in range(last, end):
+            first += out[ub, k]
+        total += (first + second) + (third + fourth)
+    return total
+
+
 # ---- labels: the echo of each body, and its moments ---------------------------------------------------
 
 # Rows of a body's cells, one cell per bin: echo, and echo times elevation, incidence, and range less `middle_m`,

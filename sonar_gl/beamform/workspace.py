@@ -22,10 +22,13 @@ class BeamWeights:
     ----------
     first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
     weights : (B, W) float32, 1/sr, rows of equal length
+    width_rad, height : (B,) integral of the receive pattern over azimuth, and of the elevation pattern over sines
     """
 
     first: np.ndarray
     weights: np.ndarray
+    width_rad: np.ndarray
+    height: float
 
     @cached_property
     def tiles(self) -> kernels.BeamTiles:
@@ -87,10 +90,11 @@ class Workspace:
 
     def __init__(self, pools: ArrayPools | None = None):
         self.pools = ArrayPools() if pools is None else pools
-        self._weights = self._sums = self._label_sums = None, None
+        self._weights = self._sums = self._label_sums = self._lobe_blocks = None, None
+        self._moments = None, None
 
-    def weights(self, column_edges_rad: np.ndarray, make: Callable[[], BeamWeights]) -> BeamWeights:
-        """Return the weights of beams over some columns.
+    def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
+        """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.
 
         Those of the last columns are kept: coarse samplings have the same columns. The weights of fine ones are large.
         """
@@ -98,6 +102,21 @@ class Workspace:
         if self._weights[0] != key:
             self._weights = key, make()
         return self._weights[1]
+
+    def lobe_blocks(self, ends_rad: tuple[float, float], make: Callable):
+        """Return the far side lobes of a fan between two azimuths, which all columns share."""
+        if self._lobe_blocks[0] != ends_rad:
+            self._lobe_blocks = ends_rad, make()
+        return self._lobe_blocks[1]
+
+    def moments(
+        self, n_column_moments: int, n_beam_moments: int, n_bins: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return room for the moments of blocks of columns, and of blocks of beams; arbitrary contents."""
+        key = n_column_moments, n_beam_moments, n_bins
+        if self._moments[0] != key:
+            self._moments = key, tuple(np.empty((n, n_bins), np.float32) for n in key[:2])
+        return self._moments[1]
 
     def column_sums(self, n_columns: int, n_bins: int) -> ColumnSums:
         """Return room for sums; what was summed before may be there still, within its spans."""

@@ -40,6 +40,7 @@ CHOICES = {  # field: allowed names
     "pulse_taper": ("uniform", "hamming"),
 }
 MAY_BE_NONE = (
+    "element_error_db",
     "transmit_width_deg",
     "bandwidth_hz",
     "ping_rate_max_hz",
@@ -75,6 +76,8 @@ class Sonar:
     receive_taper, transmit_taper, elevation_taper : "uniform", "hamming", "taylor" or "chebyshev"
         tapers (shading) of the line arrays that receive in azimuth, transmit in azimuth, and do both in elevation
     side_lobe_db : level of the side lobes of tapers "taylor" and "chebyshev", dB below the main lobe, positive
+    element_error_db : mean level of the floor that random errors of the receive array's elements add to its pattern in
+        azimuth, dB relative to the main lobe, one way, negative; None: an array without errors
     transmit_width_deg : −3 dB width in azimuth of the transmit beam about the boresight, degrees; None: the fan is
         insonified evenly. `beam_width_deg` stays the width of the receive beams
     bandwidth_hz : bandwidth of the pulse, hertz; None: not known, taken so that the
@@ -119,6 +122,7 @@ class Sonar:
     transmit_taper: str = "uniform"
     elevation_taper: str = "uniform"
     side_lobe_db: float = 30.0
+    element_error_db: float | None = None
     transmit_width_deg: float | None = None
     bandwidth_hz: float | None = None
     pulse_taper: str = "hamming"
@@ -149,6 +153,7 @@ class Sonar:
             ("range_min_m", 0.0, 1e5, "give metres"),
             ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
+            ("element_error_db", -80, -15, "give dB relative to the main lobe, negative"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
             ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),

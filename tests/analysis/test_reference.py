@@ -160,7 +160,6 @@ def test_a_post_thinner_than_a_beam_is_weighted_by_the_pattern_at_its_azimuth():
     )
     received = truth([post], it, acoustics, error=0.1).intensity.sum(axis=1)
     pattern = acoustics.receive_pattern(it)(azimuth, it.azimuth_rad)
-    pattern[np.abs(it.azimuth_rad - azimuth) > acoustics.receive_support_rad(it)] = 0
     # the post is 0.01 degrees wide, over which the pattern varies by 1e-3; the halves differ by 1 %
     np.testing.assert_allclose(received / received.max(), pattern / pattern.max(), atol=2e-3)
 

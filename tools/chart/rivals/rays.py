@@ -107,7 +107,7 @@ class Lattice(Rays):
         self.index = np.append(index, np.repeat(index[-1:], -self.samples % 8))
         self.plane_echo = np.zeros((*u.shape, 4), np.float32)
         self.no_bodies = np.empty((0, 0), np.uint16)
-        self.beamformer = Beamformer(self.fan, self.weights, None, self.thread, self.is_box)
+        self.beamformer = Beamformer(self.fan, self.weights, None, None, self.thread, self.is_box)
         self.to_sonar = self.sector.rotation().T
 
     def ping(self, pose):

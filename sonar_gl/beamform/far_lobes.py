@@ -1,0 +1,237 @@
+"""The far side lobes of receive beams: what a beam receives beyond the support of its pattern.
+
+Each of B beams receives each of C columns there, which directly would take B C products in each bin, some six times as
+many as the support takes. But far from its axis a pattern is simple: within a block of a few side lobes, a handful of
+functions of azimuth describe what all beams receive. So columns are summed into `rank` moments of each block; the
+moments of all blocks, by a matrix, into those of blocks of beams; and these into beams:
+
+    far = V M Uᵀ columns
+
+as with H² matrices of a single level (W. Hackbusch, Hierarchical Matrices, 2015, chapter 8). The pattern depends on the
+difference of the coordinates of direction and axis alone, so that the functions of all blocks are the same, and M is
+that of the blocks' distance. The first function is the constant: a floor is exact. Blocks are as large as the pattern
+allows within TOLERANCE: large for a taper, whose side lobes lie below the floor.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.acoustics.beam_pattern import FarPattern
+from sonar_gl.beamform import kernels
+from sonar_gl.beamform.workspace import BeamWeights
+
+# Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.
+TOLERANCE = 0.1
+RANKS = 4, 8, 12  # multiples of kernels.TILE_BEAMS
+LOBES = 12, 8, 6, 5, 4, 3, 2.5, 2, 1.5, 1  # in a block
+COLUMNS_PER_BEAM = 2.5  # about, for the cost of blocks
+NODES_PER_LOBE = 16  # of functions, which are interpolated linearly: off by 1 % of a lobe's peak at most
+
+
+@dataclass(frozen=True, eq=False)
+class LobeBlocks:
+    """The far side lobes of a sonar's beams, whatever its columns are.
+
+    Attributes
+    ----------
+    pattern : FarPattern
+    edges : (J + 1,) coordinates of `FarPattern.coordinate` between which the blocks lie, evenly
+    nodes : (N,) coordinates from the edge of a block on
+    functions : (N, rank) values there
+    first_moment : (B,) of each beam's block of beams
+    expansion : (B, rank) V
+    coupling : (I rank, J rank) M; for few beams the rank of V is less
+    error : the largest, as TOLERANCE
+    """
+
+    pattern: FarPattern
+    edges: np.ndarray
+    nodes: np.ndarray
+    functions: np.ndarray
+    first_moment: np.ndarray
+    expansion: np.ndarray
+    coupling: np.ndarray
+    error: float
+
+    @property
+    def rank(self) -> int:
+        """Number of functions."""
+        return self.functions.shape[1]
+
+    def values(self, places) -> np.ndarray:
+        """Return the functions at coordinates from the edge of a block on: (..., rank)."""
+        return np.stack([np.interp(places, self.nodes, one) for one in self.functions.T], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class FarLobes:
+    """The far side lobes of beams over some columns.
+
+    Attributes
+    ----------
+    near : BeamTiles of the support: the pattern less what the far side lobes hold there
+    condense, couple : BeamTiles of Uᵀ and M
+    first_moment, expansion : (B,) int64 and (B, rank) float32, V over the solid angle of each beam
+    """
+
+    near: kernels.BeamTiles
+    condense: kernels.BeamTiles
+    couple: kernels.BeamTiles
+    first_moment: np.ndarray
+    expansion: np.ndarray
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of its tables, about."""
+        tiles = self.near, self.condense, self.couple
+        return sum(one.weights.nbytes for one in tiles) + self.expansion.nbytes
+
+    @property
+    def products(self) -> int:
+        """Products in each bin, besides those of the support."""
+        return self.condense.weights.size + self.couple.weights.size + self.expansion.size
+
+
+def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | None:
+    """Return the far side lobes of beams; None if the supports of all beams cover the fan.
+
+    Parameters
+    ----------
+    axes_rad : (B,) of the beams
+    ends_rad : first and last azimuth of the columns
+    """
+    axes = pattern.coordinate(axes_rad)
+    start, stop = pattern.coordinate(np.asarray(ends_rad))
+    farthest = max(stop - axes[0], axes[-1] - start)
+    if not pattern.is_far(np.linspace(0, farthest, 4096)).any():
+        return None
+    best, least = None, math.inf
+    for rank in RANKS:
+        for lobes in LOBES:
+            n_blocks = math.ceil((stop - start) / (lobes * pattern.lobe_sine))
+            products = n_blocks * rank * min(n_blocks * rank, len(axes))
+            products += (1 + COLUMNS_PER_BEAM) * len(axes) * rank
+            if best is not None and products >= least:
+                break  # so do smaller blocks
+            found = _blocks(pattern, axes, np.linspace(start, stop, n_blocks + 1), rank)
+            if found.error <= TOLERANCE or (rank, lobes) == (RANKS[-1], LOBES[-1]):
+                best, least = found, products
+                break
+    return best
+
+
+def _blocks(pattern: FarPattern, axes, edges, rank: int) -> LobeBlocks:
+    """Return the far side lobes with these blocks, (J + 1,) edges, and so many functions."""
+    width, n_blocks = edges[1] - edges[0], len(edges) - 1
+    nodes = width * np.linspace(
+        0, 1, max(math.ceil(width / pattern.lobe_sine * NODES_PER_LOBE), 2 * rank) + 1
+    )
+    # differences of nodes of two blocks are whole multiples of the nodes' spacing
+    n_steps = len(nodes) - 1
+    differences = nodes[1] * np.arange(-n_blocks * n_steps, n_blocks * n_steps + 1)
+    of_node = np.arange(len(nodes))
+    apart = n_steps * np.arange(1, 2 * n_blocks)[:, None, None] + of_node - of_node[:, None]
+    # of blocks so far apart, (2 J − 1, beam's node, column's node)
+    power, peak, counts = (of(differences)[apart] for of in (pattern.power, pattern.peak, pattern.is_far))
+    # relative to the peaks, so that weak lobes are as exact as strong ones
+    functions = _basis((power / peak).transpose(2, 0, 1).reshape(len(nodes), -1), rank)
+    coupling = functions.T @ power @ functions
+    error = np.abs(functions @ coupling @ functions.T - power) / peak
+    block = np.clip((axes - edges[0]) // width, 0, n_blocks - 1).astype(int)
+    used, number = np.unique(block, return_inverse=True)
+    distance = np.arange(n_blocks) - used[:, None] + n_blocks - 1
+    matrix = coupling[distance].transpose(0, 2, 1, 3).reshape(len(used) * rank, n_blocks * rank)
+    worst = float(error[counts].max(initial=0))
+    found = LobeBlocks(pattern, edges, nodes, functions, number * rank, functions, matrix, worst)
+    expansion = found.values(axes - edges[block])
+    if len(axes) >= len(matrix):
+        return replace(found, expansion=expansion)
+    # fewer beams than moments: M Uᵀ makes beams right away, and each expands itself alone
+    beams = np.arange(len(axes))
+    tile = kernels.TILE_BEAMS
+    of_beams = np.einsum("br,brm->bm", expansion, matrix.reshape(-1, rank, n_blocks * rank)[number])
+    return replace(
+        found,
+        first_moment=beams // tile * tile,
+        expansion=(beams[:, None] % tile == np.arange(tile)).astype(float),
+        coupling=np.pad(of_beams, ((0, -len(axes) % tile), (0, 0))),
+    )
+
+
+def _basis(values, rank: int) -> np.ndarray:
+    """Return (n, rank) orthonormal functions, the constant and those that describe the columns of `values` best."""
+    n = len(values)
+    one = np.full((n, 1), 1 / math.sqrt(n))
+    rest = values - one @ (one.T @ values)
+    _, vectors = np.linalg.eigh(rest @ rest.T)  # by rising eigenvalue
+    functions, _ = np.linalg.qr(np.hstack([one, vectors[:, :-rank:-1]]))
+    return functions
+
+
+def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
+    """Return the far side lobes over some columns, and the support's weights less their share of it.
+
+    Beams are normalised by the solid angle of all that they receive from the columns: an all-round wall has the
+    level 1 in each.
+
+    Parameters
+    ----------
+    near : of `beam_weights`, of whole columns
+    transmit_pattern : of `beam_weights`
+    """
+    edges = np.asarray(column_edges_rad)
+    C, rank, n_blocks = len(edges) - 1, blocks.rank, len(blocks.edges) - 1
+    nodes, node_weights = np.polynomial.legendre.leggauss(8)
+    widths = np.diff(edges)
+    azimuths = edges[:-1, None] + widths[:, None] * (nodes + 1) / 2
+    places = blocks.pattern.coordinate(azimuths)
+    block = np.clip(np.searchsorted(blocks.edges, places, side="right") - 1, 0, n_blocks - 1)  # (C, 8)
+    values = blocks.values(places - blocks.edges[block]) * (node_weights / 2)[:, None]
+    means = np.zeros((n_blocks, C, rank))  # a wide column may lie in several blocks
+    np.add.at(means, (block, np.arange(C)[:, None]), values)
+    by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
+    # what each beam receives of each column, 1 on its axis: (B, C)
+    B, n = blocks.expansion.shape
+    rows = blocks.coupling.reshape(-1, n, n_blocks * rank)[blocks.first_moment // n]
+    per_block = np.einsum("br,brm->bm", blocks.expansion, rows).astype(np.float32)
+    far = per_block @ by_moment
+    columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
+    of_support = far[np.arange(B)[:, None], columns]
+    beyond_rad = far @ widths - (of_support * widths[columns]).sum(axis=1)
+    width_rad = near.width_rad + beyond_rad
+    transmitted = np.ones(C)
+    if transmit_pattern is not None:
+        transmitted = transmit_pattern(azimuths) @ (node_weights / 2)
+    per_sr = 1 / (width_rad * near.height)
+    less = of_support * transmitted[columns] * per_sr[:, None]
+    corrected = near.weights * (near.width_rad / width_rad)[:, None] - less
+    return FarLobes(
+        near=kernels.beam_tiles(near.first, corrected.astype(np.float32)),
+        condense=_condensing_tiles(means * transmitted[:, None], block),
+        couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
+        first_moment=blocks.first_moment.astype(np.int64),
+        expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
+    )
+
+
+def _condensing_tiles(means, block) -> kernels.BeamTiles:
+    """Return tiles that sum columns into the moments of blocks.
+
+    Parameters
+    ----------
+    means : (J, C, rank) of the functions over columns
+    block : (C, n) of nodes of the columns, rising
+    """
+    n_blocks, C, rank = means.shape
+    first = np.minimum(np.searchsorted(block[:, -1], np.arange(n_blocks)), C - 1)
+    past = np.searchsorted(block[:, 0], np.arange(n_blocks), side="right")
+    width = max(int((past - first).max()), 1)
+    weights = np.zeros((n_blocks, rank, width + -width % 4), np.float32)
+    for j, (a, b) in enumerate(zip(first, past, strict=True)):
+        weights[j, :, : max(b - a, 0)] = means[j, a:b].T
+    tiles = weights.reshape(-1, kernels.TILE_BEAMS, weights.shape[2]).transpose(0, 2, 1)
+    return kernels.BeamTiles(np.repeat(first, rank // kernels.TILE_BEAMS), np.ascontiguousarray(tiles))
