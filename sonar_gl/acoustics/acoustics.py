@@ -78,6 +78,7 @@ MOVED_TO_WATER = tuple(field.name for field in fields(Water))
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
+SKIRTS_LEVEL = 0.1  # two-way power in elevation below which the main lobe is sampled coarsely
 ELEVATION_SUPPORT_LEVEL = (
     1e-3  # two-way power in elevation down to which samples are as fine as on the boresight
 )
@@ -458,6 +459,13 @@ class Acoustics:
             return half_width
         sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
+
+    def dense_elevation_deg(self, sonar) -> float:
+        """Return the elevation beyond which the two-way pattern is so weak that coarse samples do."""
+        if self.elevation_pattern == "box":
+            return self.elevation_support_deg(sonar)
+        sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(SKIRTS_LEVEL))
+        return min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG)
 
     def max_elevation_deg(self, sonar) -> float:
         """Return the elevation beyond which nothing is received: the end of the aperture, or of the side lobes.

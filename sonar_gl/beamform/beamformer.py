@@ -153,7 +153,7 @@ def make_beamformer(
         is_box,
         shear,
         max_column_width,
-        acoustics.max_elevation_deg(sonar) if side_lobes else 0.0,
+        *((acoustics.dense_elevation_deg(sonar), acoustics.max_elevation_deg(sonar)) if side_lobes else ()),
     )
     workspace = workspace or Workspace()
     far_pattern, transmit, edges = (

@@ -30,8 +30,9 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
 
-# Side lobes in elevation return little, so that their samples are this many times wider and higher than the others.
-SIDE_LOBES_COARSER = 4
+# The skirts and side lobes of a pattern in elevation return little, so that their samples are this many times wider and
+# higher than the others, and twice as many times again in each further sector.
+SKIRTS_COARSER = 4
 # A perspective view has rows even in tan φ. The rows of the side lobes become BAND_RAD (1 + tan² φ) higher from one
 # sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS.
 BAND_RAD, MIN_BAND_ROWS = 0.75, 4
@@ -74,6 +75,7 @@ def make_fan(
     box: bool = True,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
+    dense_elevation_deg: float = 90.0,
     max_elevation_deg: float = 0.0,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
@@ -86,8 +88,10 @@ def make_fan(
     box : whether the beams are boxes of that half-width; columns then end where beams end
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     max_column_width : largest width of a column, in beam spacings; without effect on boxes
-    max_elevation_deg : up to this elevation the fan has sectors of side lobes above and below its aperture; below
-        90, and without effect inside the aperture
+    dense_elevation_deg : up to this elevation samples are as dense as `sampling` has them; without effect beyond the
+        aperture
+    max_elevation_deg : from there up to this elevation the fan has sectors of skirts and side lobes; below 90, and
+        without effect inside the aperture
     """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - support_rad, azimuths[-1] + support_rad
@@ -100,16 +104,19 @@ def make_fan(
     half_width = span / n_sectors / 2
     top_rad = math.radians(sonar.elevation_fov_deg) / 2
     max_elevation_rad = max(top_rad, math.radians(max_elevation_deg))
-    tan_top = math.tan(top_rad)
-    bands = [(samples_per_sector, sampling.rows, (-tan_top, tan_top))]
-    if max_elevation_rad > top_rad:
-        row = SIDE_LOBES_COARSER * 2 * tan_top / sampling.rows
-        for low, high in pairwise(_band_limits(tan_top, math.tan(max_elevation_rad))):
+    row = 2 * math.tan(top_rad) / sampling.rows
+    dense_rad = min(top_rad, math.radians(dense_elevation_deg))
+    tan_dense = math.tan(dense_rad)
+    rows = sampling.rows if dense_rad == top_rad else math.ceil(2 * tan_dense / row - 1e-9)
+    bands = [(samples_per_sector, rows, (-tan_dense, tan_dense))]
+    if max_elevation_rad > dense_rad:
+        limits = pairwise(_band_limits(tan_dense, math.tan(max_elevation_rad)))
+        for number, (low, high) in enumerate(limits):
+            coarser = SKIRTS_COARSER * 2**number
             # a degree of azimuth is less, too, where the sound looks up or down
-            fewer = SIDE_LOBES_COARSER * math.sqrt(1 + low * low)
-            rows = max(math.ceil((high - low) / (row * (1 + low * low))), MIN_BAND_ROWS)
-            samples = max(math.ceil(samples_per_sector / fewer), 2)
-            bands += [(samples, rows, limits) for limits in ((low, high), (-high, -low))]
+            samples = max(math.ceil(samples_per_sector / (coarser * math.sqrt(1 + low * low))), 2)
+            rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low))), MIN_BAND_ROWS)
+            bands += [(samples, rows, both) for both in ((low, high), (-high, -low))]
     sectors = [
         make_sector(start + half_width * (2 * k + 1), half_width, *band, shear)
         for band in bands
