@@ -500,7 +500,7 @@ def draw(picture: np.ndarray, setup: Setup) -> np.ndarray:
     """Return the fan picture of counts (B, K): (H, W, 3) uint8."""
     sonar, _, _ = our_device(setup)
     ping = sg.Ping((picture / FULL_SCALE).astype(np.float32), sonar.azimuth_rad, sonar.range_m, sonar=sonar)
-    return sg.colorize(sg.fan_image(ping, PICTURE_HEIGHT, scale="linear"), COLORMAP)
+    return sg.colorize(sg.fan_image(ping, PICTURE_HEIGHT, sg.Counts("power", exponent=1.0)), COLORMAP)
 
 
 def run(options: argparse.Namespace) -> None:

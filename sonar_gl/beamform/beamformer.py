@@ -213,7 +213,7 @@ class Beamformer:
         sines = np.linspace(-1, 1, ELEVATIONS)
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._tiles = tuple(weights.tiles)
+        self._tiles, self._height = tuple(weights.tiles), weights.height
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
@@ -251,11 +251,8 @@ class Beamformer:
     @cached_property
     def even_response(self) -> np.ndarray:
         """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
-        columns, height = self._column_sums(), 2 * self._top
-        if len(self.elevation_table):
-            ends = (self.elevation_table[0] + self.elevation_table[-1]) / 2
-            height *= (self.elevation_table.sum() - ends) / (ELEVATIONS - 1)
-        columns.sums[:] = (height * np.diff(self.fan.column_edges_rad))[:, None]
+        columns = self._column_sums()
+        columns.sums[:] = (self._height * np.diff(self.fan.column_edges_rad))[:, None]
         columns.spans[:] = 0, columns.sums.shape[1]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0  # sums of samples only clear the columns that beams receive

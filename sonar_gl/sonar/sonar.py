@@ -224,7 +224,7 @@ class Sonar:
                 f"range_max_m are in kilometres, give {1e3 * self.range_min_m:g} and {1e3 * self.range_max_m:g}"
             )
         # sea water absorbs about 0.3 dB/m at 1 MHz, and less in proportion below: 600 dB there and back
-        if self.range_max_m * self.frequency_hz > 1e9:
+        if self.range_max_m > 500.0 and self.range_max_m * self.frequency_hz > 1e9:
             yield (
                 f"no echo of {self.frequency_hz / 1e3:g} kHz comes back from range_max_m = {self.range_max_m:g} m; "
                 f"if it is in millimetres, give {self.range_max_m / 1e3:g}"

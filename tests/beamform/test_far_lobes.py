@@ -16,7 +16,7 @@ from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar import presets
 
 P900 = sg.load_sonar("p900-45")
-PHYSICAL = sg.Acoustics.physical()
+PHYSICAL = sg.Acoustics.physical(elevation_pattern="box")
 DEVICES = {
     "uniform": P900,
     "no floor": replace(P900, element_error_db=None),
@@ -163,7 +163,7 @@ def test_labels_do_not_depend_on_far_side_lobes():
         with sg.Simulator(
             sg.Scene([post]), P900.with_range(12.0), acoustics, sg.Sampling(2, 64)
         ) as simulator:
-            pings.append(simulator.ping(np.eye(4), labels=True))
+            pings.append(simulator.ping(np.eye(4), labels=True, label_level_db=-180.0))
     without, ping = pings
     far = np.abs(P900.azimuth_rad) > np.radians(6)
     assert (ping.intensity[far] > 0).any()

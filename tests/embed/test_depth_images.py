@@ -25,9 +25,12 @@ from sonar_gl.sonar.samples import SectorSamples
 from tests.support import soak
 from tests.support.casting import Cast, box, cylinder, plane, sphere
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo
+from tests.support.main_lobe import main_lobe_alone
 
 IDEAL = sg.Acoustics.ideal()
 AHEAD = sg.Camera.of_fov(2, 2, fov_x_rad=1.0).rotation
+pytestmark = pytest.mark.usefixtures("main_lobe_alone")
+__all__ = ["main_lobe_alone"]  # the fixture
 
 
 def sonar_of(fov_deg=40.0, n_beams=80, elevation_deg=16.0, range_m=20.0, n_bins=400, **more):
@@ -526,7 +529,7 @@ def test_later_pings_reuse_the_beamformer_of_the_first(monkeypatch):
     depth = np.full((camera.height, camera.width), 5.0)
     first = sg.ping_from_depth(depth, sonar, camera, IDEAL)
 
-    def forbidden(*_):
+    def forbidden(*_, **_more):
         raise AssertionError("made again")
 
     monkeypatch.setattr("sonar_gl.embed.sensor.make_beamformer", forbidden)

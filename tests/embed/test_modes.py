@@ -17,6 +17,7 @@ from sonar_gl import embed
 from sonar_gl.gl import egl
 from tests.support import gl_host, host_state, soak
 from tests.support.gl_host import GL  # for EGL, whatever was imported before
+from tests.support.main_lobe import main_lobe_alone
 from tests.support.threads import in_another_thread
 
 SONAR = sg.Sonar("host", 900e3, 128, 256, 45.0, 20.0, 1.0, 0.5, 20.0)
@@ -25,6 +26,8 @@ POSE = sg.pose(0.3, -0.2, 0.1, 0.1, 0.15, 0.4)
 # A host draws what the Simulator draws, except that it multiplies matrices in float32: of some 20 000 samples one or
 # two along an outline hit another body.
 ROUNDING = 1e-4
+pytestmark = pytest.mark.usefixtures("main_lobe_alone")
+__all__ = ["main_lobe_alone"]  # the fixture
 
 
 @pytest.fixture(autouse=True)

@@ -43,7 +43,9 @@ def server():
 
     def make():
         sonar = sg.load_sonar("oculus-m1200d-hf")
-        return SimulatedHead(scene, sonar, sg.Acoustics.physical(), sg.Noise(), PoseTrack([np.eye(4)]))
+        # without far side lobes, by which the ball shows in all beams
+        acoustics = sg.Acoustics.physical(far_side_lobes=False)
+        return SimulatedHead(scene, sonar, acoustics, sg.Noise(), PoseTrack([np.eye(4)]))
 
     with simulated(make) as (simulation, head):
         device = OculusHead(MODELS["m1200d"], head)

@@ -42,7 +42,7 @@ def hills():
 
 @pytest.fixture(scope="module")
 def views():
-    with sg.Simulator(sg.Scene([]), SONAR, sampling=SAMPLING) as it:
+    with sg.Simulator(sg.Scene([]), SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
         return [SectorView(sector) for sector in it.fan.sectors]
 
 
