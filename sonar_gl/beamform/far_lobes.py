@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -99,16 +100,25 @@ class FarLobes:
 def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | None:
     """Return the far side lobes of beams; None if the supports of all beams cover the fan.
 
+    Simulators of one sonar share them.
+
     Parameters
     ----------
     axes_rad : (B,) of the beams
     ends_rad : first and last azimuth of the columns
     """
-    axes = pattern.coordinate(axes_rad)
-    start, stop = pattern.coordinate(np.asarray(ends_rad))
+    return _cheapest_blocks(pattern, tuple(np.asarray(axes_rad).tolist()), tuple(map(float, ends_rad)))
+
+
+@lru_cache(maxsize=32)
+def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> LobeBlocks | None:
+    """Return the blocks of fewest products that keep TOLERANCE, or the smallest."""
+    axes = pattern.coordinate(np.array(axes_rad))
+    start, stop = pattern.coordinate(np.array(ends_rad))
     farthest = max(stop - axes[0], axes[-1] - start)
     if not pattern.is_far(np.linspace(0, farthest, 4096)).any():
         return None
+
     best, least = None, math.inf
     for rank in RANKS:
         for lobes in LOBES:
