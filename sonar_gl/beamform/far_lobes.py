@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform import kernels
@@ -110,7 +111,9 @@ def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | No
     return _cheapest_blocks(pattern, tuple(np.asarray(axes_rad).tolist()), tuple(map(float, ends_rad)))
 
 
+# The last bits of LAPACK's results depend on the number of its threads, and pings have the same bytes with any number.
 @lru_cache(maxsize=32)
+@threadpool_limits.wrap(1, user_api="blas")
 def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> LobeBlocks | None:
     """Return the blocks of fewest products that keep TOLERANCE, or the smallest."""
     axes = pattern.coordinate(np.array(axes_rad))
@@ -182,6 +185,7 @@ def _basis(values, rank: int) -> np.ndarray:
     return functions
 
 
+@threadpool_limits.wrap(1, user_api="blas")
 def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
     """Return the far side lobes over some columns, and the support's weights less their share of it.
 

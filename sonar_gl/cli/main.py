@@ -135,8 +135,8 @@ def render(ctx, scene, **options):
 
 VERIFY_EPILOG = """\b
 Examples:
-  sonar-gl verify pylon --bins 200 --tolerance 0.05
-  sonar-gl verify diver_swimming --range 10 --bins 100 --tolerance 0.1 --json
+  sonar-gl verify pylon --bins 200 --tolerance 0.05 --profile ideal
+  sonar-gl verify diver_swimming --range 10 --bins 100 --tolerance 0.1 --profile ideal --json
 
 \b
 Exit status: 0 the tolerance was kept, 1 it was not, 2 a mistake in the command line or the scene.
@@ -151,7 +151,7 @@ def verify(ctx, scene, **options):
 
     The error is the share of the echo that lies in wrong bins, without noise. The picture, pylon_error.png for the
     scene pylon, shows the ping, the reference and their difference. Rays are cast until the reference's own error is
-    a tenth of the one found: the examples take seconds; many bins and a small tolerance take minutes. Bubbles are left
+    a tenth of the one found: the examples take seconds; many bins, a small tolerance, and the side lobes of profile `physical` take minutes. Bubbles are left
     out, since the reference does not model them. Needs the extra `reference` (Embree); without it the error says how to
     add it.
     """

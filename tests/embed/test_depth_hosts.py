@@ -6,8 +6,10 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.scene.pyrender_scene import import_pyrender
+from tests.support.main_lobe import main_lobe_alone
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("main_lobe_alone")]
+__all__ = ["main_lobe_alone"]  # the fixture
 
 BOXES = {
     "floor": ((60, 60, 1), (0, 0, -3)),
