@@ -31,6 +31,9 @@ TOLERANCE = 0.1
 RANKS = 4, 8, 12  # multiples of kernels.TILE_BEAMS
 LOBES = 12, 8, 6, 5, 4, 3, 2.5, 2, 1.5, 1  # in a block
 COLUMNS_PER_BEAM = 2.5  # about, for the cost of blocks
+# Fans of more side lobes, and more moments of columns, are left without: the memory would be gigabytes. Devices have up
+# to 200 lobes and five million moments.
+MAX_LOBES, MAX_MOMENTS = 1024, 20_000_000
 NODES_PER_LOBE = 16  # of functions, which are interpolated linearly: off by 1 % of a lobe's peak at most
 
 
@@ -99,7 +102,7 @@ class FarLobes:
 
 
 def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | None:
-    """Return the far side lobes of beams; None if the supports of all beams cover the fan.
+    """Return the far side lobes of beams; None if the supports of all beams cover the fan, or there are too many.
 
     Simulators of one sonar share them.
 
@@ -119,13 +122,16 @@ def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> L
     axes = pattern.coordinate(np.array(axes_rad))
     start, stop = pattern.coordinate(np.array(ends_rad))
     farthest = max(stop - axes[0], axes[-1] - start)
-    if not pattern.is_far(np.linspace(0, farthest, 4096)).any():
+    n_lobes = (stop - start) / pattern.lobe_sine
+    if n_lobes > MAX_LOBES or not pattern.is_far(np.linspace(0, farthest, 4096)).any():
         return None
 
     best, least = None, math.inf
     for rank in RANKS:
         for lobes in LOBES:
-            n_blocks = math.ceil((stop - start) / (lobes * pattern.lobe_sine))
+            n_blocks = math.ceil(n_lobes / lobes)
+            if n_blocks * rank * COLUMNS_PER_BEAM * len(axes) > MAX_MOMENTS:
+                break
             products = n_blocks * rank * min(n_blocks * rank, len(axes))
             products += (1 + COLUMNS_PER_BEAM) * len(axes) * rank
             if best is not None and products >= least:

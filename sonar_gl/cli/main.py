@@ -151,7 +151,8 @@ def verify(ctx, scene, **options):
 
     The error is the share of the echo that lies in wrong bins, without noise. The picture, pylon_error.png for the
     scene pylon, shows the ping, the reference and their difference. Rays are cast until the reference's own error is
-    a tenth of the one found: the examples take seconds; many bins, a small tolerance, and the side lobes of profile `physical` take minutes. Bubbles are left
+    a tenth of the one found: the examples take seconds; many bins, a small
+    tolerance, and the side lobes of profile `physical` take minutes. Bubbles are left
     out, since the reference does not model them. Needs the extra `reference` (Embree); without it the error says how to
     add it.
     """

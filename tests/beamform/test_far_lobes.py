@@ -172,3 +172,17 @@ def test_labels_do_not_depend_on_far_side_lobes():
         ping.body_id[np.abs(P900.azimuth_rad) < np.radians(4)],
         without.body_id[np.abs(P900.azimuth_rad) < np.radians(4)],
     )
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"beam_width_deg": 1e-3},  # 100 000 lobes
+        {"n_beams": 65536, "n_bins": 1, "beam_width_deg": 0.1},  # of many columns each
+    ],
+)
+def test_fans_of_too_many_lobes_are_left_without(odd):
+    """They would take gigabytes."""
+    sonar = replace(P900, **odd)
+    ends = sonar.azimuth_rad[0] - 0.1, sonar.azimuth_rad[-1] + 0.1
+    assert make_lobe_blocks(PHYSICAL.far_pattern(sonar), sonar.azimuth_rad, ends) is None
