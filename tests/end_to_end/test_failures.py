@@ -263,4 +263,4 @@ def test_a_plane_seen_edge_on_has_no_negative_echo():
     sonar = sg.load_sonar("p900-45")
     with sg.Simulator(sg.Scene([plane]), sonar, sg.Acoustics.physical(), sg.Sampling(2.0, 60)) as simulator:
         ping = simulator.ping(sg.pose(z=-2.0, pitch=0.2), labels=True)
-    assert ping.intensity.min() == 0.0 and ping.body_echo.min() == 0.0
+    assert ping.intensity.min() >= 0.0 and ping.body_echo.min() >= 0.0
