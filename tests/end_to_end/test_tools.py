@@ -273,7 +273,7 @@ def test_ablation():
     assert "old" not in made
     published = (ROOT / "docs" / "ablation.md").read_text(encoding="utf-8")
     rows, page = (
-        re.findall(r"^\| ([\w ]+) \| ([\d.e-]+) % \|", text, re.MULTILINE) for text in (made, published)
+        re.findall(r"^\| ([\w -]+) \| ([\d.e-]+) % \|", text, re.MULTILINE) for text in (made, published)
     )
     assert [name for name, _ in rows] == [term.name for term in TERMS]
     np.testing.assert_allclose(

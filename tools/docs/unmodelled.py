@@ -49,7 +49,7 @@ def estimates_of(name: str) -> dict[str, str]:
     moved_deg = np.degrees(np.abs(azimuth - cone_azimuth(azimuth, elevation)))
     far = np.average(moved_deg > sonar.beam_width_deg / 2, weights=echo)
     more = totals["incoherent"] / totals["none"] - 1
-    wavenumber = 2 * np.pi * sonar.frequency_hz / sg.Acoustics.physical().sound_speed()
+    wavenumber = 2 * np.pi * sonar.frequency_hz / sg.Acoustics.physical().water.sound_speed()
     tables = [one.reflection_coefficient for one in planar_reflectors(scene, wavenumber)]
     sine = np.sin(np.radians(sonar.elevation_fov_deg / 2))  # of the grazing angle
     strengths = [np.interp(sine, np.linspace(0, 1, len(table)), table) for table in tables]
