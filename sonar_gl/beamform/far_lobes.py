@@ -16,8 +16,10 @@ allows within TOLERANCE: large for a taper, whose side lobes lie below the floor
 from __future__ import annotations
 
 import math
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.workspace import BeamWeights
+from sonar_gl.core.worker import held
 
 # Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.
 TOLERANCE = 0.1
@@ -35,6 +38,18 @@ COLUMNS_PER_BEAM = 2.5  # about, for the cost of blocks
 # to 200 lobes and five million moments.
 MAX_LOBES, MAX_MOMENTS = 1024, 20_000_000
 NODES_PER_LOBE = 16  # of functions, which are interpolated linearly: off by 1 % of a lobe's peak at most
+
+
+# The last bits of LAPACK's results depend on the number of its threads, and pings have the same bytes with any number.
+# The limit is that of the process: while one thread has it, another must neither lift it nor begin.
+_LAPACK = Lock()
+
+
+@contextmanager
+def _one_thread():
+    """Have LAPACK use one thread inside the block, which threads enter one by one."""
+    with held(_LAPACK), threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +126,11 @@ def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | No
     axes_rad : (B,) of the beams
     ends_rad : first and last azimuth of the columns
     """
-    return _cheapest_blocks(pattern, tuple(np.asarray(axes_rad).tolist()), tuple(map(float, ends_rad)))
+    with _one_thread():
+        return _cheapest_blocks(pattern, tuple(np.asarray(axes_rad).tolist()), tuple(map(float, ends_rad)))
 
 
-# The last bits of LAPACK's results depend on the number of its threads, and pings have the same bytes with any number.
 @lru_cache(maxsize=32)
-@threadpool_limits.wrap(1, user_api="blas")
 def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> LobeBlocks | None:
     """Return the blocks of fewest products that keep TOLERANCE, or the smallest."""
     axes = pattern.coordinate(np.array(axes_rad))
@@ -191,7 +205,6 @@ def _basis(values, rank: int) -> np.ndarray:
     return functions
 
 
-@threadpool_limits.wrap(1, user_api="blas")
 def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
     """Return the far side lobes over some columns, and the support's weights less their share of it.
 
@@ -203,7 +216,12 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
     near : of `beam_weights`, of whole columns
     transmit_pattern : of `beam_weights`
     """
-    edges = np.asarray(column_edges_rad)
+    with _one_thread():
+        return _far_lobes(blocks, near, np.asarray(column_edges_rad), transmit_pattern)
+
+
+def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern) -> FarLobes:
+    """Return what `far_lobes` does."""
     C, rank, n_blocks = len(edges) - 1, blocks.rank, len(blocks.edges) - 1
     nodes, node_weights = np.polynomial.legendre.leggauss(8)
     widths = np.diff(edges)
