@@ -165,10 +165,7 @@ def make_beamformer(
     def weigh() -> tuple[BeamWeights, FarLobes | None]:
         blocks = None
         if far_pattern is not None:
-            ends_rad = float(edges[0]), float(edges[-1])
-            blocks = workspace.lobe_blocks(
-                ends_rad, lambda: make_lobe_blocks(far_pattern, sonar.azimuth_rad, ends_rad)
-            )
+            blocks = make_lobe_blocks(far_pattern, sonar.azimuth_rad, (edges[0], edges[-1]))
         weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None)
         return weights, None if blocks is None else far_lobes(blocks, weights, edges, transmit)
 

@@ -90,7 +90,7 @@ class Workspace:
 
     def __init__(self, pools: ArrayPools | None = None):
         self.pools = ArrayPools() if pools is None else pools
-        self._weights = self._sums = self._label_sums = self._lobe_blocks = None, None
+        self._weights = self._sums = self._label_sums = None, None
         self._moments = None, None
 
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
@@ -102,12 +102,6 @@ class Workspace:
         if self._weights[0] != key:
             self._weights = key, make()
         return self._weights[1]
-
-    def lobe_blocks(self, ends_rad: tuple[float, float], make: Callable):
-        """Return the far side lobes of a fan between two azimuths, which all columns share."""
-        if self._lobe_blocks[0] != ends_rad:
-            self._lobe_blocks = ends_rad, make()
-        return self._lobe_blocks[1]
 
     def moments(
         self, n_column_moments: int, n_beam_moments: int, n_bins: int
