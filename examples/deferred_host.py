@@ -107,7 +107,7 @@ def main(out="out"):
     sonar, place = sg.load_sonar("p900-45").with_range(12.0), sg.pose(0, 0, 1.6, pitch=0.2)
     names = [name for name, *_ in BODIES]
     reflectivity = {number: mu for number, (*_, mu) in enumerate(BODIES, 1)}
-    (camera,) = sg.Camera.covering(sonar, pixel_deg=0.05)  # at the sonar's position; it sees the whole fan
+    (camera,) = sg.Camera.covering(sonar, pixel_deg=0.1)  # at the sonar's position; it sees the whole fan
     projection = camera.projection(near_m=0.1, far_m=60.0)
 
     gl = moderngl.create_context(standalone=True, backend="egl")

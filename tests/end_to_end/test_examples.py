@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 # Share of the echo that an embedding mode puts elsewhere than a Simulator without a host, at the first ping's samples.
 DRAWN_ERROR = 3e-4  # matrices multiplied in float32: 3e-5 was measured
-TEXTURE_ERROR = 0.005  # edges are seen a pixel of 0.05 degrees off: 0.17 % was measured
+TEXTURE_ERROR = 0.005  # edges are seen a pixel of 0.1 degrees off: 0.28 % was measured
 DEPTH_ERROR = 0.02  # edges are seen a sample or a pixel of 0.1 degrees off: 0.7 and 1.0 % were measured
 ROD_ERROR = 0.12  # of a body's echo by depth images: a rod five pixels wide comes out 9 % too strong
 
@@ -33,6 +33,7 @@ class Run:
     printed : text
     pings : of its embedding modes, by names of `run_example.PINGS`
     alone : of the same without a host
+    main_lobe : likewise with the main lobe in elevation alone, which is what hosts draw
     picture : (H, W, 3)
     drawn : (H, W', 3), the part of it without fan images
     fans : parts of it, one a ping
@@ -55,6 +56,7 @@ class Run:
         self.printed, self.film = done.stdout, folder / f"{name}.gif"
         self.names = list(np.load(folder / "names.npy"))
         self.alone = sg.load_npz(folder / "alone.npz")
+        self.main_lobe = sg.load_npz(folder / "main_lobe.npz")
         there = [key for key in PINGS if (folder / f"{key}.npz").exists()]
         self.pings = {key: sg.load_npz(folder / f"{key}.npz") for key in there}
         self.picture = cv2.cvtColor(cv2.imread(str(folder / f"{name}.png")), cv2.COLOR_BGR2RGB)
@@ -94,7 +96,7 @@ class Run:
 
     def check_seen(self, mode, error, body_error):
         """What a ping of this mode has what the scene has, of each bin and each body."""
-        alone, ping = self.alone, self.pings[mode]
+        alone, ping = self.main_lobe, self.pings[mode]
         total = float(alone.intensity.sum())
         assert np.abs(alone.intensity - ping.intensity).sum() < error * total
         assert alone.intensity[alone.body_id == ping.body_id].sum() > (1 - error) * total
@@ -134,9 +136,9 @@ def test_bare_egl(tmp_path):
 
 @pytest.mark.timeout(300)
 def test_deferred(tmp_path):
-    run = Run("deferred_host", tmp_path, 458)
+    run = Run("deferred_host", tmp_path, 670)
     run.check_fans("texture_ping")
-    run.check_sides("post", middle=585)
+    run.check_sides("post", middle=293)
     run.check_seen("texture_ping", TEXTURE_ERROR, TEXTURE_ERROR)
 
 

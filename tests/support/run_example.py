@@ -9,8 +9,10 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import sonar_gl as sg
+from tests.support.main_lobe import receive_main_lobe
 
 ROOT = Path(__file__).resolve().parents[2]
 PINGS = (
@@ -37,8 +39,13 @@ def main(name, folder, *options):
     pings = {key: found[key] for key in PINGS if key in found}
     # the samples are those of the host's last ping, which hung on those before
     sampling = sg.Sampling(**next(iter(pings.values())).meta["sampling"])
+    settings = {"pose": found["pose"], "bodies": found.get("bodies"), "labels": True}
     with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
-        pings["alone"] = simulator.ping(found["pose"], bodies=found.get("bodies"), labels=True)
+        pings["alone"] = simulator.ping(**settings)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        receive_main_lobe(monkeypatch)
+        with sg.Simulator(found["scene"], found["sonar"], sampling=sampling) as simulator:
+            pings["main_lobe"] = simulator.ping(**settings)
     for key, ping in pings.items():
         sg.save_npz(Path(folder) / f"{key}.npz", ping)
     np.save(Path(folder) / "names.npy", [body.name for body in found["scene"].bodies])
