@@ -35,7 +35,8 @@ COLUMNS_PER_SUPPORT = 128
 SKIRTS_COARSER = 4
 # They are summed into wide columns, as wide as the samples of the lowest of these sectors: strips as wide as the
 # columns of the fan would be small parts of a sample, each of which costs as much as a sample. Each column takes its
-# share of a wide one. The half-width of the pattern's support holds at least so many, so that beams get 3 % wider.
+# share of a wide one. The half-width of the pattern's support holds about so many: beams become 3 % wider there, and at
+# most 6 % where a wide column is two columns.
 WIDE_COLUMNS_PER_SUPPORT = 12
 # A perspective view has rows even in tan φ. The rows of the side lobes become BAND_RAD (1 + tan² φ) higher from one
 # sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS. Each
@@ -74,6 +75,11 @@ class Fan:
     def n_columns(self) -> int:
         """Number of columns of the whole fan."""
         return len(self.column_edges_rad) - 1
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of all sectors: beyond field of view and aperture, too, and in the side lobes."""
+        return sum(sector.rows * sector.columns for sector in self.sectors)
 
     @property
     def n_wide_columns(self) -> int:
@@ -177,13 +183,14 @@ def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) 
     Parameters
     ----------
     edges_rad, seams_rad : of the columns and of the sectors, rising
-    width_rad : of a wide column, about
+    width_rad : of a wide column, about: whole columns make it
     """
     at_seams = np.searchsorted(edges_rad, seams_rad - 1e-9)
     out = [np.zeros(1, np.int64)]
     for first, last in pairwise(at_seams):
         n = last - first
-        n_wide = min(n, math.ceil((edges_rad[last] - edges_rad[first]) / width_rad))
+        column_rad = (edges_rad[last] - edges_rad[first]) / n
+        n_wide = math.ceil(n / max(round(width_rad / column_rad), 1))
         n_wide += (n - n_wide) % 2 * (n % 2)  # an odd number of columns has a middle one
         before = np.floor(np.arange(n_wide // 2 + 1) * n / n_wide + 0.5).astype(np.int64)  # to the middle
         after = n - before[: (n_wide + 1) // 2][::-1]
