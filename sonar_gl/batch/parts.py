@@ -189,7 +189,7 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
                 with run.drawing():
                     plan = run.sampler.choose(setup).plan
                 decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
-                body, n_samples = bodies[plan.worst_body * decides], plan.sampling.count(simulator.sonar)
+                body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
                 found.append(HardView(request.number, name, n_samples, plan.bound, body))
     return found
 

@@ -218,11 +218,19 @@ class Beamformer:
         self._far = far_lobes
         # far side lobes receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received(fan.n_columns)
-        middle = (fan.n_columns + 1) // 2
-        self._halves = (0, middle), (middle, fan.n_columns)
+        n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
+        middle, wide_middle = (n_columns + 1) // 2, n_columns + (n_wide + 1) // 2
+        # columns, and wide columns
+        self._halves = (
+            ((0, middle), (n_columns, wide_middle)),
+            ((middle, n_columns), (wide_middle, n_columns + n_wide)),
+        )
+        if n_wide:
+            received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
         self.strips = tuple(
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
+        self._wide_shares = fan.wide_shares
         self._labeller = None
         self._make_labeller = partial(
             Labeller,
@@ -238,10 +246,12 @@ class Beamformer:
     @cached_property
     def mirrored_strips(self) -> tuple:
         """The strips, in the columns of a fan that is the mirror image of this one, port for starboard."""
-        last, strips = self.fan.n_columns - 1, zip(*self.strips, strict=True)
+        n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
+        mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
+        strips = zip(*self.strips, strict=True)
         of_sectors = [[np.concatenate(arrays) for arrays in zip(*halves, strict=True)] for halves in strips]
         return tuple(
-            [_within(last - column, u, width, half) for column, u, width in of_sectors]
+            [_within(mirrored[column], u, width, half) for column, u, width in of_sectors]
             for half in self._halves
         )
 
@@ -263,7 +273,20 @@ class Beamformer:
         return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips)
 
     def _column_sums(self) -> ColumnSums:
-        return self._workspace.column_sums(self.fan.n_columns, self.fan.sonar.n_bins)
+        fan = self.fan
+        return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, fan.n_wide_columns)
+
+    def _clear_columns(self, half: int, columns: ColumnSums) -> None:
+        """Set the sums of a half of the columns to zero."""
+        for first, last in self._halves[half]:
+            kernels.clear_columns(first, last, columns.all_sums, columns.all_spans)
+
+    def _share_wide_columns(self, columns: ColumnSums) -> None:
+        """Add the sums of wide columns to those of their columns."""
+        if self.fan.n_wide_columns:
+            kernels.share_wide_columns(
+                self.fan.wide_edges, self._wide_shares, columns.all_sums, columns.all_spans
+            )
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
@@ -283,7 +306,7 @@ class Beamformer:
         columns = self._column_sums()
 
         def work(half):
-            kernels.clear_columns(*self._halves[half], columns.sums, columns.spans)
+            self._clear_columns(half, columns)
             for one, strips in zip(of_sectors, self.strips[half], strict=True):
                 kernels.sum_footprints(
                     *one,
@@ -291,11 +314,12 @@ class Beamformer:
                     self._bins,
                     self._spread,
                     self.elevation_table,
-                    columns.sums,
-                    columns.spans,
+                    columns.all_sums,
+                    columns.all_spans,
                 )
 
         self._run(work, self._rows(samples) < FEW_ROWS)
+        self._share_wide_columns(columns)
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -326,13 +350,13 @@ class Beamformer:
                     self._bins,
                     self.elevation_table,
                     tuple(reflection),
-                    columns.sums,
-                    columns.spans,
+                    columns.all_sums,
+                    columns.all_spans,
                 )
             return counts
 
         def add_images(half):
-            kernels.clear_columns(*self._halves[half], columns.sums, columns.spans)
+            self._clear_columns(half, columns)
             for number, view in enumerate(images):
                 is_seen[half, number] = add(half, view)
 
@@ -343,6 +367,7 @@ class Beamformer:
         self._run(add_images)
         if is_seen.any():
             self._run(add_own)
+        self._share_wide_columns(columns)
         return self.weigh(gain)
 
     def label(self, samples: Sequence[SectorSamples], gain, n_bodies: int, background=None) -> Labels:
@@ -367,7 +392,13 @@ class Beamformer:
     def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> kernels.Runs:
         if self._labeller is None:
             self._labeller = self._make_labeller()
-        return self._labeller.sum_up(samples, self.strips, self._halves, self._run_of(samples), columns)
+        if columns is not None:
+            for half in range(2):
+                self._clear_columns(half, columns)
+        runs = self._labeller.sum_up(samples, self.strips, self._run_of(samples), columns)
+        if columns is not None:
+            self._share_wide_columns(columns)
+        return runs
 
     def _find_labels(self, runs: kernels.Runs, samples, gain, n_bodies: int, background) -> Labels:
         mask, unshadowed = None, None
@@ -452,13 +483,13 @@ def _half_of(n: int, half: int) -> tuple[int, int]:
     return (middle, n) if half else (0, middle)
 
 
-def _strips_within(strips, half: tuple[int, int], received) -> tuple:
+def _strips_within(strips, half: Sequence[tuple[int, int]], received) -> tuple:
     """Return a plain kernels.StripTable of the strips in half of the columns, as far as a beam receives them."""
     mine = received[strips.column]
     return _within(strips.column[mine], strips.u[mine], strips.width[mine], half)
 
 
-def _within(column, u, width, half: tuple[int, int]) -> tuple:
-    """Return a plain kernels.StripTable of the strips in columns from the first to before the last."""
-    mine = (half[0] <= column) & (column < half[1])
+def _within(column, u, width, half: Sequence[tuple[int, int]]) -> tuple:
+    """Return a plain kernels.StripTable of the strips in some columns, each from the first to before the last."""
+    mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
     return column[mine], u[mine], width[mine]

@@ -430,6 +430,29 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
+@compiled
+def share_wide_columns(wide_edges, shares, sums, spans):
+    """Add what wide columns hold to their columns.
+
+    Parameters
+    ----------
+    wide_edges : (W + 1,) column where each of the wide columns begins, and past the last column
+    shares : (columns,) float32, the share of its wide column that a column takes
+    sums, spans : as in `sum_footprints`; the rows of the wide columns follow those of the columns
+    """
+    n_columns = shares.shape[0]
+    for wide in range(wide_edges.shape[0] - 1):
+        row = uint64(n_columns + wide)
+        first, past = spans[row, 0], spans[row, 1]
+        if first >= past:
+            continue
+        for c in range(wide_edges[wide], wide_edges[wide + 1]):
+            column, share = uint64(c), shares[c]
+            for k in range(uint64(first), uint64(past)):
+                sums[column, k] += share * sums[row, k]
+            spans[c, 0], spans[c, 1] = min(spans[c, 0], first), max(spans[c, 1], past)
+
+
 TILE_BEAMS = 4  # beams at a time, so that what is read of columns serves several
 
 
@@ -893,6 +916,7 @@ class Runs(NamedTuple):
 
     bodies : (m,) numbers, rising; begins : (m + 1,) where the runs of each begin and end
     table : (n, RUN) of RunStore; owner : (n,) which of the two pools holds each
+    share : (n,) float32, how much of what the pool holds belongs to the run
     pools : two, of RunStore
     """
 
@@ -900,6 +924,7 @@ class Runs(NamedTuple):
     begins: np.ndarray
     table: np.ndarray
     owner: np.ndarray
+    share: np.ndarray
     pools: tuple
 
 
@@ -955,7 +980,7 @@ def _pack_panel(panel, runs, k0, n_columns, origin, end):
                 x, first, past = turn + table[n, COLUMN], table[n, FIRST_BIN], table[n, PAST_BIN]
                 if not (origin <= x < end and first < k0 + TILE_BINS and past > k0):
                     continue
-                pool = runs.pools[runs.owner[n]]
+                pool, share = runs.pools[runs.owner[n]], runs.share[n]
                 low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
                 at = uint64(n_packed * TILE_ROW)
                 if high - low < TILE_BINS:
@@ -965,7 +990,7 @@ def _pack_panel(panel, runs, k0, n_columns, origin, end):
                     from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
                     to = at + uint64(moment * TILE_BINS) + low
                     for k in range(high - low):
-                        moments[to + k] = pool[from_ + k]
+                        moments[to + k] = share * pool[from_ + k]
                 panel.column[n_packed] = x
                 n_packed += 1
     panel.begins[runs.bodies.shape[0]] = n_packed

@@ -81,7 +81,6 @@ class Labeller:
         self,
         samples: Sequence[SectorSamples],
         strips,
-        halves,
         run: Callable,
         columns: ColumnSums | None = None,
     ) -> kernels.Runs:
@@ -90,25 +89,22 @@ class Labeller:
         Parameters
         ----------
         strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
-        halves : of each half, its first column and past its last one
         run : function (work) that does work(0) and work(1)
-        columns : overwritten with the sums of all bodies, as by `Beamformer.sum_footprints`; None for none
+        columns : the sums of all bodies are added to it, as by `Beamformer.sum_footprints`; None for none
         """
         room = self._workspace.label_sums(len(self._middle_m))
         settings = self._bins, self._fan.sampling.reducer == "footprint", self._elevation_pattern
 
         def work(half):
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
-            sums = room.unwanted[half] if columns is None else (columns.sums, columns.spans)
-            if columns is not None:
-                kernels.clear_columns(*halves[half], *sums)
+            sums = room.unwanted[half] if columns is None else (columns.all_sums, columns.all_spans)
             for one, mine in zip(samples, strips[half], strict=True):
                 arrays = whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice
                 cells, store = kernels.sum_bodies(*arrays, mine, *settings, cells, store, *sums)
             room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
 
         run(work)
-        return _sorted_runs(room.stores)
+        return _sorted_runs(room.stores, self._fan)
 
     def find(
         self,
@@ -167,14 +163,24 @@ class Labeller:
         )
 
 
-def _sorted_runs(stores: Sequence[kernels.RunStore]) -> kernels.Runs:
-    """Return the runs of both halves, by body and column."""
+def _sorted_runs(stores: Sequence[kernels.RunStore], fan: Fan) -> kernels.Runs:
+    """Return the runs of both halves, by body and column; each column takes its share of the run of a wide one."""
     table = np.concatenate([store.runs[: store.n_runs] for store in stores])
     owner = np.repeat([0, 1], [store.n_runs for store in stores])
+    share = np.ones(len(table), np.float32)
+    if fan.n_wide_columns:
+        column = table[:, kernels.COLUMN]
+        first = np.append(np.arange(fan.n_columns), fan.wide_edges[:-1])[column]
+        count = np.append(np.ones(fan.n_columns, np.int64), np.diff(fan.wide_edges))[column]
+        of_run = np.repeat(np.arange(len(table)), count)
+        columns = first[of_run] + np.arange(len(of_run)) - (np.cumsum(count) - count)[of_run]
+        share = np.where(column[of_run] < fan.n_columns, np.float32(1), fan.wide_shares[columns])
+        table, owner = table[of_run], owner[of_run]
+        table[:, kernels.COLUMN] = columns
     # one sort of whole numbers: columns are fewer than 2^32, and mostly in order
     order = np.argsort((table[:, kernels.BODY] << 32) + table[:, kernels.COLUMN], kind="stable")
-    table, owner = table[order], owner[order]
+    table, owner, share = table[order], owner[order], share[order]
     begins = np.flatnonzero(np.diff(table[:, kernels.BODY], prepend=-1))
     bodies = table[begins, kernels.BODY]
     pools = tuple(store.pool for store in stores)
-    return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, pools)
+    return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, share, pools)

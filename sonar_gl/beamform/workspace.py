@@ -45,16 +45,19 @@ class BeamWeights:
 
 @dataclass(frozen=True, eq=False)
 class ColumnSums:
-    """Sums of samples in columns and bins.
+    """Sums of samples in columns and bins, rows of two larger arrays in which those of the wide columns follow.
 
     Attributes
     ----------
     sums : (columns, K) float32
     spans : (columns, 2) first and past last bin that may differ from 0
+    all_sums, all_spans : the same, with the wide columns
     """
 
     sums: np.ndarray
     spans: np.ndarray
+    all_sums: np.ndarray
+    all_spans: np.ndarray
 
 
 class LabelSums:
@@ -112,12 +115,13 @@ class Workspace:
             self._moments = key, tuple(np.empty((n, n_bins), np.float32) for n in key[:2])
         return self._moments[1]
 
-    def column_sums(self, n_columns: int, n_bins: int) -> ColumnSums:
+    def column_sums(self, n_columns: int, n_bins: int, n_wide_columns: int = 0) -> ColumnSums:
         """Return room for sums; what was summed before may be there still, within its spans."""
-        key = n_columns, n_bins
+        key = n_columns, n_bins, n_wide_columns
         if self._sums[0] != key:
-            spans = np.tile([0, n_bins], (n_columns, 1))
-            self._sums = key, ColumnSums(np.zeros(key, np.float32), spans)
+            sums = np.zeros((n_columns + n_wide_columns, n_bins), np.float32)
+            spans = np.tile([0, n_bins], (len(sums), 1))
+            self._sums = key, ColumnSums(sums[:n_columns], spans[:n_columns], sums, spans)
         return self._sums[1]
 
     def label_sums(self, n_bins: int) -> LabelSums:

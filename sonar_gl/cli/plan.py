@@ -56,7 +56,7 @@ def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, toler
             except Error:
                 continue
             simulators[name] = stack.enter_context(Simulator(scene, sonar, acoustics, tolerance=wanted))
-            plans[name] = plan_facts(simulators[name].plan(poses), wanted, scene, sonar)
+            plans[name] = plan_facts(simulators[name].plan(poses), wanted, scene)
             times_ms[name] = []
         for at in np.linspace(0, len(poses) - 1, TURNS).astype(int):
             for name, simulator in simulators.items():
@@ -80,17 +80,18 @@ def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, toler
     }
 
 
-def plan_facts(plan: Plan, tolerance: float, scene: Scene, sonar: Sonar) -> dict:
+def plan_facts(plan: Plan, tolerance: float, scene: Scene) -> dict:
     """Return a plan as plain values, with what requires so many samples."""
+    facts = asdict(plan)
+    facts["samples"] = facts.pop("n_samples")
     estimates = {"error": plan.error_estimate, "worst body": plan.worst_body_estimate / WORST_BODY}
     bound_by = max(estimates, key=estimates.get)
     if plan.met and estimates[bound_by] < TWO_LEVELS * tolerance:
         bound_by = "finding" if plan.level else "nothing"
     return {
         "tolerance": tolerance,
-        **asdict(plan),
+        **facts,
         "worst_body": scene.bodies[plan.worst_body - 1].name if plan.worst_body else "",
-        "samples": plan.sampling.count(sonar),
         "bound_by": bound_by,
     }
 
@@ -102,7 +103,7 @@ def plan_text(found: dict) -> str:
     lines = [("poses", str(found["poses"]))] if found["poses"] > 1 else []
     lines += [
         ("tolerance", f"{percent(found['tolerance'])} {met}"),
-        ("samples", f"{columns:.4g} columns per beam x {rows} rows = {found['samples']}"),
+        ("samples", f"{found['samples']}, with {columns:.4g} columns per beam x {rows} rows in the aperture"),
     ]
     if found["has_echo"]:
         name, off = found["worst_body"], percent(found["worst_body_estimate"])

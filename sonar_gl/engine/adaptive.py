@@ -41,7 +41,7 @@ CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
 # as much as so many more, also in a check. By the pings of `tools/bench live`.
-MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 30_000
+MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 45_000
 
 
 class LastCheck(NamedTuple):
@@ -284,8 +284,10 @@ class AdaptiveSampling:
         return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
-        """Return what a ping costs, with a check of its error or without, in samples."""
-        n_samples = sampling_at(self._sonar, level).count(self._sonar)
+        """Return about what a ping costs, with a check of its error or without, in samples of the whole fan."""
+        stage = self.resolution.stage
+        per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
+        n_samples = per_count * sampling_at(self._sonar, level).count(self._sonar)
         cost = n_samples + FIXED_SAMPLES
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 

@@ -56,6 +56,7 @@ class Plan:
     worst_body_estimate : the relative error of any body's own echo likewise
     worst_body : number of that body, 0 for none
     met : whether the tolerance is met
+    n_samples : samples of the whole fan, with those beyond field of view and aperture
     """
 
     sampling: Sampling
@@ -64,6 +65,7 @@ class Plan:
     worst_body_estimate: float
     worst_body: int
     met: bool
+    n_samples: int
 
     @property
     def bound(self) -> float:
@@ -203,7 +205,8 @@ class ErrorModel:
             steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
         steps = min(math.ceil(steps), MAX_STEPS)
         worst_error = float(errors[worst])
-        plan = Plan(tried.stage.sampling, level, error, worst_error, worst if counts.any() else 0, steps <= 0)
+        stage, worst = tried.stage, worst if counts.any() else 0
+        plan = Plan(stage.sampling, level, error, worst_error, worst, steps <= 0, stage.fan.n_samples)
         return Judgement(plan, steps)
 
 

@@ -33,9 +33,15 @@ COLUMNS_PER_SUPPORT = 128
 # The skirts and side lobes of a pattern in elevation return little, so that their samples are this many times wider and
 # higher than the others, and twice as many times again in each further sector.
 SKIRTS_COARSER = 4
+# They are summed into wide columns, as wide as the samples of the lowest of these sectors: strips as wide as the
+# columns of the fan would be small parts of a sample, each of which costs as much as a sample. Each column takes its
+# share of a wide one. The half-width of the pattern's support holds about so many: beams become 3 % wider there, and at
+# most 6 % where a wide column is two columns.
+WIDE_COLUMNS_PER_SUPPORT = 12
 # A perspective view has rows even in tan φ. The rows of the side lobes become BAND_RAD (1 + tan² φ) higher from one
-# sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS.
-BAND_RAD, MIN_BAND_ROWS = 0.75, 4
+# sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS. Each
+# sector has a fixed cost, so that the last one is no lower than MIN_BAND_DEG.
+BAND_RAD, MIN_BAND_ROWS, MIN_BAND_DEG = 0.75, 4, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,8 @@ class Fan:
     sectors : perspective views from starboard to port; then those of the side lobes in elevation
     column_edges_rad : (columns + 1,) float64, azimuths between which the columns lie, rising
     max_elevation_rad : elevation of the uppermost strips
+    wide_edges : (W + 1,) int64, numbers of the column edges between which the W wide columns lie, in which the strips
+        of the side lobes are where there are any
     """
 
     sonar: Sonar
@@ -56,6 +64,7 @@ class Fan:
     sectors: tuple[Sector, ...]
     column_edges_rad: np.ndarray = field(repr=False)
     max_elevation_rad: float
+    wide_edges: np.ndarray = field(repr=False)
 
     @property
     def max_sine(self) -> float:
@@ -66,6 +75,25 @@ class Fan:
     def n_columns(self) -> int:
         """Number of columns of the whole fan."""
         return len(self.column_edges_rad) - 1
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of all sectors: beyond field of view and aperture, too, and in the side lobes."""
+        return sum(sector.rows * sector.columns for sector in self.sectors)
+
+    @property
+    def n_wide_columns(self) -> int:
+        """Number of wide columns."""
+        return len(self.wide_edges) - 1
+
+    @property
+    def wide_shares(self) -> np.ndarray:
+        """(columns,) float32, the share of its wide column's echo that each column takes, by width; 1 without any."""
+        if not self.n_wide_columns:
+            return np.ones(self.n_columns, np.float32)
+        wide_widths = np.diff(self.column_edges_rad[self.wide_edges])
+        shares = np.diff(self.column_edges_rad) / np.repeat(wide_widths, np.diff(self.wide_edges))
+        return shares.astype(np.float32)
 
 
 def make_fan(
@@ -132,14 +160,49 @@ def make_fan(
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
-    sectors = tuple(replace(sector, strips=make_strips(sector, edges)) for sector in sectors)
+    wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
+    if len(bands) > 1 and not box:
+        width = min(SKIRTS_COARSER * span / n_samples, support_rad / WIDE_COLUMNS_PER_SUPPORT)
+        wide_edges = _wide_edges(edges, seams, width)
+        if len(wide_edges) > 1:
+            of_side_lobes = edges[wide_edges], len(edges) - 1
+    columns = [(edges, 0)] * n_sectors + [of_side_lobes] * (len(sectors) - n_sectors)
+    sectors = tuple(
+        replace(sector, strips=make_strips(sector, *mine))
+        for sector, mine in zip(sectors, columns, strict=True)
+    )
     edges = frozen_array(edges, np.float64, (None,), "column edges")
-    return Fan(sonar, sampling, sectors, edges, max_elevation_rad)
+    return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges)
+
+
+def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) -> np.ndarray:
+    """Return the numbers of the column edges between which the wide columns lie; one number if they would be no wider.
+
+    They end where sectors do. Those of a fan's mirror image are the mirror images of the fan's.
+
+    Parameters
+    ----------
+    edges_rad, seams_rad : of the columns and of the sectors, rising
+    width_rad : of a wide column, about: whole columns make it
+    """
+    at_seams = np.searchsorted(edges_rad, seams_rad - 1e-9)
+    out = [np.zeros(1, np.int64)]
+    for first, last in pairwise(at_seams):
+        n = last - first
+        column_rad = (edges_rad[last] - edges_rad[first]) / n
+        n_wide = math.ceil(n / max(round(width_rad / column_rad), 1))
+        n_wide += (n - n_wide) % 2 * (n % 2)  # an odd number of columns has a middle one
+        before = np.floor(np.arange(n_wide // 2 + 1) * n / n_wide + 0.5).astype(np.int64)  # to the middle
+        after = n - before[: (n_wide + 1) // 2][::-1]
+        out.append(first + np.concatenate([before, after])[1:])
+    out = np.concatenate(out)
+    return out if len(out) < len(edges_rad) else out[:1]
 
 
 def _band_limits(tan_top: float, tan_max: float) -> list[float]:
     """Return tangents of elevations between which the sectors of the side lobes above an aperture lie, rising."""
     limits = [tan_top]
-    while (following := limits[-1] + BAND_RAD * (1 + limits[-1] ** 2)) < tan_max:
+    tan_last = math.tan(math.atan(tan_max) - math.radians(MIN_BAND_DEG))
+    while (following := limits[-1] + BAND_RAD * (1 + limits[-1] ** 2)) < tan_last:
         limits.append(following)
     return [*limits, tan_max]

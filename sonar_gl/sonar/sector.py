@@ -29,7 +29,7 @@ class Strips:
 
     Attributes
     ----------
-    column : (P,) int64, index of the fan's column that contains the strip
+    column : (P,) int64, index of the fan's column that contains the strip; wide columns are counted on from the others
     u : (P,) float64, middle of the strip on the image plane
     width : (P,) float64, its width along u
     """
@@ -152,13 +152,14 @@ def make_sector(
     return Sector(azimuth_rad, half_width_rad, R, C, u, v, low, high)
 
 
-def make_strips(sector: Sector, column_edges_rad) -> Strips:
+def make_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
     """Return the strips of a sector: the fan's columns, divided evenly where they are wider than a sample.
 
     Parameters
     ----------
     sector : Sector
     column_edges_rad : (columns + 1,) azimuths between which the columns of the fan lie, rising
+    first_column : number of the first of these columns
     """
     low, high = sector.azimuth_rad - sector.half_width_rad, sector.azimuth_rad + sector.half_width_rad
     inside = (column_edges_rad > low) & (column_edges_rad < high)
@@ -172,4 +173,5 @@ def make_strips(sector: Sector, column_edges_rad) -> Strips:
     edges = np.append(np.repeat(edges[:-1], pieces) + within, edges[-1])
     u = (edges[1:] + edges[:-1]) / 2
     columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
-    return Strips(np.clip(columns, 0, len(column_edges_rad) - 2), u, edges[:-1] - edges[1:])
+    columns = first_column + np.clip(columns, 0, len(column_edges_rad) - 2)
+    return Strips(columns, u, edges[:-1] - edges[1:])

@@ -39,7 +39,7 @@ def record_costs(monkeypatch):
     costs, draw = [], Stage.draw
 
     def counted(stage, *arguments, **more):
-        costs.append(stage.sampling.count(SONAR) + adaptive.FIXED_SAMPLES)
+        costs.append(stage.fan.n_samples + adaptive.FIXED_SAMPLES)
         return draw(stage, *arguments, **more)
 
     monkeypatch.setattr(Stage, "draw", counted)
