@@ -216,7 +216,9 @@ class BodiesInput:
         for child, link in _transforms(data, self._topic, self._refused):
             with self._refused.counting(self._topic):
                 if child not in self._names:
-                    raise RefusedError("no body", f"child frames must be names of bodies (got {shown(child)})")
+                    raise RefusedError(
+                        "no body", f"child frames must be names of bodies (got {shown(child)})"
+                    )
                 _check_world(link.header.frame_id, self._world)
                 matrix = _matrix(link.transform.translation, link.transform.rotation)
                 with self._lock:

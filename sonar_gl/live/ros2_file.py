@@ -101,9 +101,8 @@ class Ros2File(Table):
     foxglove: FoxgloveTable = FoxgloveTable()
 
 
-# what the command line has, too
-OPTIONS = tuple(name for name in Ros2File.model_fields if name not in ("world_frame", "vehicle_frame", "mount", "y_sign"))
-OPTIONS = tuple(name for name in OPTIONS if not isinstance(Ros2File.model_fields[name].default, Table))
+# keys that are options of the command
+OPTIONS = tuple(Ros2File.model_fields)[: list(Ros2File.model_fields).index("domain") + 1]
 
 
 def read_ros2_file(path) -> Ros2File:
