@@ -1,6 +1,12 @@
 """The command `ros2`, with a transport within the process."""
 
+import os
+import re
+import signal
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +17,7 @@ from sonar_gl import live
 from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.cli.main import main
 from sonar_gl.live.ros2_file import read_ros2_file
+from sonar_gl.live.transport import Topic
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry
 
@@ -192,3 +199,74 @@ def test_an_empty_file_changes_nothing(tmp_path):
     path = tmp_path / "empty.toml"
     path.write_text("")
     assert not read_ros2_file(path).model_dump(exclude_defaults=True)
+
+
+WAIT_S = 120.0  # a machine that tests run on may be slow, and compile kernels first
+
+
+def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
+    """As with a simulator beside it: this process sends /clock and odometry, the command publishes pings."""
+    pytest.importorskip("cyclonedds")
+    types, at, domain = message_types(), sg.load_scene("pylon").sonar_pose, 100 + os.getpid() % 100
+    images, links, image = [], [], "marine_acoustic_msgs/msg/ProjectedSonarImage"
+
+    def topic(name, msgtype, **quality):
+        definition, type_hash = types.schema(msgtype)
+        return Topic(name, msgtype, type_hash, definition, **quality)
+
+    transport = live.DdsTransport(domain=domain)
+    log = (tmp_path / "log").open("w+")
+    words = [
+        "--transport",
+        "dds",
+        "--domain",
+        str(domain),
+        "--duration",
+        str(WAIT_S),
+        "--clock",
+        "ros",
+        "--rate",
+        "10",
+    ]
+    words += ["--pose-from", "odometry=/rov/odometry"]
+    command = subprocess.Popen(
+        [sys.executable, "-m", "sonar_gl", "ros2", "pylon", *FAST, *words],
+        stdout=log,
+        stderr=subprocess.STDOUT,
+    )
+    try:
+        clock = topic("/clock", "rosgraph_msgs/msg/Clock", depth=1)
+        poses = topic("/rov/odometry", "nav_msgs/msg/Odometry")
+        transport.subscribe(
+            topic("/sonar/projected_image", image), lambda data: images.append(types.decode(data, image))
+        )
+        transport.subscribe(
+            topic("/tf", "tf2_msgs/msg/TFMessage"),
+            lambda data: links.extend(types.decode(data, "tf2_msgs/msg/TFMessage").transforms),
+        )
+        end_s, number = time.monotonic() + WAIT_S, 0
+        while len(images) < 3 and time.monotonic() < end_s and command.poll() is None:
+            number += 1
+            time_ns = 10**10 + number * 10**7
+            transport.publish(clock, types.encode(types.clock(time_ns)), time_ns)
+            transport.publish(poses, odometry(at, time_ns=time_ns), time_ns)
+            time.sleep(0.01)
+        command.send_signal(signal.SIGINT)
+        status = command.wait(WAIT_S)
+        log.seek(0)
+        assert status == 0, log.read()
+        log.seek(0)
+        assert re.search(r"^[1-9]\d* pings published", log.read(), re.MULTILINE)
+    finally:
+        command.kill()
+        command.wait()
+        transport.close()
+        log.close()
+    stamps_ns = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in images]
+    assert len(stamps_ns) >= 3 and all(ns % 10**7 == 0 for ns in stamps_ns)  # those of the clock
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert (
+        len(images[0].beam_directions) == sg.load_sonar("p900-45").n_beams and max(images[0].image.data) > 0
+    )
+    place = links[0].transform.translation
+    np.testing.assert_array_equal([place.x, place.y, place.z], at[:3, 3])
