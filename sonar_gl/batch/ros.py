@@ -23,7 +23,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from sonar_gl.batch.ros_messages import BEAMS, message_types, nanoseconds
+from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.checks import check_choice, check_kind, frozen_array
 from sonar_gl.core.errors import Error
@@ -34,7 +34,6 @@ from sonar_gl.imaging.files import whole_numbers
 from sonar_gl.ping import Ping
 
 WORLD, VEHICLE = "world", "base_link"  # frames
-TF, TF_STATIC = "/tf", "/tf_static"  # topics
 CHUNK_BYTES = 1 << 20
 METADATA_VERSION = 8  # read by ROS 2 Iron and later
 FOREVER = {"sec": 9223372036, "nsec": 854775807}  # 2⁶³ − 1 ns, as ROS writes it

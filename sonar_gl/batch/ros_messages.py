@@ -15,6 +15,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.ping import Ping
 
+TF, TF_STATIC = "/tf", "/tf_static"  # topics
 # sonar_from_beams by the direction of y: x down, y to port, z forward; or x up, y to starboard, z forward
 BEAMS = {
     "port": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),

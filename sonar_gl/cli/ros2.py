@@ -18,11 +18,11 @@ from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.publisher import Publisher
 from sonar_gl.live.publisher_settings import TOPICS, PoseSource, PublisherSettings
 from sonar_gl.live.ros2_file import OPTIONS, Ros2File, read_ros2_file
+from sonar_gl.live.transport import MAX_DOMAIN
 from sonar_gl.noise.settings import Noise
 
 LOOP_S = 0.01  # between steps in real time
 CLOCK_WAIT_S = 0.1  # for a message of /clock, before the end is looked for again
-MAX_DOMAIN = 232
 
 
 def ros2(scene_name: str, options, given: set[str]) -> str:

@@ -28,13 +28,12 @@ from types import SimpleNamespace
 from sonar_gl.core.checks import check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
-from sonar_gl.live.transport import Topic, Transport
+from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
 
 logger = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 LOOPBACK_NAMES = "lo", "lo0", "localhost"
-MAX_DOMAIN = 232  # ports of domain d begin at 7400 + 250 d, and end at 65535
 # Participants of one machine take the ports of an index, and are looked for at those of all indices; 32 as in ROS 2's
 # own configuration for the range LOCALHOST.
 MAX_INDEX = 32

@@ -18,6 +18,7 @@ import numpy as np
 from sonar_gl.batch.ros_messages import MAX_TIME_S, message_types
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
+from sonar_gl.scene.scene import Body
 
 logger = logging.getLogger(__name__)
 
@@ -198,16 +199,28 @@ class FrameInput:
 class BodiesInput:
     """The poses of bodies by tf2_msgs/TFMessage: the child frame is the name of a body.
 
+    Bodies such as `pylon::column`, which readers of scenes make of shapes of `pylon` that are smoother, move with it.
+
     Parameters
     ----------
     topic : of the messages
-    names : of all bodies
+    bodies : of the scene
     world : frame that poses must be in
     refused : counts what is wrong
     """
 
-    def __init__(self, topic: str, names: Iterable[str], world: str, refused: RefusedMessages):
-        self._topic, self._names, self._world, self._refused = topic, frozenset(names), world, refused
+    def __init__(self, topic: str, bodies: Iterable[Body], world: str, refused: RefusedMessages):
+        self._topic, self._world, self._refused = topic, world, refused
+        bodies = list(bodies)
+        self._names = {
+            body.name: [
+                other.name
+                for other in bodies
+                if other is body
+                or (other.name.startswith(f"{body.name}::") and np.array_equal(other.pose, body.pose))
+            ]
+            for body in bodies
+        }
         self._moved: dict[str, np.ndarray] = {}
         self._lock = threading.Lock()
 
@@ -222,7 +235,7 @@ class BodiesInput:
                 _check_world(link.header.frame_id, self._world)
                 matrix = _matrix(link.transform.translation, link.transform.rotation)
                 with self._lock:
-                    self._moved[child] = matrix
+                    self._moved |= dict.fromkeys(self._names[child], matrix)
 
     def take(self) -> dict[str, np.ndarray]:
         """Return the poses that came since the last call, (4, 4) world_from_body by name."""

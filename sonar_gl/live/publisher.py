@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.batch.ros_messages import BEAMS, message_types, nanoseconds
+from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, MachineError, closed_error
 from sonar_gl.core.poses import check_pose
@@ -30,7 +30,6 @@ from sonar_gl.sonar.sonar import Sonar
 
 logger = logging.getLogger(__name__)
 
-TF, TF_STATIC = "/tf", "/tf_static"
 TF_DEPTH = 100  # as in tf2_ros
 CLOCK_NS = 10_000_000  # at most 100 times a second; a loop may be quicker
 REPORT_S = 10.0  # of real time, between lines of the log
@@ -208,8 +207,7 @@ class Publisher:
             poses = PoseInput(source.name, msgtype, settings.world_frame, self._refused)
             self._subscribe(source.name, msgtype, poses)
         if settings.bodies_from is not None:
-            names = [body.name for body in scene.bodies]
-            bodies = BodiesInput(settings.bodies_from, names, settings.world_frame, self._refused)
+            bodies = BodiesInput(settings.bodies_from, scene.bodies, settings.world_frame, self._refused)
             self._subscribe(settings.bodies_from, POSE_SOURCES["tf"], bodies, depth=TF_DEPTH)
         return poses, bodies
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sonar_gl.batch.ros_messages import BEAMS
+from sonar_gl.batch.ros_messages import BEAMS, TF
 from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose
@@ -24,7 +24,7 @@ TOPICS = {
     "tf": "tf2_msgs/msg/TFMessage",
     "clock": "rosgraph_msgs/msg/Clock",
 }
-GLOBAL_TOPICS = {"tf": "/tf", "clock": "/clock"}  # the same for all sonars
+GLOBAL_TOPICS = {"tf": TF, "clock": "/clock"}  # the same for all sonars
 # what poses come from: type
 POSE_SOURCES = {
     "odometry": "nav_msgs/msg/Odometry",

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 
 from sonar_gl.core.checks import check_whole_number, shown
 from sonar_gl.core.errors import Error
-from sonar_gl.live.transport import Topic
+from sonar_gl.live.transport import MAX_DOMAIN, Topic
 
 NO_HASH = "TypeHashNotSupported"  # in place of the hash with ROS 2 Humble
 PUBLISHER, SUBSCRIPTION = "MP", "MS"  # kinds of entities
-MAX_DOMAIN = 232  # of ROS_DOMAIN_ID
 # enumerators of rmw/types.h; what is rmw_zenoh's default is left out of a token: reliable, volatile, 42 messages
 BEST_EFFORT, TRANSIENT_LOCAL, DEFAULT_DEPTH = 2, 1, 42
 GID_BYTES = 16

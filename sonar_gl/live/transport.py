@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
+MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
+
 
 @dataclass(frozen=True)
 class Topic:

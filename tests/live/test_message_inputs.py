@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+import trimesh
 from trimesh.transformations import quaternion_from_matrix
 
 from sonar_gl.batch.ros_messages import message_types
@@ -20,11 +21,18 @@ from sonar_gl.live.message_inputs import (
     PoseInput,
     RefusedMessages,
 )
+from sonar_gl.scene.scene import Body
 from tests.support.pose_messages import odometry, pose_stamped, transforms
 
 PLACE = pose(3, -2, -5, 0.1, -0.2, 2.0)
 ODOMETRY, STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 ROUNDING = 1e-12  # of a rotation by a quaternion and back
+
+
+def bodies_at(*names, placed=None):
+    return [
+        Body(name, trimesh.creation.box((1, 1, 1)), np.eye(4) if placed is None else placed) for name in names
+    ]
 
 
 @pytest.fixture
@@ -122,7 +130,7 @@ def test_the_number_of_frames_has_a_bound(refused):
 
 
 def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
-    bodies = BodiesInput("/bodies", ["ball", "wall"], "world", refused)
+    bodies = BodiesInput("/bodies", bodies_at("ball", "wall"), "world", refused)
     wrong = 2 * np.eye(4)
     bodies.receive(
         transforms(
@@ -138,6 +146,16 @@ def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
     np.testing.assert_allclose(moved["ball"], PLACE, atol=ROUNDING)
     kinds = {"no body": 1, "other frame": 1, "no rotation": 1}
     assert refused.by_kind() == {("/bodies", kind): number for kind, number in kinds.items()}
+
+
+def test_shapes_of_a_body_move_with_it_and_other_links_do_not(refused):
+    other_link = bodies_at("pylon::arm", placed=pose(1, 0, 0))
+    scene = [*bodies_at("pylon", "pylon::column", "pylon_2::column", "pylon_2"), *other_link]
+    bodies = BodiesInput("/bodies", scene, "world", refused)
+    bodies.receive(transforms(("world", "pylon", PLACE)))
+    assert list(bodies.take()) == ["pylon", "pylon::column"]
+    bodies.receive(transforms(("world", "pylon::arm", PLACE)))
+    assert list(bodies.take()) == ["pylon::arm"] and refused.total == 0
 
 
 def test_the_clock_gives_each_time_once(refused):
@@ -175,7 +193,7 @@ def test_wrong_messages_neither_raise_nor_stall(count, refused):
         (PoseInput("/odom", ODOMETRY, "world", refused), odometry(PLACE)),
         (PoseInput("/pose", STAMPED, "world", refused), pose_stamped(PLACE)),
         (FrameInput("base_link", "world", refused), transforms(("world", "base_link", PLACE))),
-        (BodiesInput("/bodies", ["ball"], "world", refused), transforms(("world", "ball", PLACE))),
+        (BodiesInput("/bodies", bodies_at("ball"), "world", refused), transforms(("world", "ball", PLACE))),
         (ClockInput("/clock", refused), types.encode(types.clock(10**9))),
     ]
     slowest_s = 0.0
