@@ -216,9 +216,7 @@ def _next(pipe):
 
 def main():
     """Print what came of it."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.soak_live", description=__doc__.partition("\n")[0]
-    )
+    parser = argparse.ArgumentParser(prog="python -m tools.soak_live", description=__doc__.partition("\n")[0])
     parser.add_argument("--transport", choices=sorted(TRANSPORTS), default="zenoh")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=20.0, help="messages per second")
@@ -229,7 +227,9 @@ def main():
     received = found.received
     median_s, worst_s = np.median(received.latency_s), received.latency_s.max()
     print(f"{options.transport}, {options.minutes:g} minutes at {options.rate:g} Hz")
-    print(f"messages of {found.message_bytes} bytes: {found.sent} sent, {received.count} received, {found.lost} lost")
+    print(
+        f"messages of {found.message_bytes} bytes: {found.sent} sent, {received.count} received, {found.lost} lost"
+    )
     print(
         f"{received.damaged} damaged, {received.disordered} out of order, {received.dropped} dropped by the reader"
     )
