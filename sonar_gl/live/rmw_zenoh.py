@@ -1,6 +1,6 @@
 """How ROS 2 names its topics on zenoh: the keys, liveliness tokens and attachments of rmw_zenoh.
 
-After docs/design.md of ros2/rmw_zenoh [1]_, and `qos_to_keyexpr` in its liveliness_utils.cpp.
+After the design document of ros2/rmw_zenoh [1]_, and `qos_to_keyexpr` in its liveliness_utils.cpp.
 
 References
 ----------

@@ -15,7 +15,7 @@ from tests.support.even_ping import even_ping
 
 STAMP = struct.Struct("<iI")  # seconds and nanoseconds
 STAMP_AT = 4  # behind the four bytes of CDR's own header
-DIRECTIONS = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 
 
 def topic_of(name: str, msgtype: str, **quality) -> Topic:
@@ -26,7 +26,7 @@ def topic_of(name: str, msgtype: str, **quality) -> Topic:
 
 def sonar_topic(**quality) -> Topic:
     """Return the topic of pings."""
-    return topic_of("/sonar/projected_image", DIRECTIONS, **quality)
+    return topic_of("/sonar/projected_image", PROJECTED, **quality)
 
 
 def ping_message(n_beams: int = 256, n_bins: int = 512):
