@@ -235,8 +235,8 @@ def _reason(why: Exception) -> str:
 class _OpenDomain:
     """A domain that this process has configured."""
 
-    def __init__(self, interface: str, entity):
-        self.interface, self.entity = interface, entity
+    def __init__(self, interface: str, configuration: str, entity):
+        self.interface, self.configuration, self.entity = interface, configuration, entity
 
 
 # of this process, while a transport uses them
@@ -267,14 +267,14 @@ def _open_domain(domain: int, interface: str) -> _OpenDomain:
     with _domains_lock:
         opened = _domains.get(domain)
         if opened is not None:
-            if opened.interface != interface:
+            if opened.configuration != configuration:
                 raise Error(
                     f"a process must use one interface for a DDS domain (got {interface!r} for domain {domain}, "
                     f"which is open through {opened.interface!r})"
                 )
             return opened
         try:
-            opened = _OpenDomain(interface, dds.domain.Domain(domain, configuration))
+            opened = _OpenDomain(interface, configuration, dds.domain.Domain(domain, configuration))
         except dds.core.DDSException as why:
             if why.code == why.DDS_RETCODE_PRECONDITION_NOT_MET:
                 raise Error(

@@ -67,7 +67,7 @@ static int read_messages(DomainParticipant* participant, Topic* topic, Clock::ti
   DataReaderQos qos = DATAREADER_QOS_DEFAULT;
   qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
   qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
-  qos.history().depth = 10;
+  qos.history().depth = 200;
   qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
   auto* reader = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, qos);
   std::puts("ready");
