@@ -37,9 +37,6 @@ LOOPBACK_NAMES = "lo", "lo0", "localhost"
 # Participants of one machine take the ports of an index, and are looked for at those of all indices; 32 as in ROS 2's
 # own configuration for the range LOCALHOST.
 MAX_INDEX = 32
-# A writer whose readers have not confirmed so much would wait for them. It never comes to that: a writer keeps `depth`
-# messages, and drops the oldest.
-MAX_UNCONFIRMED = "1GB"
 TAKEN_AT_ONCE = 64
 PATIENCE_S = 5.0  # with a function that receives a message while its transport is closed
 LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
@@ -86,10 +83,6 @@ class DdsTransport(Transport):
         and its environment variable CYCLONEDDS_URI. Any but the loopback interface is a warning, since whoever reaches
         it can read and send messages
 
-    Attributes
-    ----------
-    lost : number of messages that Cyclone DDS could not take without waiting; 0 unless CYCLONEDDS_URI lowers its limits
-
     Raises
     ------
     Error
@@ -105,7 +98,6 @@ class DdsTransport(Transport):
     def __init__(self, domain: int | None = None, interface: str | None = LOOPBACK):
         self.domain = _domain(domain)
         self.interface = interface
-        self.lost = 0
         self._dds = dds = _libraries()
         self._lock = threading.Lock()  # of the two tables
         self._topics, self._writers = {}, {}
@@ -137,7 +129,9 @@ class DdsTransport(Transport):
         self._writer(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
-        """Send a message without waiting; `time_ns` is not used, since DDS stamps messages by the clock.
+        """Send a message without waiting for readers; the oldest of more than `depth` that wait for one is dropped.
+
+        time_ns is not used: DDS stamps messages by the clock.
 
         Raises
         ------
@@ -148,12 +142,10 @@ class DdsTransport(Transport):
         try:
             writer.write(writer.data_type(message))
         except self._dds.core.DDSException as why:
-            if why.code != why.DDS_RETCODE_TIMEOUT:
-                raise Error(
-                    f"a message of {topic.name!r} must be a {topic.msgtype} in CDR "
-                    f"(Cyclone DDS refuses it: {_reason(why)})"
-                ) from None
-            self.lost += 1
+            raise Error(
+                f"a message of {topic.name!r} must be a {topic.msgtype} in CDR "
+                f"(Cyclone DDS refuses it: {_reason(why)})"
+            ) from None
 
     def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
         """Call `receive` with each message of other participants, in a thread of the transport.
@@ -234,8 +226,8 @@ def _reason(why: Exception) -> str:
 class _OpenDomain:
     """A domain that this process has configured."""
 
-    def __init__(self, interface: str, entity):
-        self.interface, self.entity = interface, entity
+    def __init__(self, interface: str, configuration: str, entity):
+        self.interface, self.configuration, self.entity = interface, configuration, entity
 
 
 # of this process, while a transport uses them
@@ -266,14 +258,14 @@ def _open_domain(domain: int, interface: str) -> _OpenDomain:
     with _domains_lock:
         opened = _domains.get(domain)
         if opened is not None:
-            if opened.interface != interface:
+            if opened.configuration != configuration:
                 raise Error(
                     f"a process must use one interface for a DDS domain (got {interface!r} for domain {domain}, "
                     f"which is open through {opened.interface!r})"
                 )
             return opened
         try:
-            opened = _OpenDomain(interface, dds.domain.Domain(domain, configuration))
+            opened = _OpenDomain(interface, configuration, dds.domain.Domain(domain, configuration))
         except dds.core.DDSException as why:
             if why.code == why.DDS_RETCODE_PRECONDITION_NOT_MET:
                 raise Error(
@@ -295,21 +287,20 @@ def _configuration(interface: str) -> str:
     """
     if not isinstance(interface, str) or not re.fullmatch(r"[A-Za-z0-9_.:-]+", interface):
         raise Error(f"the interface of DDS must be a name or an address, such as 'eth0' (got {interface!r})")
+    discovery = ""
     if _is_loopback(interface):
         key, value = "address", LOOPBACK
+        discovery = f"""<Discovery>
+            <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>
+            <Peers><Peer address="{LOOPBACK}"/></Peers>
+        </Discovery>"""
     else:
         key, value = "name", interface
         with suppress(ValueError):
-            value, key = str(ipaddress.ip_address(interface)), "address"
+            key, value = "address", str(ipaddress.ip_address(interface))
     return f"""<CycloneDDS><Domain>
         <General><Interfaces><NetworkInterface {key}="{value}"/></Interfaces></General>
-        <Discovery>
-            <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>
-            <Peers><Peer address="{LOOPBACK if _is_loopback(interface) else value}"/></Peers>
-        </Discovery>
-        <Internal><Watermarks>
-            <WhcHigh>{MAX_UNCONFIRMED}</WhcHigh><WhcAdaptive>false</WhcAdaptive>
-        </Watermarks></Internal>
+        {discovery}
     </Domain></CycloneDDS>"""
 
 
@@ -320,8 +311,9 @@ def _qos(dds: SimpleNamespace, topic: Topic):
     """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it."""
     policy = dds.core.Policy
     return dds.core.Qos(
-        policy.Reliability.Reliable(0) if topic.reliable else policy.Reliability.BestEffort,  # waits 0 ns
+        policy.Reliability.Reliable(0) if topic.reliable else policy.Reliability.BestEffort,
         policy.Durability.TransientLocal if topic.latched else policy.Durability.Volatile,
+        # such a writer drops its oldest message rather than wait for slow readers
         policy.History.KeepLast(1 if topic.latched else topic.depth),
         # XCDR1 alone: readers of ROS 2 know no other
         policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),

@@ -67,7 +67,7 @@ static int read_messages(DomainParticipant* participant, Topic* topic, Clock::ti
   DataReaderQos qos = DATAREADER_QOS_DEFAULT;
   qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
   qos.durability().kind = latched ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
-  qos.history().depth = 10;
+  qos.history().depth = 200;
   qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
   auto* reader = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, qos);
   std::puts("ready");
@@ -92,7 +92,8 @@ static int write_messages(DomainParticipant* participant, Topic* topic, Clock::t
                           int gap_ms) {
   DataWriterQos qos = DATAWRITER_QOS_DEFAULT;
   qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
-  qos.reliability().max_blocking_time = eprosima::fastrtps::Duration_t(10, 0);
+  qos.reliability().max_blocking_time = eprosima::fastrtps::Duration_t(60, 0);
+  qos.reliable_writer_qos().times.heartbeatPeriod = eprosima::fastrtps::Duration_t(0, 20'000'000);
   qos.history().kind = KEEP_ALL_HISTORY_QOS;
   qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
   auto* writer = participant->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, qos);
@@ -113,7 +114,7 @@ static int write_messages(DomainParticipant* participant, Topic* topic, Clock::t
     written += writer->write(&message);
     if (gap_ms > 0) std::this_thread::sleep_for(milliseconds(gap_ms));
   }
-  writer->wait_for_acknowledgments(eprosima::fastrtps::Duration_t(10, 0));
+  writer->wait_for_acknowledgments(eprosima::fastrtps::Duration_t(60, 0));
   return written;
 }
 
