@@ -796,6 +796,34 @@ MUTATIONS = (
         ("test_mujoco_model",),
     ),
     Mutation("mujoco/rows of a height field", "heights[::-1] * z_m", "heights * z_m", ("test_mujoco_model",)),
+    Mutation("live/late pings", "number + 1, time_ns", "self._number + 1, time_ns", ("test_ping_schedule",)),
+    Mutation(
+        "live/jumps back", "time_ns < self._last_ns - self._period_ns", "False", ("test_ping_schedule",)
+    ),
+    Mutation(
+        "live/length of a quaternion",
+        "if not abs(square - 1) <= NORM_TOLERANCE:",
+        "if False:",
+        ("test_message_inputs",),
+    ),
+    Mutation(
+        "live/shapes of a body", "and np.array_equal(other.pose, body.pose)", "", ("test_message_inputs",)
+    ),
+    Mutation(
+        "live/angles of raw beams",
+        '-to_port if y_sign == "port" else to_port',
+        "to_port",
+        ("test_publisher",),
+    ),
+    Mutation(
+        "live/tilt of points",
+        "points @ self._sonar.sonar_from_head[:3, :3].T.astype(np.float32)",
+        "points",
+        ("test_publisher",),
+    ),
+    Mutation(
+        "live/readiness of a slow ping", "is_ready=self._work is None", "is_ready=True", ("test_publisher",)
+    ),
 )
 
 

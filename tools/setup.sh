@@ -123,6 +123,12 @@ find_display() {
         say "Tests that need a display are left out: 'apt-get install xvfb' as root brings them in."
 }
 
+# tests with another vendor of DDS compile a program; only CI installs a compiler for it
+find_fast_dds() {
+    { command -v g++ && [ -d /usr/include/fastrtps ]; } >/dev/null || apt_install g++ libfastrtps-dev ||
+        say "Tests with another vendor of DDS are left out: 'apt-get install g++ libfastrtps-dev' as root brings them in."
+}
+
 # [extra]: the shell stands in the repository root; .venv/bin holds the commands
 prepare() {
     make_venv

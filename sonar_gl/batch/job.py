@@ -301,7 +301,9 @@ def read_job(path) -> Job:
 # ---- errors and names -------------------------------------------------------------------------------
 
 
-def job_error(why: ValidationError, kind: type, file: str, table: tuple = ()) -> Error:
+def job_error(
+    why: ValidationError, kind: type, file: str, table: tuple = (), whole: str = "the job"
+) -> Error:
     """Return one error for all that pydantic found wrong with a table.
 
     Parameters
@@ -309,12 +311,13 @@ def job_error(why: ValidationError, kind: type, file: str, table: tuple = ()) ->
     kind : the pydantic model or dataclass; its fields' descriptions are the cures in the messages
     file : name of the job file
     table : keys that lead to the table in the file, such as ("poses", 0)
+    whole : what the file describes
     """
-    sentences = [_sentence(error, kind, table) for error in why.errors()]
+    sentences = [_sentence(error, kind, table, whole) for error in why.errors()]
     return Error(f"{file}: " + "; ".join(dict.fromkeys(sentences)))
 
 
-def _sentence(error: Mapping, kind: type, table: tuple) -> str:
+def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     """Return one error of pydantic in the form: what must hold (what came; cure)."""
     place = (*table, *error["loc"])
     if error["type"] == "extra_forbidden":
@@ -322,7 +325,7 @@ def _sentence(error: Mapping, kind: type, table: tuple) -> str:
         if place[-1] in REPLACED and "counts" in known:
             return f"{key_path(place)} is no key any more; give {REPLACED[place[-1]]}"
         hint = f"; {nearest_names(str(place[-1]), known)}" if known else ""
-        return f"{key_path(place[:-1]) or 'the job'}: unknown key (got {str(place[-1])!r}{hint})"
+        return f"{key_path(place[:-1]) or whole}: unknown key (got {str(place[-1])!r}{hint})"
     if error["type"] == "missing":
         return f"{key_path(place)} must be given"
     text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")

@@ -4,29 +4,28 @@ A part of a batch is one file. `finish_bag` makes the files of a folder one bag,
 splits long recordings.
 
 Frames: `sonar` is the sonar's own, x forward, y to port, z up, and `sonar_beams` that of its messages, see
-`BEAMS`. Likewise `camera`, and `camera_optical` with x right, y down, z forward.
+`ros_messages.BEAMS`. Likewise `camera`, and `camera_optical` with x right, y down, z forward.
 
-rosbags encodes the messages, since it is quick with arrays. mcap writes the files: its writer adds no time
-or version, guards chunks by CRC, and compresses by LZ4. For a ping of 256 x 1161 bins that takes 0.4 ms and
+`ros_messages` makes the messages. mcap writes the files: its writer adds no time or version, guards chunks by
+CRC, and compresses by LZ4. For a ping of 256 x 1161 bins that takes 0.4 ms and
 leaves 0.73 of the size; Zstandard takes 2.4 ms and leaves 0.58.
 """
 
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
+from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.core.atomic_file import atomic_write
-from sonar_gl.core.checks import check_choice, check_kind, frozen_array, is_number
+from sonar_gl.core.checks import check_choice, check_kind, frozen_array
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.poses import check_pose
@@ -35,41 +34,8 @@ from sonar_gl.imaging.files import whole_numbers
 from sonar_gl.ping import Ping
 
 WORLD, VEHICLE = "world", "base_link"  # frames
-TF, TF_STATIC = "/tf", "/tf_static"  # topics
-# sonar_from_beams by the direction of y: x down, y to port, z forward; or x up, y to starboard, z forward
-BEAMS = {
-    "port": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
-    "starboard": np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]),
-}
-MAX_TIME_S = 2**31  # ROS stores whole seconds in 32 signed bits
 CHUNK_BYTES = 1 << 20
 METADATA_VERSION = 8  # read by ROS 2 Iron and later
-# Definitions of apl-ocean-engineering/marine_msgs 2.0.2, fields in their order.
-DTYPES = ("UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "UINT64", "INT64", "FLOAT32", "FLOAT64")
-DEFINITIONS = {
-    "marine_acoustic_msgs/msg/PingInfo": """
-        float32 frequency
-        float32 sound_speed
-        float32[] tx_beamwidths
-        float32[] rx_beamwidths
-    """,
-    "marine_acoustic_msgs/msg/SonarImageData": "\n".join(
-        [
-            "bool is_bigendian",
-            *(f"uint32 DTYPE_{name}={number}" for number, name in enumerate(DTYPES)),
-            "uint32 dtype",
-            "uint32 beam_count",
-            "uint8[] data",
-        ]
-    ),
-    "marine_acoustic_msgs/msg/ProjectedSonarImage": """
-        std_msgs/Header header
-        PingInfo ping_info
-        geometry_msgs/Vector3[] beam_directions
-        float32[] ranges
-        SonarImageData image
-    """,
-}
 FOREVER = {"sec": 9223372036, "nsec": 854775807}  # 2⁶³ − 1 ns, as ROS writes it
 # Quality of service of /tf_static: reliable, transient local, depth 1, so that late subscribers get the last
 # message. Three copies of FOREVER, since YAML would write the same object as an anchor.
@@ -93,13 +59,12 @@ def _libraries() -> SimpleNamespace:
     try:
         import mcap.reader
         import mcap.writer
-        import rosbags.typesys
+        import rosbags.typesys  # noqa: F401 (ros_messages uses it)
         import ruamel.yaml
     except ImportError as why:
         needs = "ROS 2 bags need rosbags, mcap and ruamel.yaml"
         raise missing_extra("ros", f"{needs} (got no module {why.name})") from None
-    modules = {"reader": mcap.reader, "writer": mcap.writer, "typesys": rosbags.typesys}
-    return SimpleNamespace(**modules, yaml=ruamel.yaml)
+    return SimpleNamespace(reader=mcap.reader, writer=mcap.writer, yaml=ruamel.yaml)
 
 
 # ---- records: what goes into a bag ------------------------------------------------------------------
@@ -268,7 +233,7 @@ class _PartWriter:
         if ping.sonar is not None:
             turn = ping.sonar.sonar_from_head[:3, :3] @ turn
         header = self._place(name, ping.pose, "_beams", turn, record.vehicle_pose)
-        self._put(f"/{name}/projected_image", self.types.ping(header, ping, self.settings))
+        self._put(f"/{name}/projected_image", self.types.ping(header, ping, self.settings.y_sign))
         self._put_picture(name, header, record)
 
     def _add_camera(self, record: CameraRecord) -> None:
@@ -483,121 +448,3 @@ def _to_yaml(value) -> str:
     text = io.StringIO()
     yaml.dump(value, text)
     return text.getvalue()
-
-
-# ---- messages ---------------------------------------------------------------------------------------
-
-
-def nanoseconds(time_s: float) -> int:
-    """Return the nearest nanosecond to a time of the simulation in seconds; an Error outside 0..2³¹ s."""
-    if not is_number(time_s):
-        raise Error(f"a time in a ROS bag must be a number of seconds (got {time_s!r})")
-    if not 0 <= time_s < MAX_TIME_S:  # NaN too
-        raise Error(
-            f"a time in a ROS bag must lie in 0..{MAX_TIME_S} s (got {time_s:g}; bags have no times below 0: "
-            "count from the first ping)"
-        )
-    seconds = math.floor(time_s)
-    return seconds * 10**9 + round(float(time_s - seconds) * 1e9)  # the difference is exact
-
-
-def by_range(counts: np.ndarray) -> np.ndarray:
-    """Return counts (B, K) as little-endian integers (K, B), range by range, port first."""
-    return np.ascontiguousarray(counts[::-1].T, counts.dtype.newbyteorder("<"))
-
-
-class MessageTypes:
-    """The message types of a bag of pings."""
-
-    def __init__(self):
-        from trimesh.transformations import quaternion_from_matrix  # trimesh takes a second to load
-
-        typesys = _libraries().typesys
-        self._quaternion = quaternion_from_matrix
-        self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        for name, text in DEFINITIONS.items():
-            text = "\n".join(line.strip() for line in text.split("\n"))
-            self._store.register(typesys.get_types_from_msg(text, name))
-        self._directions = lru_cache(maxsize=16)(self._make_directions)
-        self.schema = lru_cache(maxsize=None)(self._make_schema)
-
-    def make(self, name: str, *fields):
-        """Return a message of the type "package/Name" with fields in their order."""
-        package, kind = name.split("/")
-        return self._store.types[f"{package}/msg/{kind}"](*fields)
-
-    def encode(self, message) -> bytes:
-        """Return a message in CDR, little endian."""
-        return bytes(self._store.serialize_cdr(message, message.__msgtype__, little_endian=True))
-
-    def _make_schema(self, msgtype: str) -> tuple[str, str]:
-        """Return the definition of a type, including those of its fields, and the hash of both."""
-        return self._store.generate_msgdef(msgtype, ros_version=2)[0], self._store.hash_rihs01(msgtype)
-
-    def header(self, time_ns: int, frame: str):
-        """Return a std_msgs/Header."""
-        return self.make(
-            "std_msgs/Header", self.make("builtin_interfaces/Time", *divmod(time_ns, 10**9)), frame
-        )
-
-    def _make_directions(self, table: bytes, y_sign: str) -> list:
-        """Return the unit vectors of beams, port first, from the bytes of their azimuths."""
-        azimuth = np.frombuffer(table)[::-1]
-        forward = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
-        return [self.make("geometry_msgs/Vector3", *xyz) for xyz in (forward @ BEAMS[y_sign]).tolist()]
-
-    def ping(self, header, ping: Ping, settings: BagSettings):
-        """Return a marine_acoustic_msgs/ProjectedSonarImage, beams port first.
-
-        Readers expect beams sorted by rising atan2(−y, z): with y to port, by azimuth to starboard.
-        """
-        missing = [name for name in ("sonar", "acoustics") if getattr(ping, name) is None]
-        if missing:
-            raise Error(
-                f"a ping in a ROS bag must have sonar and acoustics (missing: {' and '.join(missing)})"
-            )
-        sonar, n_beams, data = ping.sonar, len(ping.azimuth_rad), by_range(ping.counts())
-        info = self.make(
-            "marine_acoustic_msgs/PingInfo",
-            sonar.frequency_hz,
-            ping.acoustics.water.sound_speed(),
-            np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
-            np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
-        )
-        dtype = DTYPES.index(f"UINT{8 * data.itemsize}")
-        data = data.reshape(-1).view(np.uint8)
-        image = self.make("marine_acoustic_msgs/SonarImageData", False, dtype, n_beams, data)
-        table = np.ascontiguousarray(ping.azimuth_rad, np.float64).tobytes()
-        directions = self._directions(table, settings.y_sign)
-        ranges = np.asarray(ping.range_m, np.float32)
-        return self.make("marine_acoustic_msgs/ProjectedSonarImage", header, info, directions, ranges, image)
-
-    def image(self, header, pixels: np.ndarray):
-        """Return a sensor_msgs/Image of (H, W) uint8 or uint16, (H, W, 3) RGB uint8, or (H, W) float32 metres."""
-        encodings = {np.uint8: "mono8", np.uint16: "mono16", np.float32: "32FC1"}
-        encoding = "rgb8" if pixels.ndim == 3 else encodings[pixels.dtype.type]
-        pixels = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("<"))
-        height, width = pixels.shape[:2]
-        data = pixels.reshape(-1).view(np.uint8)
-        return self.make("sensor_msgs/Image", header, height, width, encoding, 0, data.size // height, data)
-
-    def camera_info(self, header, height: int, width: int, K: np.ndarray):
-        """Return the sensor_msgs/CameraInfo of a pinhole camera without distortion."""
-        roi = self.make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
-        P = np.hstack([K, np.zeros((3, 1))])
-        matrices = (m.reshape(-1) for m in (np.zeros(5), K, np.eye(3), P))
-        return self.make("sensor_msgs/CameraInfo", header, height, width, "plumb_bob", *matrices, 0, 0, roi)
-
-    def transform(self, time_ns: int, parent: str, child: str, matrix: np.ndarray):
-        """Return the geometry_msgs/TransformStamped of (4, 4) parent_from_child."""
-        w, x, y, z = self._quaternion(matrix).tolist()
-        translation = self.make("geometry_msgs/Vector3", *matrix[:3, 3].tolist())
-        rotation = self.make("geometry_msgs/Quaternion", x, y, z, w)
-        transform = self.make("geometry_msgs/Transform", translation, rotation)
-        return self.make("geometry_msgs/TransformStamped", self.header(time_ns, parent), child, transform)
-
-
-@lru_cache(maxsize=1)
-def message_types() -> MessageTypes:
-    """Return the message types of this process; reading them takes a tenth of a second."""
-    return MessageTypes()

@@ -16,6 +16,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "listings",
         "plan",
         "render",
+        "ros2",
         "scene_report",
         "system_checks",
         "verify",

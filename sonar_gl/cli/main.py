@@ -378,3 +378,49 @@ def emulate_ping360(scene, **options):
     Angle 0 points ahead, and angles grow clockwise as seen from above. The head turns in no time.
     """
     echo(cli.emulate.ping360(scene, SimpleNamespace(**options)))
+
+
+ROS2_EXAMPLES = """\b
+Examples:
+  sonar-gl ros2 pylon
+  sonar-gl ros2 pylon --transport foxglove --topics image,points,tf
+  sonar-gl ros2 ocean_floor --poses dive.csv --rate 5
+  sonar-gl ros2 pylon --transport zenoh --clock ros --pose-from odometry=/rov/odometry
+"""
+ROS2_OPTIONS = {
+    "rate": {"type": float, "show_default": "as many as sound and the device allow"},
+    "noise": {"default": "physical"},
+    "tolerance": {"type": float, "default": 0.05},
+    "seed": {"type": int, "default": 0},
+    "duration": {"type": float, "show_default": "until Ctrl-C"},
+    "config": {"type": click.Path(path_type=Path), "metavar": "FILE.toml"},
+    "transport": {
+        "type": click.Choice(("dds", "zenoh", "foxglove")),
+        "multiple": True,
+        "default": ("dds",),
+    },
+    "clock": {"type": click.Choice(("own", "ros", "system")), "default": "own"},
+    "name": {"default": "sonar"},
+    "topics": {"show_default": "all"},
+    "pose_from": {"metavar": "KIND=NAME"},
+    "bodies_from": {"metavar": "TOPIC"},
+    "domain": {"type": click.IntRange(0, 232), "show_default": "the variable ROS_DOMAIN_ID, or 0"},
+}
+
+
+@main.command(epilog=ROS2_EXAMPLES, short_help="Publish live topics of ROS 2, without ROS.")
+@ping_options(poses={}, json=None, **ROS2_OPTIONS)
+@click.pass_context
+def ros2(ctx, scene, **options):
+    """Publish the pings of a sonar in SCENE as live topics of ROS 2: images, point clouds, frames and the clock.
+
+    The sonar pings at its own rate, in real time or as /clock tells. A ping that would come too late is left out, and
+    counted. Poses come from a file, or from topics of other programs. docs/ros2.md describes the topics, the file of
+    --config, and the use with Gazebo, Stonefish and bags.
+    """
+    given = {name for name in options if ctx.get_parameter_source(name).name == "COMMANDLINE"}
+    try:
+        module = cli.ros2
+    except ModuleNotFoundError as why:
+        raise missing_extra("live", f"ros2 needs more packages (got no module {why.name})") from None
+    echo(module.ros2(scene, SimpleNamespace(**options), given))

@@ -45,6 +45,15 @@ HELP = {
     "port": "Port to listen at.",
     "status_to": "Address that receives the device's status, such as 192.168.1.255 for all of a network.",
     "duration": "Stop after so many seconds.",
+    "config": "TOML file with options and settings of topics; what the command line says comes first.",
+    "transport": "What carries the topics; may be repeated.",
+    "rate": "Pings per second.",
+    "clock": "Time of the stamps: own, published on /clock; ros, which follows /clock; or system, that of the machine.",
+    "name": "Name of the sonar: topics are /NAME/image and so on, frames NAME and NAME_beams.",
+    "topics": "Publish only these: some of projected_image,raw_image,image,points,tf,clock.",
+    "pose_from": "Messages that move the sonar: odometry=TOPIC, pose=TOPIC or tf=FRAME.",
+    "bodies_from": "Topic of tf2_msgs/TFMessage that moves bodies, whose names are the child frames.",
+    "domain": "Domain of ROS 2.",
     "json": "Print one JSON object instead of text.",
     "out": "Output folder; created if it does not exist.",
 }
@@ -110,8 +119,11 @@ PING_OPTIONS = {
 
 
 def ping_options(**more):
-    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP."""
-    settings = {**PING_OPTIONS, **more}
+    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
+
+    An option of PING_OPTIONS that is None in `more` is left out.
+    """
+    settings = {name: given for name, given in {**PING_OPTIONS, **more}.items() if given is not None}
 
     def decorate(command):
         for name in reversed([name for name in HELP if name in settings]):

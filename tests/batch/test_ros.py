@@ -20,12 +20,10 @@ from sonar_gl.batch.ros import (
     BagSettings,
     CameraRecord,
     PingRecord,
-    by_range,
     finish_bag,
-    message_types,
-    nanoseconds,
     write_part,
 )
+from sonar_gl.batch.ros_messages import by_range, message_types, nanoseconds
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command
 from sonar_gl.core.poses import pose
@@ -384,7 +382,7 @@ def test_invalid_records_are_refused(tmp_path):
     assert "sonar 'a b' and that of sonar 'a-b', both 'a_b'" in clash
     assert "of sonar 'base-link' and that of a frame" in error(record(sonar="base-link"))
     assert "must have its pose (got None)" in error(record(ping=make_ping(pose=None)))
-    needed = "a ping in a ROS bag must have sonar and acoustics"
+    needed = "a ping in a ROS message must have sonar and acoustics"
     assert f"{needed} (missing: acoustics)" in error(record(ping=make_ping(acoustics=None)))
     without = make_ping(sonar=None, acoustics=None)
     assert f"{needed} (missing: sonar and acoustics)" in error(record(ping=without))

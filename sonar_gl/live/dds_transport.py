@@ -1,0 +1,446 @@
+"""Messages over DDS as ROS 2 nodes send them, through Cyclone DDS and without ROS.
+
+| of ROS 2 | of DDS |
+|---|---|
+| topic /sonar/image | topic rt/sonar/image |
+| type sensor_msgs/msg/Image | type sensor_msgs::msg::dds_::Image_, final, without keys, in XCDR1 |
+| its hash | "typehash=RIHS01_...;" in the user data of writers and readers, which nodes since Iron compare |
+| reliable, depth, transient local | the same policies |
+
+Messages are bytes here: a type only tells Cyclone DDS how they are laid out. By that it refuses bytes of another
+layout, sent or received, and describes the type to other programs. Fast DDS 3 compares descriptions where both sides
+send one; nodes of ROS 2 Humble to Jazzy send none, and compare names.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import os
+import re
+import threading
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from types import SimpleNamespace
+
+from sonar_gl.core.checks import check_whole_number
+from sonar_gl.core.errors import Error
+from sonar_gl.core.extras import missing_extra
+from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
+
+logger = logging.getLogger(__name__)
+
+LOOPBACK = "127.0.0.1"
+LOOPBACK_NAMES = "lo", "lo0", "localhost"
+# Participants of one machine take the ports of an index, and are looked for at those of all indices; 32 as in ROS 2's
+# own configuration for the range LOCALHOST.
+MAX_INDEX = 32
+TAKEN_AT_ONCE = 64
+PATIENCE_S = 5.0  # with a function that receives a message while its transport is closed
+LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
+
+
+def _libraries() -> SimpleNamespace:
+    """Return the modules that DDS needs, loaded on first use, or raise an Error."""
+    try:
+        import cyclonedds.core
+        import cyclonedds.domain
+        import cyclonedds.idl
+        import cyclonedds.idl.types
+        import cyclonedds.pub
+        import cyclonedds.sub
+        import cyclonedds.topic
+        import cyclonedds.util
+        import rosbags.interfaces
+        import rosbags.typesys
+    except ImportError as why:
+        wheels = "cyclonedds has wheels for Python 3.10 to 3.13, and none for Linux on ARM"
+        needs = f"DDS needs cyclonedds and rosbags (got no module {why.name}; {wheels})"
+        raise missing_extra("live", needs) from None
+    return SimpleNamespace(
+        core=cyclonedds.core,
+        domain=cyclonedds.domain,
+        idl=cyclonedds.idl,
+        types=cyclonedds.idl.types,
+        pub=cyclonedds.pub,
+        sub=cyclonedds.sub,
+        topic=cyclonedds.topic,
+        duration=cyclonedds.util.duration,
+        nodetype=rosbags.interfaces.Nodetype,
+        read_definition=rosbags.typesys.get_types_from_msg,
+    )
+
+
+class DdsTransport(Transport):
+    """Carries messages over DDS, as nodes of ROS 2 do with Fast DDS or Cyclone DDS.
+
+    Parameters
+    ----------
+    domain : 0..232; None is the environment variable ROS_DOMAIN_ID, or 0, as for nodes of ROS 2
+    interface : address or name of the network interface to use, such as "eth0"; None leaves the choice to Cyclone DDS
+        and its environment variable CYCLONEDDS_URI. Any but the loopback interface is a warning, since whoever reaches
+        it can read and send messages
+
+    Raises
+    ------
+    Error
+        if a parameter is wrong, there is no such interface, all places of a machine are taken, or a package is missing.
+
+    Notes
+    -----
+    Nodes are found by multicast and at the well-known ports of 127.0.0.1, since `lo` of Linux is not marked as
+    capable of multicast, and since nodes with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST listen only there.
+    All transports of a process on one domain share one interface.
+    """
+
+    def __init__(self, domain: int | None = None, interface: str | None = LOOPBACK):
+        self.domain = _domain(domain)
+        self.interface = interface
+        self._dds = dds = _libraries()
+        self._lock = threading.Lock()  # of the two tables
+        self._topics, self._writers = {}, {}
+        self._opened = None if interface is None else _open_domain(self.domain, interface)
+        try:
+            self._participant = dds.domain.DomainParticipant(self.domain)
+            self._publisher = dds.pub.Publisher(self._participant)
+            self._receiver = _Receiver(dds, self._participant)
+            # its thread must end before Cyclone DDS does, also where nobody closes this
+            self._end_receiver = weakref.finalize(self, self._receiver.close)
+        except dds.core.DDSException as why:
+            raise Error(f"DDS domain {self.domain} does not open: {_reason(why)}") from None
+        if interface is None or not _is_loopback(interface):
+            through = "the interface that Cyclone DDS chooses" if interface is None else interface
+            logger.warning(
+                "DDS domain %d is open to the network through %s: who reaches it can read and send messages",
+                self.domain,
+                through,
+            )
+
+    def advertise(self, topic: Topic) -> None:
+        """Make a topic known to other programs.
+
+        Raises
+        ------
+        Error
+            if DDS cannot carry its type, the same name has another type, or the transport is closed.
+        """
+        self._writer(topic)
+
+    def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
+        """Send a message without waiting for readers; the oldest of more than `depth` that wait for one is dropped.
+
+        time_ns is not used: DDS stamps messages by the clock.
+
+        Raises
+        ------
+        Error
+            as `advertise` does, or if the message does not have the layout of its type.
+        """
+        writer = self._writer(topic)
+        try:
+            writer.write(writer.data_type(message))
+        except self._dds.core.DDSException as why:
+            raise Error(
+                f"a message of {topic.name!r} must be a {topic.msgtype} in CDR "
+                f"(Cyclone DDS refuses it: {_reason(why)})"
+            ) from None
+
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+        """Call `receive` with each message of other participants, in a thread of the transport.
+
+        Messages that do not have the layout of the type do not arrive. Up to three bytes that only fill the last word
+        may follow a message. What `receive` raises is logged, once for the topic.
+
+        Raises
+        ------
+        Error
+            as `advertise` does.
+        """
+        dds = self._dds
+        with self._lock:
+            dds_topic = self._topic(topic)
+            try:
+                reader = dds.sub.DataReader(self._receiver.subscriber, dds_topic, qos=_qos(dds, topic))
+            except dds.core.DDSException as why:
+                raise Error(f"DDS topic {topic.name!r} cannot be read: {_reason(why)}") from None
+            self._receiver.add(topic.name, reader, receive)
+
+    def close(self) -> None:
+        """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
+        with self._lock:
+            if self._participant is None:
+                return
+            self._end_receiver()
+            # Cyclone DDS deletes what nothing refers to any more: what depends on the participant goes first
+            self._writers, self._topics = {}, {}
+            self._receiver = self._publisher = self._participant = self._opened = None
+
+    def _writer(self, topic: Topic):
+        dds = self._dds
+        with self._lock:
+            writer = self._writers.get(topic)
+            if writer is None:
+                dds_topic = self._topic(topic)
+                try:
+                    writer = dds.pub.DataWriter(self._publisher, dds_topic, qos=_qos(dds, topic))
+                except dds.core.DDSException as why:
+                    raise Error(f"DDS topic {topic.name!r} cannot be written: {_reason(why)}") from None
+                self._writers[topic] = writer
+            return writer
+
+    def _topic(self, topic: Topic):
+        """Return the topic of DDS, made on first use; the lock is held."""
+        dds = self._dds
+        if self._participant is None:
+            raise Error(f"the DDS transport must be open to carry {topic.name!r} (it was closed)")
+        data_type = _data_type(topic.msgtype, topic.definition)
+        known = self._topics.get(topic.name)
+        if known is not None:
+            if known.data_type is not data_type:
+                raise Error(
+                    f"a topic must have one type (got {topic.msgtype} for {topic.name!r}, "
+                    f"and another type or definition before)"
+                )
+            return known
+        try:
+            made = dds.topic.Topic(self._participant, f"rt/{topic.name.removeprefix('/')}", data_type)
+        except dds.core.DDSException as why:
+            raise Error(
+                f"{topic.name!r} must be a name that DDS allows, with a type that no other topic of that name "
+                f"has (Cyclone DDS refuses it: {_reason(why)})"
+            ) from None
+        self._topics[topic.name] = made
+        return made
+
+
+def _reason(why: Exception) -> str:
+    """Return what an exception of Cyclone DDS says, without its place in the code."""
+    return str(why).partition("] ")[2].partition(". ")[0].rstrip(".").lower() or str(why)
+
+
+# ---- domains ----------------------------------------------------------------------------------------
+
+
+class _OpenDomain:
+    """A domain that this process has configured."""
+
+    def __init__(self, interface: str, configuration: str, entity):
+        self.interface, self.configuration, self.entity = interface, configuration, entity
+
+
+# of this process, while a transport uses them
+_domains: weakref.WeakValueDictionary[int, _OpenDomain] = weakref.WeakValueDictionary()
+_domains_lock = threading.Lock()
+
+
+def _domain(domain: int | None) -> int:
+    if domain is not None:
+        return check_whole_number("the DDS domain", domain, 0, MAX_DOMAIN)
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not re.fullmatch("[0-9]{1,9}", text):
+        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {text!r})")
+    return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
+
+
+def _is_loopback(interface: str) -> bool:
+    try:
+        return ipaddress.ip_address(interface).is_loopback
+    except ValueError:
+        return interface in LOOPBACK_NAMES
+
+
+def _open_domain(domain: int, interface: str) -> _OpenDomain:
+    """Configure a domain in this process; whoever has it open already shares it."""
+    dds = _libraries()
+    configuration = _configuration(interface)
+    with _domains_lock:
+        opened = _domains.get(domain)
+        if opened is not None:
+            if opened.configuration != configuration:
+                raise Error(
+                    f"a process must use one interface for a DDS domain (got {interface!r} for domain {domain}, "
+                    f"which is open through {opened.interface!r})"
+                )
+            return opened
+        try:
+            opened = _OpenDomain(interface, configuration, dds.domain.Domain(domain, configuration))
+        except dds.core.DDSException as why:
+            if why.code == why.DDS_RETCODE_PRECONDITION_NOT_MET:
+                raise Error(
+                    f"DDS domain {domain} must not be open in this process already (other code has opened it; take "
+                    f"another domain, or interface=None to share it)"
+                ) from None
+            raise Error(
+                f"the interface of DDS must be the name or the address of one of this machine (got {interface!r} for "
+                f"domain {domain}: {_reason(why)})"
+            ) from None
+        _domains[domain] = opened
+        return opened
+
+
+def _configuration(interface: str) -> str:
+    """Return the configuration of Cyclone DDS for an interface.
+
+    See https://cyclonedds.io/docs/cyclonedds/latest/config/config_file_reference.html
+    """
+    if not isinstance(interface, str) or not re.fullmatch(r"[A-Za-z0-9_.:-]+", interface):
+        raise Error(f"the interface of DDS must be a name or an address, such as 'eth0' (got {interface!r})")
+    discovery = ""
+    if _is_loopback(interface):
+        key, value = "address", LOOPBACK
+        discovery = f"""<Discovery>
+            <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>
+            <Peers><Peer address="{LOOPBACK}"/></Peers>
+        </Discovery>"""
+    else:
+        key, value = "name", interface
+        with suppress(ValueError):
+            key, value = "address", str(ipaddress.ip_address(interface))
+    return f"""<CycloneDDS><Domain>
+        <General><Interfaces><NetworkInterface {key}="{value}"/></Interfaces></General>
+        {discovery}
+    </Domain></CycloneDDS>"""
+
+
+# ---- quality of service and types -------------------------------------------------------------------
+
+
+def _qos(dds: SimpleNamespace, topic: Topic):
+    """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it."""
+    policy = dds.core.Policy
+    return dds.core.Qos(
+        policy.Reliability.Reliable(0) if topic.reliable else policy.Reliability.BestEffort,
+        policy.Durability.TransientLocal if topic.latched else policy.Durability.Volatile,
+        # such a writer drops its oldest message rather than wait for slow readers
+        policy.History.KeepLast(1 if topic.latched else topic.depth),
+        # XCDR1 alone: readers of ROS 2 know no other
+        policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
+        policy.Userdata(data=f"typehash={topic.type_hash};".encode()),
+        policy.WriterDataLifecycle(autodispose=False),  # a message outlives its publisher, as in ROS 2
+        policy.IgnoreLocal.Participant,
+    )
+
+
+@cache
+def _data_type(msgtype: str, definition: str) -> type:
+    """Return the type of Cyclone DDS whose samples are the bytes of messages.
+
+    msgtype : such as "sensor_msgs/msg/Image"
+    definition : fields of it, and of the types in it, in ROS's language
+    """
+    dds = _libraries()
+    try:
+        fields = dds.read_definition(definition, msgtype)
+        data_type = _IdlTypes(dds, fields).struct(msgtype)
+    except Exception as why:  # rosbags and Cyclone DDS raise what they like
+        understood = f"its definition is not understood ({why})"
+        raise Error(f"DDS cannot carry the type {msgtype!r}: {understood}") from None
+    data_type.__init__ = _set_message
+    data_type.serialize = _message_of
+    data_type.deserialize = data_type.deserialize_key = classmethod(_sample_of)
+    return data_type
+
+
+def _set_message(sample, message: bytes):
+    sample.message = message
+
+
+def _message_of(sample, **_) -> bytes:
+    return sample.message
+
+
+def _sample_of(data_type, message: bytes, **_):
+    return data_type(message)
+
+
+class _IdlTypes:
+    """Makes types of Cyclone DDS from fields as rosbags reads them."""
+
+    def __init__(self, dds: SimpleNamespace, fields: dict):
+        self._dds, self._fields, self._structs = dds, fields, {}
+
+    def struct(self, msgtype: str) -> type:
+        """Return the type of a message, such as "std_msgs/msg/Header"."""
+        if msgtype not in self._structs:
+            package, kind, name = msgtype.split("/")
+            fields = {field: self._field(*what) for field, what in self._fields[msgtype][1]}
+            self._structs[msgtype] = self._dds.idl.make_idl_struct(
+                f"{name}_", f"{package}::{kind}::dds_::{name}_", fields, dataclassify=False
+            )
+        return self._structs[msgtype]
+
+    def _field(self, node, what):
+        nodetype, types = self._dds.nodetype, self._dds.types
+        if node == nodetype.NAME:
+            return self.struct(what)
+        if node == nodetype.BASE:
+            name, bound = what
+            if name == "string":
+                return types.bounded_str[bound] if bound else str
+            return {"bool": bool, "char": types.uint8}.get(name) or getattr(types, name)
+        element, length = self._field(*what[0]), what[1]
+        if node == nodetype.ARRAY:
+            return types.array[element, length]
+        return types.sequence[element, length] if length else types.sequence[element]
+
+
+# ---- receiving --------------------------------------------------------------------------------------
+
+
+class _Receiver:
+    """A thread that gives the messages of readers to the functions that wait for them."""
+
+    def __init__(self, dds: SimpleNamespace, participant):
+        core = dds.core
+        self.subscriber = dds.sub.Subscriber(participant)
+        self._dds = dds
+        self._stop = core.GuardCondition(participant)
+        self._waiting = core.WaitSet(participant)
+        self._waiting.attach(self._stop)
+        self._readers = []  # name of the topic, reader, condition, function
+        self._failed = set()  # names of topics whose function has raised
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="DDS messages", daemon=True)
+        self._thread.start()
+
+    def add(self, name: str, reader, receive: Callable[[bytes], None]) -> None:
+        """Give the messages of a reader to a function from now on."""
+        core = self._dds.core
+        mask = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
+        condition = core.ReadCondition(reader, mask)
+        self._readers.append((name, reader, condition, receive))
+        self._waiting.attach(condition)
+
+    def close(self) -> None:
+        """End the thread, and let the readers go; a function that receives messages may call this, too."""
+        self._is_closed = True
+        self._stop.set(True)
+        if threading.current_thread() is not self._thread:
+            self._thread.join(PATIENCE_S)
+        for _, _, condition, _ in self._readers:
+            self._waiting.detach(condition)
+        self._readers.clear()
+
+    def _run(self) -> None:
+        forever = self._dds.duration(infinite=True)
+        while not self._is_closed:
+            self._waiting.wait(forever)
+            for name, reader, condition, receive in list(self._readers):
+                if self._is_closed:
+                    return
+                for sample in reader.take(TAKEN_AT_ONCE, condition):
+                    # a sample without data tells that a writer is gone
+                    if sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN:
+                        self._give(name, receive, sample.message)
+
+    def _give(self, name: str, receive: Callable[[bytes], None], message: bytes) -> None:
+        if self._is_closed:
+            return
+        try:
+            receive(message)
+        except Exception:
+            if name not in self._failed:
+                self._failed.add(name)
+                logger.exception("a message of %r is lost: the function that receives it fails", name)

@@ -1,0 +1,75 @@
+"""When a sonar pings inside a loop that runs faster, or at times falls behind."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+JUMP_NS = (
+    10 * 10**9
+)  # a longer step is a jump of time, as when a bag begins; a shorter one is a loop that was held up
+
+
+class Slot(NamedTuple):
+    """What a schedule says of one step of the loop.
+
+    Attributes
+    ----------
+    is_due : whether to ping now
+    n_dropped : number of earlier pings that there was no step for, and that are left out
+    has_jumped : whether time jumped, so that the schedule began anew
+    """
+
+    is_due: bool
+    n_dropped: int = 0
+    has_jumped: bool = False
+
+
+class PingSchedule:
+    """The times at which a sonar pings: the first step that it sees, and from then on evenly.
+
+    A ping is made in the first step at or after its time. If another one's time has come by then, it is dropped, so
+    that nothing piles up, and the times that follow do not drift.
+
+    Parameters
+    ----------
+    rate_hz : pings per second, of the time of the steps
+
+    >>> schedule = PingSchedule(10.0)
+    >>> [schedule.advance(time_ns)[:2] for time_ns in (0, 50_000_000, 110_000_000, 450_000_000)]
+    [(True, 0), (False, 0), (True, 0), (True, 2)]
+    """
+
+    def __init__(self, rate_hz: float):
+        self._period_ns = 1e9 / rate_hz
+        self._start_ns = self._seen_ns = self._last_ns = None
+        self._number = 0  # of the next ping since the start
+
+    def advance(self, time_ns: int, is_ready: bool = True) -> Slot:
+        """Return what to do at a time.
+
+        Parameters
+        ----------
+        time_ns : nanoseconds
+        is_ready : whether a ping can be made; if not, one that is due waits for the next step
+
+        Notes
+        -----
+        Steps that go back by up to a period, as messages that overtake each other do, wait until their time comes
+        again. Larger ones, and those that go ahead by more than JUMP_NS, are a jump: the simulation was reset, or a
+        bag began again. The sonar then pings at once, and nothing counts as dropped.
+        """
+        has_jumped = self._start_ns is not None and self._is_jump(time_ns)
+        if self._start_ns is None or has_jumped:
+            self._start_ns = self._last_ns = time_ns
+            self._number = 0
+        self._seen_ns = time_ns
+        elapsed_ns = time_ns - self._start_ns
+        if not is_ready or elapsed_ns < round(self._number * self._period_ns):
+            return Slot(False, 0, has_jumped)
+        number = max(self._number, int((elapsed_ns + 0.5) // self._period_ns))
+        n_dropped = number - self._number
+        self._number, self._last_ns = number + 1, time_ns
+        return Slot(True, n_dropped, has_jumped)
+
+    def _is_jump(self, time_ns: int) -> bool:
+        return time_ns > self._seen_ns + JUMP_NS or time_ns < self._last_ns - self._period_ns

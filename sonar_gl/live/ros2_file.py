@@ -1,0 +1,128 @@
+"""The TOML file of `sonar-gl ros2`: options of the command, and settings of topics, frames and transports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from sonar_gl.batch.job import Mount, Table, job_error
+from sonar_gl.core.toml import read_toml
+
+TopicName = str | Literal[False]
+Port = Annotated[int, Field(ge=0, le=65535)]
+
+
+class TopicsTable(Table):
+    """Names of topics; false for those that are not published."""
+
+    projected_image: TopicName = None
+    raw_image: TopicName = None
+    image: TopicName = None
+    points: TopicName = None
+    tf: TopicName = None
+    clock: TopicName = None
+
+
+class ImageTable(Table):
+    """The fan image: height in pixels, and a colour map for one in RGB."""
+
+    height: int = None
+    colormap: str = None
+
+
+class PointsTable(Table):
+    """The point cloud: number of rays in azimuth and elevation."""
+
+    columns: int = None
+    rows: int = None
+
+
+class ZenohTable(Table):
+    """The transport zenoh: address of a router, and whether its ROS has hashes of types, as since Iron."""
+
+    connect: str = None
+    type_hashes: bool = None
+
+
+class DdsTable(Table):
+    """The transport DDS: the network interface."""
+
+    interface: str = None
+
+
+class FoxgloveTable(Table):
+    """The transport Foxglove: where its server listens."""
+
+    host: str = None
+    port: Port = None
+
+
+class Ros2File(Table):
+    """What a file holds. Options that it does not name have the command's defaults.
+
+    Attributes
+    ----------
+    sonar, ... bodies_from : options of the command, by their names
+    world_frame, vehicle_frame, mount, y_sign : as for `PublisherSettings`
+    topics, image, points, zenoh, dds, foxglove : tables
+    """
+
+    sonar: str = None
+    range: float = None
+    bins: int = None
+    pose: str = None
+    poses: str = None
+    profile: Literal["ideal", "demarco2015", "physical"] = None
+    acoustics: str = None
+    water: str = None
+    noise: str = None
+    tolerance: float = None
+    seed: Annotated[int, Field(ge=0)] = None
+    surface: float = None
+    rate: float = None
+    duration: Annotated[float, Field(gt=0)] = None
+    transport: Annotated[list[Literal["dds", "zenoh", "foxglove"]], Field(min_length=1)] = None
+    clock: Literal["own", "ros", "system"] = None
+    name: str = None
+    pose_from: str = None
+    bodies_from: str = None
+    domain: Annotated[int, Field(ge=0, le=232)] = None
+    world_frame: str = None
+    vehicle_frame: str = None
+    mount: Mount = None
+    y_sign: Literal["port", "starboard"] = None
+    topics: TopicsTable = TopicsTable()
+    image: ImageTable = ImageTable()
+    points: PointsTable = PointsTable()
+    zenoh: ZenohTable = ZenohTable()
+    dds: DdsTable = DdsTable()
+    foxglove: FoxgloveTable = FoxgloveTable()
+
+
+# keys that are options of the command
+OPTIONS = tuple(Ros2File.model_fields)[: list(Ros2File.model_fields).index("domain") + 1]
+
+
+def read_ros2_file(path) -> Ros2File:
+    """Read the settings of a TOML file.
+
+    Raises
+    ------
+    Error
+        if the file cannot be read or is invalid; names file, table and key of every fault.
+    """
+    path = Path(path)
+    data = read_toml(path, "the file of --config")
+    try:
+        found = Ros2File.model_validate(data)
+    except ValidationError as why:
+        raise job_error(why, Ros2File, str(path), whole="the file") from None
+    # files are where this file is
+    here = {
+        key: str(path.resolve().parent / getattr(found, key).partition(",")[0])
+        for key in ("sonar", "poses")
+        if getattr(found, key) is not None
+    }
+    return found.model_copy(update={key: file for key, file in here.items() if Path(file).is_file()})

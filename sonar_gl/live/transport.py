@@ -1,0 +1,56 @@
+"""What carries messages to other programs: one interface over zenoh, DDS and Foxglove."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of ROS 2 and the type of its messages.
+
+    Parameters
+    ----------
+    name : begins with "/", such as "/sonar/image"
+    msgtype : such as "sensor_msgs/msg/Image"
+    type_hash : "RIHS01_" and 64 hexadecimal digits, as ROS 2 Iron and later compare them
+    definition : fields of the type, and of the types in it, in ROS's language
+    reliable : True if what is lost is sent again
+    latched : True if late subscribers receive the last message ("transient local")
+    depth : number of messages that wait for a slow subscriber
+    """
+
+    name: str
+    msgtype: str
+    type_hash: str
+    definition: str
+    reliable: bool = True
+    latched: bool = False
+    depth: int = 5
+
+
+class Transport(ABC):
+    """Carries messages in CDR, little endian, with its header of four bytes."""
+
+    @abstractmethod
+    def advertise(self, topic: Topic) -> None:
+        """Make a topic known to other programs; `publish` does so, too, where this was not called."""
+
+    @abstractmethod
+    def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
+        """Send a message without waiting for those who receive it.
+
+        time_ns : time of the message in nanoseconds, as in its header
+        """
+
+    @abstractmethod
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+        """Call `receive` with each message of other programs on a topic, in a thread of the transport."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw the topics and give back what it holds; may be called twice."""

@@ -1,0 +1,47 @@
+"""A transport within the process, for tests."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from sonar_gl.batch.ros_messages import message_types
+from sonar_gl.live.transport import Transport
+
+
+class LoopbackTransport(Transport):
+    """Hands each message at once to those who subscribe, and keeps all.
+
+    Attributes
+    ----------
+    sent : (Topic, bytes, time in nanoseconds) of each message
+    topics : Topic of each that was advertised or subscribed to, by name
+    """
+
+    def __init__(self):
+        self.sent, self.topics, self.is_closed = [], {}, False
+        self._receivers = defaultdict(list)
+
+    def advertise(self, topic):
+        self.topics[topic.name] = topic
+
+    def publish(self, topic, message, time_ns):
+        self.topics[topic.name] = topic
+        self.sent.append((topic, message, time_ns))
+        self.inject(topic.name, message)
+
+    def subscribe(self, topic, receive):
+        self.topics[topic.name] = topic
+        self._receivers[topic.name].append(receive)
+
+    def close(self):
+        self.is_closed = True
+
+    def inject(self, name, message):
+        """Have a message of another program arrive."""
+        for receive in self._receivers[name]:
+            receive(message)
+
+    def messages(self, name):
+        """Return the decoded messages of a topic, in the order in which they were sent."""
+        types = message_types()
+        return [types.decode(data, topic.msgtype) for topic, data, _ in self.sent if topic.name == name]

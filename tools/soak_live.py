@@ -1,0 +1,244 @@
+"""Send pings over a transport on this machine, and print what is lost, how late it comes, and how memory grows.
+
+    python -m tools.soak_live                            # zenoh, 30 minutes at 20 Hz
+    python -m tools.soak_live --minutes 2 --rate 50
+
+One process sends a message of 256 beams and 512 bins, another receives it, and a third one is the router of zenoh.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import zlib
+from contextlib import ExitStack
+from dataclasses import dataclass
+from time import perf_counter, sleep, time_ns
+
+import numpy as np
+
+from sonar_gl.live.transport import Transport
+from sonar_gl.live.zenoh_transport import ZenohTransport
+from tests.support.live_messages import (
+    free_port,
+    ping_message,
+    sonar_topic,
+    stamp_of,
+    stamped,
+    zenoh_router,
+)
+from tests.support.soak import resident_bytes
+
+WAIT_S = 60.0  # for a process to start, or to end
+DISCOVERY_S = 2.0  # until both ends know of one another
+LINGER_S = 1.0  # for the last messages to arrive
+WARM_UP = 0.25  # share of the time whose growth of memory does not count: pools of threads and buffers fill
+N_SAMPLES = 400  # of memory
+
+
+def zenoh_transport(port: int) -> Transport:
+    """Return a transport of this process by the router at a port."""
+    return ZenohTransport(f"tcp/127.0.0.1:{port}")
+
+
+TRANSPORTS = {"zenoh": zenoh_transport}
+ROUTERS = {"zenoh": zenoh_router}  # transports that need one
+
+
+class Memory:
+    """Resident memory of this process over time, in an array that does not grow.
+
+    Parameters
+    ----------
+    duration_s : for how long it is watched
+    """
+
+    def __init__(self, duration_s: float):
+        self._period_s, self._start_s = duration_s / N_SAMPLES, perf_counter()
+        self._rows, self._n = np.zeros((N_SAMPLES, 2)), 0
+
+    def watch(self) -> None:
+        """Take a sample if it is time for one."""
+        passed_s = perf_counter() - self._start_s
+        if self._n < N_SAMPLES and passed_s >= self._n * self._period_s:
+            self._rows[self._n] = passed_s, resident_bytes()
+            self._n += 1
+
+    def growth(self) -> float:
+        """Return the growth after the warm-up, bytes per minute: the slope of the line with the least squares."""
+        rows = self._rows[int(WARM_UP * self._n) : self._n]
+        return 60.0 * float(np.polyfit(rows[:, 0], rows[:, 1], 1)[0])
+
+
+@dataclass(frozen=True)
+class Received:
+    """What a process received.
+
+    Attributes
+    ----------
+    count : messages
+    damaged : messages that differ from what was sent in more than the time
+    disordered : messages that came after a later one, or twice
+    dropped : messages that came while more waited than the topic keeps
+    latency_s : (count,) from sending to receiving
+    growth : of its memory, bytes per minute
+    """
+
+    count: int
+    damaged: int
+    disordered: int
+    dropped: int
+    latency_s: np.ndarray
+    growth: float
+
+
+@dataclass(frozen=True)
+class Soak:
+    """What came of it.
+
+    Attributes
+    ----------
+    sent : messages
+    message_bytes : of each
+    received : Received
+    growth : of the sender's memory, bytes per minute
+    worst_publish_s : the longest time that sending took
+    """
+
+    sent: int
+    message_bytes: int
+    received: Received
+    growth: float
+    worst_publish_s: float
+
+    @property
+    def lost(self) -> int:
+        """Messages that did not arrive."""
+        return self.sent - self.received.count
+
+
+class _Reader:
+    """Notes the messages that arrive."""
+
+    def __init__(self, most: int, checksum: int, duration_s: float):
+        self.latency_s, self.count = np.zeros(most), 0
+        self.damaged = self.disordered = 0
+        self.memory, self._checksum, self._last_ns = Memory(duration_s), checksum, 0
+
+    def read(self, message: bytes) -> None:
+        """Note a message."""
+        stamp_ns = stamp_of(message)
+        self.latency_s[self.count] = (time_ns() - stamp_ns) / 1e9
+        self.count += 1
+        self.damaged += zlib.crc32(stamped(message, 0)) != self._checksum
+        self.disordered += stamp_ns <= self._last_ns
+        self._last_ns = stamp_ns
+        self.memory.watch()
+
+
+def receive(kind: str, port: int, most: int, checksum: int, duration_s: float, pipe) -> None:
+    """Receive until the other end of a pipe says so, and answer with what came."""
+    transport, reader = TRANSPORTS[kind](port), _Reader(most, checksum, duration_s)
+    transport.subscribe(sonar_topic(), reader.read)
+    pipe.send("ready")
+    pipe.recv()
+    transport.close()
+    latency_s = reader.latency_s[: reader.count]
+    counts = reader.count, reader.damaged, reader.disordered, transport.dropped
+    pipe.send(Received(*counts, latency_s, reader.memory.growth()))
+
+
+def route(kind: str, port: int, pipe) -> None:
+    """Be the router until the other end of a pipe says so."""
+    with ROUTERS[kind](port):
+        pipe.send("ready")
+        pipe.recv()
+
+
+def soak(kind: str, duration_s: float, rate_hz: float) -> Soak:
+    """Send messages at a rate from this process to another one.
+
+    Parameters
+    ----------
+    kind : key of TRANSPORTS
+    duration_s, rate_hz : for how long, and how often
+    """
+    port, count = free_port(), max(1, round(duration_s * rate_hz))
+    _, message = ping_message()
+    message, topic = stamped(message, 0), sonar_topic()
+    with ExitStack() as stack:
+        if kind in ROUTERS:
+            stack.enter_context(_process(route, kind, port))
+        settings = kind, port, count, zlib.crc32(message), duration_s
+        pipe = stack.enter_context(_process(receive, *settings))
+        transport = TRANSPORTS[kind](port)
+        stack.callback(transport.close)
+        transport.advertise(topic)
+        sleep(DISCOVERY_S)
+        memory, worst_s, start_s = Memory(duration_s), 0.0, perf_counter()
+        for k in range(count):
+            sleep(max(0.0, start_s + k / rate_hz - perf_counter()))
+            now_ns, before_s = time_ns(), perf_counter()
+            transport.publish(topic, stamped(message, now_ns), now_ns)
+            worst_s = max(worst_s, perf_counter() - before_s)
+            memory.watch()
+        sleep(LINGER_S)
+        pipe.send("enough")
+        return Soak(count, len(message), _next(pipe), memory.growth(), worst_s)
+
+
+class _process:  # noqa: N801, used like a function
+    """Run a function in another process, with the end of a pipe as its last argument, while a block lasts."""
+
+    def __init__(self, function, *arguments):
+        context = multiprocessing.get_context("spawn")
+        self.pipe, other = context.Pipe()
+        self._process = context.Process(target=function, args=(*arguments, other), daemon=True)
+
+    def __enter__(self):
+        self._process.start()
+        _next(self.pipe)
+        return self.pipe
+
+    def __exit__(self, *_):
+        if self._process.is_alive():
+            self.pipe.send("enough")
+        self._process.join(WAIT_S)
+        self._process.terminate()
+
+
+def _next(pipe):
+    """Return what comes next from a pipe; a RuntimeError if nothing does."""
+    if not pipe.poll(WAIT_S):
+        raise RuntimeError(f"the other process says nothing for {WAIT_S:g} s")
+    return pipe.recv()
+
+
+def main():
+    """Print what came of it."""
+    parser = argparse.ArgumentParser(prog="python -m tools.soak_live", description=__doc__.partition("\n")[0])
+    parser.add_argument("--transport", choices=sorted(TRANSPORTS), default="zenoh")
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--rate", type=float, default=20.0, help="messages per second")
+    options = parser.parse_args()
+    if not (options.minutes > 0 and options.rate > 0):
+        parser.error("--minutes and --rate must be greater than 0")
+    found = soak(options.transport, 60.0 * options.minutes, options.rate)
+    received = found.received
+    median_s, worst_s = np.median(received.latency_s), received.latency_s.max()
+    print(f"{options.transport}, {options.minutes:g} minutes at {options.rate:g} Hz")
+    print(
+        f"messages of {found.message_bytes} bytes: {found.sent} sent, {received.count} received, {found.lost} lost"
+    )
+    print(
+        f"{received.damaged} damaged, {received.disordered} out of order, {received.dropped} dropped by the reader"
+    )
+    print(f"latency: median {1e3 * median_s:.2f} ms, worst {1e3 * worst_s:.1f} ms")
+    print(f"publish: worst {1e3 * found.worst_publish_s:.1f} ms")
+    print(
+        f"growth of memory: sender {found.growth / 1e3:+.1f} kB, receiver {received.growth / 1e3:+.1f} kB per minute"
+    )
+
+
+if __name__ == "__main__":
+    main()
