@@ -271,13 +271,13 @@ def test_a_topic_that_is_not_latched_keeps_nothing_for_late_programs(port, route
 
 
 def test_messages_of_other_programs_arrive_and_ones_own_do_not(peer, router, transports):
-    topic, received, own = topic_of("/odom", "nav_msgs/msg/Odometry", reliable=False), [], []
-    transport, session = transports(), None
+    topic = topic_of("/odom", "nav_msgs/msg/Odometry", reliable=False, depth=100)
+    received, own, transport = [], [], transports()
     transport.subscribe(topic, received.append)
     transports(node="same").subscribe(topic, own.append)
     session = transport.session_id
     key = f"0/odom/nav_msgs::msg::dds_::Odometry_/{topic.type_hash}"
-    token = f"@ros2_lv/0/{session}/0/1/MS/%/%/sonar_gl/%odom/{key.partition('odom/')[2]}/2::,5:,:,:,,"
+    token = f"@ros2_lv/0/{session}/0/1/MS/%/%/sonar_gl/%odom/{key.partition('odom/')[2]}/2::,100:,:,:,,"
     wait_until(lambda: token in tokens_of(router))
     publisher = peer.declare_publisher(key)
     wait_until(lambda: publisher.put(b"probe", attachment=attachment(1, 2, bytes(16))) or received)
