@@ -24,7 +24,7 @@ ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
 LOCAL = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 REMOTE_TIMEOUT_MS = 3000  # for the first connection to a router of another machine
 HEARTBEAT_S = 0.5  # between announcements of the last message of a latched topic; rmw_zenoh's
-MAX_BATCHES = 16  # zenoh's default, 2, does not hold a ping of 256 beams and 512 bins
+MAX_BATCHES = 16  # zenoh's most; its default, 2, does not hold a ping of 256 beams and 512 bins
 RETRY = {
     "period_init_ms": 500,
     "period_max_ms": 2000,

@@ -112,6 +112,11 @@ def test_a_viewer_that_does_not_read_holds_up_nobody(transport, viewers):
         message = struct.pack("<I", k) + bytes(size)
         transport.publish(topic, message, k)
         assert viewer.next_message() == (7, k, message)
+    # the idle one misses the oldest ones; the network's buffers and the client's hold some beside those that wait
+    received = [idle.next_message()[1]]
+    while received[-1] < 4 * MAX_BACKLOG - 1:
+        received.append(idle.next_message()[1])
+    assert received == sorted(set(received)) and len(received) < 2 * MAX_BACKLOG
 
 
 # ---- messages of viewers ------------------------------------------------------------------------------
