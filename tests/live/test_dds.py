@@ -301,16 +301,16 @@ def offer_of(transport, participant, topic):
 
 
 @pytest.mark.parametrize(
-    ("policies", "reliability", "durability", "depth"),
+    ("policies", "reliability", "durability"),
     [
-        ({}, Policy.Reliability.Reliable(0), Policy.Durability.Volatile, 5),
-        ({"reliable": False, "depth": 2}, Policy.Reliability.BestEffort, Policy.Durability.Volatile, 2),
-        ({"latched": True}, Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal, 1),
+        ({}, Policy.Reliability.Reliable(0), Policy.Durability.Volatile),
+        ({"reliable": False}, Policy.Reliability.BestEffort, Policy.Durability.Volatile),
+        ({"latched": True}, Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal),
     ],
     ids=["reliable", "best_effort", "latched"],
 )
 def test_a_topic_is_offered_as_ros_offers_it(
-    open_transport, participant, name, policies, reliability, durability, depth
+    open_transport, participant, name, policies, reliability, durability
 ):
     topic = topic_of(name, "tf2_msgs/msg/TFMessage", **policies)
     offer = offer_of(open_transport(), participant, topic)

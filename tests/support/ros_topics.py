@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import cache
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -51,9 +52,14 @@ def projected_image(number: int, n_beams: int = 256, n_bins: int = 512):
 
 def decode(topic: Topic, message: bytes):
     """Return the message of bytes in CDR, read by the definition that the topic carries."""
+    return _store(topic).deserialize_cdr(message, topic.msgtype)
+
+
+@cache
+def _store(topic: Topic):
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(topic.definition, topic.msgtype))
-    return store.deserialize_cdr(message, topic.msgtype)
+    return store
 
 
 def plain(message) -> dict | list | str | float:
