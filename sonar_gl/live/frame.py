@@ -18,6 +18,7 @@ class LiveFrame:
     Attributes
     ----------
     number : of the ping, from 0
+    clock_s : seconds since the session began
     time_s : seconds: of the trajectory while the sonar follows one, else since the session began
     pose : (4, 4) world_from_sonar
     ping : Ping, whose sonar has the law of counts of the settings
@@ -31,6 +32,7 @@ class LiveFrame:
     """
 
     number: int
+    clock_s: float
     time_s: float
     pose: np.ndarray
     ping: Ping

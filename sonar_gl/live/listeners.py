@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from threading import Condition, Thread, current_thread
 
+from sonar_gl.core.errors import Error
+
 logger = logging.getLogger(__name__)
 
 
@@ -72,7 +74,10 @@ class Listener:
                     item = self._items.popleft()
                 self._call(item)
         except Exception as why:
-            logger.exception("a listener of a live session failed, and hears no more")
+            # whose fault an Error is it says by itself
+            logger.warning(
+                "a listener failed, and gets no more pings: %s", why, exc_info=not isinstance(why, Error)
+            )
             self.failure = why
         finally:
             self._is_closed = True

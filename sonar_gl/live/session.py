@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 import warnings
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,27 +15,37 @@ from threading import Condition, Thread, current_thread
 import numpy as np
 
 from sonar_gl.analysis.terms import Price, price
-from sonar_gl.core.checks import check_kind, check_number
+from sonar_gl.core.checks import check_kind, check_number, check_whole_number
 from sonar_gl.core.errors import Error, closed_error, nearest_names
 from sonar_gl.core.poses import check_pose
+from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.worker import Job
+from sonar_gl.live.command_line import SceneSource, rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
 from sonar_gl.live.listeners import Listener
 from sonar_gl.live.motion import SPEED_M_S, TURN_RATE_RAD_S, moved
-from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput, SceneSource
+from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
 from sonar_gl.live.pictures import picture_of, pixel_bins, pixels_of
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
+from sonar_gl.live.surfaces import surface_in_bin
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.counts import LEVEL_BOUND_DB
 
 logger = logging.getLogger(__name__)
 
 RATE_PINGS = 20  # of which the ping rate is the mean
 RETRY_S = 0.5  # after a ping that failed
 KEPT_LABELS = 4  # pings whose labels are kept for read-outs
+
+
+def _check_bin(frame: LiveFrame, beam: int, bin: int) -> tuple[int, int]:
+    """Return the indices of a bin of a frame's ping; raise Error if there is no such bin."""
+    beams, bins = frame.ping.intensity.shape
+    return check_whole_number("beam", beam, 0, beams - 1), check_whole_number("bin", bin, 0, bins - 1)
 
 
 class LiveSession:
@@ -50,6 +61,7 @@ class LiveSession:
     track : PoseTrack that the sonar follows at first; None for none
     folder : of the files that `output` writes, made when the first is written
     source : SceneSource, how a command line names the scene; None if it cannot
+    job : path of a job file to which poses are added; None for one in the folder
 
     Attributes
     ----------
@@ -69,6 +81,7 @@ class LiveSession:
         track: PoseTrack | None = None,
         folder: str | Path = DEFAULT_FOLDER,
         source: SceneSource | None = None,
+        job: str | Path | None = None,
     ):
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("settings", settings, LiveSettings, 'such as LiveSettings("p900-45")')
@@ -77,7 +90,7 @@ class LiveSession:
         if pose is None:
             raise Error(f"scene {scene.name!r} has no sonar in it; give a pose")
         self.scene, self.track = scene, track
-        self.output = LiveOutput(self, folder, source)
+        self.output = LiveOutput(self, folder, source, job)
         self._home = {thing.name: _pose_of(thing) for thing in (*scene.bodies, *scene.plumes)}
         self._changed = Condition()  # guards all that follows
         self._settings = self._good_settings = settings
@@ -92,7 +105,7 @@ class LiveSession:
         # of the worker alone
         self._began_s, self._number, self._pinged_s = time.monotonic(), 0, deque(maxlen=RATE_PINGS)
         self._placed: Mapping = self._moved
-        self._labels: dict[tuple, Ping] = {}
+        self._labels: OrderedDict[int, Ping] = OrderedDict()
         self._frame: LiveFrame | None = None
         self._pool = SimulatorPool(scene)
         self._thread = Thread(target=self._serve, name="sonar_gl live", daemon=True)
@@ -242,8 +255,9 @@ class LiveSession:
 
     def reset_bodies(self) -> None:
         """Put all bodies back to where the scene has them."""
-        for name in list(self._moved):
-            self.move_body(name, self._home[name])
+        with self._changed:
+            self._moved = {}
+            self._changed.notify_all()
 
     # ---- frames ---------------------------------------------------------------------------------------------
 
@@ -264,12 +278,17 @@ class LiveSession:
         """Make a ping now, and return its frame; listeners do not get it."""
         return self._do(self._ping)
 
+    def still(self, frame: LiveFrame) -> LiveFrame:
+        """Return a frame as `sonar-gl render` makes it: its pose is rounded, its samples are planned for that pose alone.
+
+        It is the first ping of its noise, at time 0. Its bodies are where the frame has them. Raises Error if the ping fails.
+        """
+        return self._do(lambda: self._still(frame))
+
     def highlight(self, body: str = "") -> None:
         """Have frames say which pixels show a body, in `LiveFrame.highlight`; "" for none."""
-        if body and body not in self._home:
-            raise Error(
-                f"a body to highlight must be one of the scene (got {body!r}; {nearest_names(body, self._home)})"
-            )
+        if body:
+            self._number_of(body)
         with self._changed:
             self._highlight = body
 
@@ -288,15 +307,33 @@ class LiveSession:
 
     def reading(self, frame: LiveFrame, beam: int, bin: int) -> Reading:
         """Return what stands in a bin of a frame's ping; makes it again with labels, once."""
-        raise NotImplementedError
+        beam, bin = _check_bin(frame, beam, bin)
+        ping, labels = frame.ping, self._labels_of(frame)
+        intensity, number = float(ping.intensity[beam, bin]), int(labels.body_id[beam, bin])
+        elevation_rad = float(labels.elevation_rad[beam, bin])
+        return Reading(
+            beam=beam,
+            bin=bin,
+            azimuth_rad=float(ping.azimuth_rad[beam]),
+            range_m=float(ping.range_m[bin]),
+            body=self.scene.bodies[number - 1].name if number else "",
+            elevation_rad=elevation_rad if math.isfinite(elevation_rad) else None,
+            level_db=10 * math.log10(intensity) if intensity > 0 else -math.inf,
+            count=int(ping.counts()[beam, bin]),
+        )
 
     def surface_of(self, frame: LiveFrame, beam: int, bin: int) -> Surface:
-        """Return the visible surface whose echo falls into a bin of a frame's ping, as its samples see it."""
-        raise NotImplementedError
+        """Return the visible surface whose echo falls into a bin of a frame's ping.
+
+        Its points are those of rays over the width of the beam and the main lobe in elevation. Echoes by way of image
+        sources and of side lobes have no such point.
+        """
+        beam, bin = _check_bin(frame, beam, bin)
+        return self._do(lambda: self._surface_of(frame, beam, bin))
 
     def bins_of(self, frame: LiveFrame, body: str) -> np.ndarray:
         """Return the bins of a frame's ping in which a body has the strongest echo, (B, K) bool."""
-        raise NotImplementedError
+        return self._labels_of(frame).body_id == self._number_of(body)
 
     def pixels_of(self, frame: LiveFrame, body: str) -> np.ndarray:
         """Return the pixels of a frame's picture in which a body has the strongest echo, (H, W) bool."""
@@ -311,7 +348,7 @@ class LiveSession:
             self._changed.notify_all()
         if current_thread() is not self._thread:
             self._thread.join()
-        self.output.stop_recording()
+        self.output.close()
         for listener in list(self._listeners):
             listener.close()
 
@@ -357,6 +394,14 @@ class LiveSession:
             return self._pose, time.monotonic() - self._began_s
         self._pose = self.track.at(self._position_now())
         return self._pose, self._position_now()
+
+    def _number_of(self, body: str) -> int:
+        """Return a body's number in labels."""
+        names = [one.name for one in self.scene.bodies]
+        if body not in names:
+            hint = nearest_names(body, names) if names else "there are none"
+            raise Error(f"a body must be one of the scene (got {body!r}; {hint})")
+        return 1 + names.index(body)
 
     def _forget_listener(self, listener: Listener) -> None:
         with self._changed:
@@ -440,17 +485,30 @@ class LiveSession:
         """Return the frame of a ping from where all is now."""
         with self._changed:
             settings, (pose, time_s), bodies = self._settings, self._pose_now(), self._moved
+            highlight = self._highlight
         self._place(bodies)
         simulator, number = self._simulator(settings), self._number
         self._number += 1
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UserWarning)
-            ping = simulator.ping(pose, settings.noise, settings.seed, ping_number=number, time_s=time_s)
+            ping = simulator.ping(
+                pose,
+                settings.noise,
+                settings.seed,
+                ping_number=number,
+                time_s=time_s,
+                labels=bool(highlight),
+                label_level_db=_label_level_db(self._frame, settings) if highlight else None,
+            )
         ping = replace(ping, sonar=settings.device)
+        shown = None
+        if highlight:
+            shown = pixels_of(ping.body_id == self._number_of(highlight), pixel_bins(ping, settings))
         self._pinged_s.append(time.monotonic())
         gone_s = self._pinged_s[-1] - self._pinged_s[0]
         return LiveFrame(
             number=number,
+            clock_s=self._pinged_s[-1] - self._began_s,
             time_s=time_s,
             pose=pose,
             ping=ping,
@@ -459,14 +517,67 @@ class LiveSession:
             rate_hz=(len(self._pinged_s) - 1) / gone_s if gone_s > 0 else 0.0,
             samples=simulator.sampling.count(settings.device),
             bodies=bodies,
+            highlight=shown,
             notes=tuple(dict.fromkeys(str(one.message) for one in caught)),
+        )
+
+    def _labels_of(self, frame: LiveFrame) -> Ping:
+        """Return a frame's ping with labels; it is made again, without noise, unless it has them."""
+        if frame.ping.body_id is not None:
+            return frame.ping
+        return self._do(lambda: self._make_labels(frame))
+
+    def _make_labels(self, frame: LiveFrame) -> Ping:
+        if frame.number not in self._labels:
+            while len(self._labels) >= KEPT_LABELS:
+                self._labels.popitem(last=False)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                self._labels[frame.number] = self._simulator(frame.settings).ping(
+                    frame.pose,
+                    labels=True,
+                    time_s=frame.time_s,
+                    bodies=self._home | frame.bodies,
+                    label_level_db=_label_level_db(frame, frame.settings),
+                )
+        return self._labels[frame.number]
+
+    def _still(self, frame: LiveFrame) -> LiveFrame:
+        settings, pose = frame.settings, make_pose(*rounded_pose_numbers(frame.pose))
+        self._place(frame.bodies)  # the next ping puts them back
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            world = self._simulator(settings)
+            with Simulator(
+                world, settings.device, settings.acoustics, tolerance=settings.tolerance
+            ) as simulator:
+                simulator.plan([pose])
+                ping = simulator.ping(pose, settings.noise, settings.seed)
+                samples = simulator.sampling.count(settings.device)
+        return replace(
+            frame, number=0, time_s=0.0, pose=pose, ping=ping, picture=picture_of(ping, settings), samples=samples,
+            highlight=None, notes=(),
+        )  # fmt: skip
+
+    def _surface_of(self, frame: LiveFrame, beam: int, bin: int) -> Surface:
+        """Return the surface of a bin, with the bodies where they were in the frame."""
+        settings = frame.settings
+        self._place(frame.bodies)  # the next ping puts them back
+        return surface_in_bin(
+            self._simulator(settings), settings.device, settings.acoustics, frame.pose, beam, bin
         )
 
     def _place(self, bodies: Mapping[str, np.ndarray | None]) -> None:
         """Have the bodies where some of them were moved to."""
         if bodies is not self._placed:
-            self._pool.place(bodies)
+            self._pool.place(self._home | bodies)
             self._placed = bodies
+
+
+def _label_level_db(frame: LiveFrame, settings: LiveSettings) -> float:
+    """Return the level from which on a bin is not black, dB, with the gain that the settings have in a frame."""
+    least = settings.law.least_shown(frame.ping.intensity)
+    return min(max(10 * math.log10(least), -LEVEL_BOUND_DB), LEVEL_BOUND_DB)
 
 
 def _pose_of(thing) -> np.ndarray:
