@@ -189,7 +189,9 @@ class ViewerPage:
         frame, reading = self._session.frame, None
         if self._pointer is not None:
             (right, down), (height, width) = self._pointer, frame.picture.shape[:2]
-            reading = self._session.at(frame, min(int(down * height), height - 1), min(int(right * width), width - 1))
+            reading = self._session.at(
+                frame, min(int(down * height), height - 1), min(int(right * width), width - 1)
+            )
         self._ping_panel.read(reading)
         return reading
 
@@ -229,7 +231,9 @@ class ViewerPage:
             key for state, told_s in self._browsers.values() if now_s - told_s < KEYS_S for key in state.keys
         }
         if keys and self._carrier is None:
-            self._session.move(keys, dt_s, self._controls.steps.speed_m_s, self._controls.steps.turn_rate_rad_s)
+            self._session.move(
+                keys, dt_s, self._controls.steps.speed_m_s, self._controls.steps.turn_rate_rad_s
+            )
             if self._mover != KEYS:
                 self._mover = KEYS
                 self._sync()

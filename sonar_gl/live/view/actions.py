@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 
@@ -11,6 +12,7 @@ from sonar_gl.core.errors import Error
 logger = logging.getLogger(__name__)
 
 PROBLEM_S = 12.0  # for which a browser shows why an action failed
+REPEAT_S = 3.0  # within which the same is not said again
 
 
 class Actions:
@@ -23,6 +25,7 @@ class Actions:
 
     def __init__(self, on_done: Callable[[], None]):
         self._queue, self._on_done = SimpleQueue(), on_done
+        self._told, self._told_s = "", 0.0
 
     def ask(self, client, action: Callable[[], None] | None) -> None:
         """Have an action done for a browser (a viser.ClientHandle, or None); an action None only wakes the thread."""
@@ -61,12 +64,22 @@ class Actions:
         try:
             action()
         except Error as why:
-            tell(client, "That did not work", str(why), is_problem=True)
+            self._complain(client, str(why))
         except Exception as why:
-            logger.exception("an action of the page failed")
-            tell(client, "That did not work", f"{type(why).__name__}: {why}", is_problem=True)
+            text = f"{type(why).__name__}: {why}"
+            if self._complain(client, text):
+                logger.exception("an action of the page failed")
         finally:
             self._on_done()
+
+    def _complain(self, client, text: str) -> bool:
+        """Say in a browser why an action failed, and return True; not twice, as at each move of a pointer."""
+        now_s = time.monotonic()
+        if text == self._told and now_s - self._told_s < REPEAT_S:
+            return False
+        self._told, self._told_s = text, now_s
+        tell(client, "That did not work", text, is_problem=True)
+        return True
 
 
 def tell(client, title: str, text: str, is_problem: bool = False) -> None:

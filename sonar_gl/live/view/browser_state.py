@@ -1,11 +1,10 @@
-"""What the browser reports beside viser's own events: the pointer over the ping's picture, and the keys that are held."""
+"""What a browser reports beside viser's own events: the pointer over the ping's picture, and the keys held."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
 from html import escape
-
 from pathlib import Path
 
 FIELD = "page state"  # label of the text field that carries it; page.js has the same

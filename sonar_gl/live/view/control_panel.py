@@ -74,9 +74,9 @@ class ControlPanel:
         settings = session.settings
         own = {} if settings.sonar in presets().values() else {settings.sonar.name: settings.sonar}
         self._sonars = {**own, **presets()}
-        self._add_motion(on_mover, on_picture)
+        self._add_motion(on_mover)
         self._add_sonar(settings)
-        self._add_display(settings)
+        self._add_display(settings, on_picture)
         self._add_acoustics(settings)
         self._add_water(settings)
         self._add_bodies(on_body)
@@ -113,7 +113,7 @@ class ControlPanel:
         self._shown.append((handle, shown))
         self._actions.connect(handle, change)
 
-    def _add_motion(self, on_mover, on_picture) -> None:
+    def _add_motion(self, on_mover) -> None:
         gui = self._gui
         movers = (KEYS, CAMERA) + (() if self._session.track is None else (TRAJECTORY,))
         with gui.add_folder("Motion"):
@@ -121,22 +121,21 @@ class ControlPanel:
                 "moved by",
                 movers,
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
-                hint="Keys: W S A D ahead, back, port, starboard; E Q up, down; arrows turn. With the browser's camera, the "
-                "same keys and the mouse fly the camera, which carries the sonar.",
+                hint="W S A D move ahead, back, to port, to starboard, E Q up, down; arrows turn. The browser's camera "
+                "is flown by the same keys and the mouse, and carries the sonar.",
             )
             speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
-            picture = gui.add_checkbox("picture in the scene", True)
 
         @self._mover.on_update
         async def _(event):
             if event.client is not None:
                 value = self._mover.value
                 self._actions.ask(
-                    event.client, lambda: on_mover(event.client, chosen(value, movers, "what moves the sonar"))
+                    event.client,
+                    lambda: on_mover(event.client, chosen(value, movers, "what moves the sonar")),
                 )
 
         self._actions.connect(speed, self._set_speed)
-        self._actions.connect(picture, on_picture)
 
     def _set_speed(self, value) -> None:
         self.steps = replace(self.steps, speed_m_s=min(max(float(value), 0.0), 100.0))
@@ -166,16 +165,22 @@ class ControlPanel:
             lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
         )
 
-    def _add_display(self, settings: LiveSettings) -> None:
+    def _add_display(self, settings: LiveSettings, on_picture) -> None:
         gui, session = self._gui, self._session
         colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
         with gui.add_folder("Display"):
             form = gui.add_dropdown("form", FORMS, initial_value=settings.form)
             colormap = gui.add_dropdown("colours", colormaps, initial_value=settings.colormap)
-            own = gui.add_checkbox("gain of the device", settings.counts is None, hint="The preset's law of counts.")
+            own = gui.add_checkbox(
+                "gain of the device", settings.counts is None, hint="The preset's law of counts."
+            )
             gain = gui.add_slider("gain, dB", -40.0, 60.0, 1.0, _shown_gain(settings))
+            picture = gui.add_checkbox("picture in 3D", True, hint="On the upper face of the fan.")
+        self._actions.connect(picture, on_picture)
         self._connect(
-            form, lambda settings: settings.form, lambda name: session.change(form=chosen(name, FORMS, "form"))
+            form,
+            lambda settings: settings.form,
+            lambda name: session.change(form=chosen(name, FORMS, "form")),
         )
         self._connect(
             colormap,
@@ -198,7 +203,9 @@ class ControlPanel:
             noise = gui.add_dropdown("noise", (*NOISES, OTHER), initial_value=_shown_noise(settings))
             for name in term_names():
                 self._terms[name] = gui.add_checkbox(name, settings.is_on(name))
-            self._price = gui.add_button("Price the terms", hint="What each changes and costs here; takes seconds.")
+            self._price = gui.add_button(
+                "Price the terms", hint="What each changes and costs here; takes seconds."
+            )
         self._connect(
             profile,
             lambda settings: settings.acoustics.profile,
@@ -241,8 +248,8 @@ class ControlPanel:
                 handle = self._terms[one.name]
                 handle.label = f"{one.name}: {100 * one.changes:.2g} %, {one.time_ms:.2g} ms"
                 handle.hint = (
-                    f"Changes {100 * one.changes:.2g} % of the echo, and {100 * one.changed_bins:.2g} % of the bins by more "
-                    f"than 3 dB; adds {one.time_ms:.2g} ms to a ping."
+                    f"Changes {100 * one.changes:.2g} % of the echo, and {100 * one.changed_bins:.2g} % of the bins by "
+                    f"more than 3 dB; adds {one.time_ms:.2g} ms to a ping."
                 )
 
     def _add_water(self, settings: LiveSettings) -> None:
@@ -268,7 +275,7 @@ class ControlPanel:
         with gui.add_folder("Bodies", expand_by_default=False):
             self._body = gui.add_dropdown(
                 "selected", (NO_BODY, *names), initial_value=NO_BODY,
-                hint="A selected body stands out in the picture, and can be dragged in the scene. A click at it selects it.",
+                hint="A selected body stands out in the picture, and can be dragged in 3D. A click selects it, too.",
             )  # fmt: skip
             back = gui.add_button("Put all back")
         allowed = {NO_BODY: "", **{name: name for name in names}}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import FanGeometry
 from sonar_gl.sonar.sonar import Sonar
 
@@ -73,7 +74,9 @@ def _points(azimuths, elevations, ranges) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PicturePlane:
-    """Where the fan image of a ping lies in the frame of the head: in the plane of elevation 0.
+    """Where the fan image of a ping lies in the frame of the head: in a plane through the sonar, tilted up.
+
+    On the upper face of the fan, a floor that the fan meets does not hide it.
 
     Attributes
     ----------
@@ -86,11 +89,12 @@ class PicturePlane:
     head_from_picture: np.ndarray
 
     @classmethod
-    def of(cls, geometry: FanGeometry) -> PicturePlane:
-        """Return the plane of a picture of this geometry."""
+    def of(cls, geometry: FanGeometry, elevation_rad: float) -> PicturePlane:
+        """Return the plane of a picture of this geometry, at an elevation ahead of the sonar."""
         ahead = (geometry.sonar_row - (geometry.height - 1) / 2) / geometry.pixels_per_m
         port = (geometry.sonar_column - (geometry.width - 1) / 2) / geometry.pixels_per_m
         out = np.array([[0, -1, 0, ahead], [-1, 0, 0, port], [0, 0, -1, 0], [0, 0, 0, 1]], np.float64)
+        out = pose(pitch=-elevation_rad) @ out
         return cls(geometry.width / geometry.pixels_per_m, geometry.height / geometry.pixels_per_m, out)
 
     def place_of_ray(self, head_from_world, origin, direction) -> tuple[float, float] | None:

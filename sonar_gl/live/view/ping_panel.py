@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from html import escape
 
 import numpy as np
@@ -16,10 +17,8 @@ from sonar_gl.live.view.browser_state import FIELD, script_html
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL_WIDTH = 430  # pixels of the page
 HIGHLIGHT_SHARE = 0.55  # brightness that pixels outside a highlighted body keep
-STYLE = (
-    "font-variant-numeric:tabular-nums;font-size:13px;line-height:1.55;padding:0 10px 6px 10px;width:100%;"
-    "border-collapse:collapse"
-)
+NUMBERS_S = 0.2  # between two changes of the numbers, which nobody could read faster
+ROW = "display:flex;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
 NOTHING = "–"
 
 
@@ -35,13 +34,14 @@ class PingPanel:
 
     def __init__(self, server, session: LiveSession, actions: Actions):
         self._session, self._actions = session, actions
+        self._numbers_at_s = 0.0
         panel = server.gui.add_panel()
         with panel.add_tab("Ping"):
             self._image = server.gui.add_image(
                 session.frame.picture, format="jpeg", jpeg_quality=JPEG_QUALITY
             )
-            self._numbers = server.gui.add_html("")
             self._under = server.gui.add_html("")
+            self._numbers = server.gui.add_html("")
             self._script = server.gui.add_html(script_html(keys_move_sonar=True))
             self.browser_state = server.gui.add_text(FIELD, "")
             if session.track is not None:
@@ -57,10 +57,21 @@ class PingPanel:
             dim = (picture * HIGHLIGHT_SHARE).astype(np.uint8)
             picture = np.where(frame.highlight[..., None], picture | 32, dim)
         self._image.image = picture
+        now_s = time.monotonic()
+        if now_s - self._numbers_at_s < NUMBERS_S:
+            return
+        self._numbers_at_s = now_s
         self._numbers.content = _numbers_html(frame, state)
-        if self._session.track is not None and self._position.value != round(state.position_s, 1):
-            self._position.value = min(round(state.position_s, 1), self._position.max)
-            self._play.label = "Pause" if state.is_playing else "Play"
+        if self._session.track is not None:
+            self._show_time(state)
+
+    def _show_time(self, state: LiveState) -> None:
+        position_s = min(round(state.position_s, 1), self._position.max)
+        if self._position.value != position_s:
+            self._position.value = position_s
+        label = "Pause" if state.is_playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
 
     def read(self, reading: Reading | None) -> None:
         """Show what stands under the pointer; None outside the fan."""
@@ -85,12 +96,17 @@ class PingPanel:
         )
 
 
-def _table(rows) -> str:
-    cells = "".join(
-        f'<tr><td style="opacity:.65;width:7.5em">{escape(name)}</td><td>{escape(value)}</td></tr>'
-        for name, value in rows
-    )
-    return f'<table style="{STYLE}">{cells}</table>'
+def _rows_html(rows) -> str:
+    """Return lines of names and values; a row may have several of them side by side."""
+    lines = []
+    for row in rows:
+        cells = "".join(
+            f'<span style="opacity:.6;width:{width}em;flex-shrink:0">{escape(name)}</span>'
+            f'<span style="flex:1;white-space:nowrap">{escape(value)}</span>'
+            for name, value, width in row
+        )
+        lines.append(f'<div style="{ROW}">{cells}</div>')
+    return f'<div style="padding:2px 10px 6px 10px">{"".join(lines)}</div>'
 
 
 def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
@@ -98,27 +114,32 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     angles = " ".join(f"{math.degrees(angle):.1f}°" for angle in (roll, pitch, yaw))
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
     rows = [
-        ("ping rate", f"{frame.rate_hz:.1f} Hz"),
-        ("error estimate", f"{estimate} (tolerance {100 * frame.settings.tolerance:g} %)"),
-        ("samples", f"{frame.samples:,}".replace(",", "\u2009")),
-        ("position", f"{x:.2f} {y:.2f} {z:.2f} m"),
-        ("roll pitch yaw", angles),
+        [
+            ("ping rate", f"{frame.rate_hz:.1f} Hz", 7),
+            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), 5),
+        ],
+        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", 7)],
+        [("x y z", f"{x:.2f} {y:.2f} {z:.2f} m", 7)],
+        [("roll pitch yaw", angles, 7)],
     ]
     text = state.problem or " ".join(frame.notes)
-    problem = f'<div style="padding:0 10px 6px 10px;color:#ff8a80;font-size:13px">{escape(text)}</div>' if text else ""
-    return _table(rows) + problem
+    problem = f'<div style="padding:0 10px 6px 10px;color:#ff8a80;font-size:12.5px">{escape(text)}</div>'
+    return '<hr style="opacity:.2;margin:0 10px 4px 10px">' + _rows_html(rows) + (problem if text else "")
 
 
 def _reading_html(reading: Reading | None) -> str:
-    if reading is None:
-        rows = [(name, NOTHING) for name in ("body", "range", "azimuth", "elevation", "level")]
-    else:
-        elevation = reading.elevation_rad
-        rows = [
-            ("body", reading.body or NOTHING),
-            ("range", f"{reading.range_m:.2f} m"),
-            ("azimuth", f"{math.degrees(reading.azimuth_rad):+.1f}°"),
-            ("elevation", NOTHING if elevation is None else f"{math.degrees(elevation):+.1f}°"),
-            ("level", f"{reading.level_db:.1f} dB, {reading.count} counts"),
+    body = range_text = azimuth = elevation = level = NOTHING
+    if reading is not None:
+        body = reading.body or NOTHING
+        range_text = f"{reading.range_m:.2f} m"
+        azimuth = f"{math.degrees(reading.azimuth_rad):+.1f}°"
+        level = f"{reading.level_db:.1f} dB, {reading.count} counts"
+        if reading.elevation_rad is not None:
+            elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
+    return _rows_html(
+        [
+            [("under pointer", body, 7)],
+            [("range", range_text, 7), ("azimuth", azimuth, 5)],
+            [("level", level, 7), ("elevation", elevation, 5)],
         ]
-    return '<hr style="opacity:.2;margin:2px 10px 6px 10px">' + _table(rows)
+    )

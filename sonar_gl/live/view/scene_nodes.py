@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,14 +17,18 @@ from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
 from sonar_gl.sonar.sonar import Sonar
 
 # Colours of bodies in turn, RGB: stone and steel first, and none that a picture or a gizmo has.
-BODY_COLORS = ((168, 152, 128), (120, 142, 158), (150, 128, 140), (128, 150, 128), (160, 146, 110))
+BODY_COLORS = ((140, 126, 104), (120, 142, 158), (150, 128, 140), (128, 150, 128), (160, 146, 110))
 SELECTED_COLOR = (255, 214, 92)
 FAN_COLOR = (255, 176, 64)
 SURFACE_COLOR = (255, 48, 160)
 SONAR_COLOR = (255, 140, 0)
 WATER_TOP, WATER_BOTTOM = (38, 88, 116), (4, 18, 32)
-PLANE_HEIGHT = 320  # pixels of the picture that lies in the scene; a PNG, whose pixels outside the fan are clear
-SONAR_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x right, y down, z ahead
+PLANE_HEIGHT = (
+    320  # pixels of the picture that lies in the scene; a PNG, whose pixels outside the fan are clear
+)
+SONAR_FROM_CAMERA = np.array(
+    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+)  # x right, y down, z ahead
 
 
 def pose_of(wxyz, position) -> np.ndarray:
@@ -74,6 +79,7 @@ class SceneNodes:
         water = (1 - blend) * WATER_TOP + blend * WATER_BOTTOM
         scene.set_background_image(np.broadcast_to(water, (64, 2, 3)).astype(np.uint8), format="png")
         meshes = browser_meshes(session.scene)
+        scene.configure_environment_map("studio", environment_intensity=0.35)
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
@@ -82,7 +88,9 @@ class SceneNodes:
         self._sonar = scene.add_frame("/sonar", show_axes=False)
         self._outline = self._arcs = self._housing = self._picture = self._surface = None
         self._gizmo = scene.add_transform_controls("/move_sonar", scale=1.0, depth_test=False)
-        self._body_gizmo = scene.add_transform_controls("/move_body", scale=1.0, depth_test=False, visible=False)
+        self._body_gizmo = scene.add_transform_controls(
+            "/move_body", scale=1.0, depth_test=False, visible=False
+        )
         self._center = np.eye(4)
         self._connect_gizmos()
         self.shows_picture = True
@@ -116,14 +124,18 @@ class SceneNodes:
                 self._picture.visible = False
             return
         geometry = fan_geometry(frame.ping, frame.picture.shape[0])
-        plane = PicturePlane.of(geometry)
+        plane = PicturePlane.of(geometry, math.radians(frame.settings.device.elevation_fov_deg) / 2)
         step = max(1, round(frame.picture.shape[0] / PLANE_HEIGHT))
         colors = frame.picture[::step, ::step]
         inside = np.concatenate([rows.inside for rows in geometry.pixel_rows()])[::step, ::step]
         # dark water lets the scene through, echoes do not
-        alpha = np.where(inside, np.maximum(70, colors.max(2)), 0).astype(np.uint8)
+        alpha = np.where(inside, np.maximum(120, colors.max(2)), 0).astype(np.uint8)
         image = np.dstack([colors, alpha])
-        if self._picture is None or self._plane is None or (plane.width_m, plane.height_m) != self._plane_size():
+        if (
+            self._picture is None
+            or self._plane is None
+            or (plane.width_m, plane.height_m) != self._plane_size()
+        ):
             self._plane = plane
             self._add_picture(frame, image)
         else:
@@ -173,10 +185,10 @@ class SceneNodes:
         ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0.0, 0.0])
         # to starboard a little, so that the fan is not seen edge on
         side = np.array([ahead[1], -ahead[0], 0.0])
-        place = pose[:3, 3] - 0.32 * far_m * ahead + 0.12 * far_m * side + [0.0, 0.0, 0.38 * far_m]
+        place = pose[:3, 3] - 0.28 * far_m * ahead + 0.14 * far_m * side + [0.0, 0.0, 0.36 * far_m]
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.position = place
-        camera.look_at = pose[:3, 3] + 0.38 * far_m * ahead - [0.0, 0.0, 0.05 * far_m]
+        camera.look_at = pose[:3, 3] + 0.42 * far_m * ahead - [0.0, 0.0, 0.08 * far_m]
 
     # ---- nodes --------------------------------------------------------------------------------------------
 
@@ -212,7 +224,9 @@ class SceneNodes:
             "/sonar/ranges", arcs, (150, 110, 60), thickness=1.0, thickness_units="screen"
         )
         size = 0.02 * far_m
-        self._housing = scene.add_box("/sonar/housing", SONAR_COLOR, dimensions=(size, 1.4 * size, 0.8 * size))
+        self._housing = scene.add_box(
+            "/sonar/housing", SONAR_COLOR, dimensions=(size, 1.4 * size, 0.8 * size)
+        )
         self._gizmo.scale = self._body_gizmo.scale = 0.1 * far_m
 
     def _add_picture(self, frame: LiveFrame, image: np.ndarray) -> None:
@@ -261,7 +275,11 @@ class SceneNodes:
         times_s = np.linspace(0, track.duration_s, 200)
         points = np.array([track.at(time_s)[:3, 3] for time_s in times_s], np.float32)
         self._server.scene.add_line_segments(
-            "/path", np.stack([points[:-1], points[1:]], 1), (90, 200, 160), thickness=2.0, thickness_units="screen"
+            "/path",
+            np.stack([points[:-1], points[1:]], 1),
+            (90, 200, 160),
+            thickness=2.0,
+            thickness_units="screen",
         )
 
 
