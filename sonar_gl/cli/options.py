@@ -25,6 +25,7 @@ HELP = {
     "axes": "Draw range and azimuth axes around the fan image, a title, and the bar of colours.",
     "form": "Style demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
     "join": "Style demarco2015: how points are drawn.",
+    "polar": "Show beams as columns and ranges as rows, in place of a fan.",
     "height": "Height of the picture without axes, pixels.",
     "tolerance": "Largest share of the echo that may lie in wrong bins.",
     "engine": "What draws: opengl, cpu, or auto, which takes OpenGL where there is a graphics card.",
@@ -45,6 +46,7 @@ HELP = {
     "port": "Port to listen at.",
     "status_to": "Address that receives the device's status, such as 192.168.1.255 for all of a network.",
     "duration": "Stop after so many seconds.",
+    "job": "Job file of `sonar-gl batch` to which the page adds poses; otherwise one in the output folder.",
     "json": "Print one JSON object instead of text.",
     "out": "Output folder; created if it does not exist.",
 }
@@ -110,8 +112,11 @@ PING_OPTIONS = {
 
 
 def ping_options(**more):
-    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP."""
-    settings = {**PING_OPTIONS, **more}
+    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
+
+    An option of `more` that is None is left out.
+    """
+    settings = {name: one for name, one in {**PING_OPTIONS, **more}.items() if one is not None}
 
     def decorate(command):
         for name in reversed([name for name in HELP if name in settings]):

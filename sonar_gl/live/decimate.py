@@ -38,8 +38,8 @@ class BrowserMesh:
 def browser_meshes(scene: Scene, max_triangles: int = MAX_TRIANGLES) -> list[BrowserMesh]:
     """Return the meshes of all bodies, with at most `max_triangles` in all; the scene stays as it is.
 
-    Bodies with many triangles lose most. Of more bodies than an eighth of a dozen triangles each allows, the smallest
-    are left out.
+    Bodies with many triangles lose most. Where there are more bodies than `max_triangles` / 12, the smallest are left
+    out.
     """
     check_whole_number("max_triangles", max_triangles, FEWEST)
     bodies = list(scene.bodies)

@@ -6,7 +6,6 @@ import re
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.errors import Error
@@ -16,9 +15,6 @@ from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.job_file import add_pose, new_job_text
 from sonar_gl.live.listeners import Listener
 from sonar_gl.live.recording import Recording
-
-if TYPE_CHECKING:
-    from sonar_gl.live.session import LiveSession
 
 DEFAULT_FOLDER = "sonar_out"
 WAITING_FRAMES = 64  # that a recording may lag behind; then it misses some
@@ -40,7 +36,7 @@ class LiveOutput:
 
     def __init__(
         self,
-        session: LiveSession,
+        session,
         folder: str | Path,
         source: SceneSource | None,
         job: str | Path | None = None,

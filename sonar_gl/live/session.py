@@ -279,9 +279,10 @@ class LiveSession:
         return self._do(self._ping)
 
     def still(self, frame: LiveFrame) -> LiveFrame:
-        """Return a frame as `sonar-gl render` makes it: its pose is rounded, its samples are planned for that pose alone.
+        """Return a frame as `sonar-gl render` makes it: with its pose rounded, and samples planned for that pose alone.
 
-        It is the first ping of its noise, at time 0. Its bodies are where the frame has them. Raises Error if the ping fails.
+        It is the first ping of its noise, at time 0. Its bodies are where the frame has them. Raises Error if the ping
+        fails.
         """
         return self._do(lambda: self._still(frame))
 
@@ -351,6 +352,11 @@ class LiveSession:
         self.output.close()
         for listener in list(self._listeners):
             listener.close()
+
+    def wait_closed(self, timeout_s: float | None = None) -> bool:
+        """Wait until the session is closed, or so many seconds; return whether it is."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
 
     def __enter__(self):
         return self
