@@ -20,7 +20,9 @@ from sonar_gl.live.view.scene_nodes import SceneNodes, camera_sonar_pose
 
 STEP_S = 1 / 30  # between two moves of a sonar by keys
 KEYS_S = 1.0  # after which held keys count as released, if the browser tells no more of them
-PLANE_S = 0.2  # between two pictures in the scene, which cost more than those in the panel
+READ_S = 0.5  # between two read-outs under a pointer that rests
+NODES_S = 0.05  # between two changes of the scene, at least; a picture in it costs more than one in the panel
+FRAMES = 6  # of the scene that a browser could draw between two changes: pictures wait while it draws
 
 
 class ViewerPage:
@@ -30,41 +32,41 @@ class ViewerPage:
     ----------
     session : LiveSession, which pings while a browser shows the page
     host : address to listen at
-    port : to listen at; 0 for any that is free
+    port : to listen at; 0 for any that is free. If another program has it, the page takes a later one
 
     Attributes
     ----------
     url : address of the page
+    server : viser.ViserServer, to which programs may add nodes and controls of their own
+    marked : Surface that the last click in the picture has marked; None for none
 
     Raises
     ------
     Error
-        if viser is missing, or something else uses the port.
+        if viser is missing, or the host is no address of this machine.
     """
 
     def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8080):
-        try:
-            import viser
-        except ImportError as why:
-            raise missing_extra("live", f"the page needs viser (got no module {why.name})") from None
-        _check_listenable(host, port)
+        viser = load_viser()
+        _check_host(host)
         self._session, self._is_closed = session, False
         with contextlib.redirect_stdout(io.StringIO()):  # a box with its address
-            self._server = viser.ViserServer(host=host, port=port, label="sonar-gl view", verbose=False)
+            self.server = viser.ViserServer(host=host, port=port, label="sonar-gl view", verbose=False)
         # viser's page may ask its server for a tunnel to a public address; this one never leaves the machine
-        self._server.request_share_url = lambda *_, **__: None
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self.server.request_share_url = lambda *_, **__: None
+        self.url = f"http://{host}:{self.server.get_port()}"
         self._listener, self._frame, self._frame_lock = None, None, Lock()
         self._browsers: dict[int, tuple[BrowserState, float]] = {}
         self._carrier = None  # id of the browser whose camera carries the sonar
         self._mover = KEYS if session.track is None else TRAJECTORY
-        self._shown_number, self._plane_at_s, self._pointer = -1, 0.0, None
+        self._nodes_at_s, self._read_at_s, self._pointer = 0.0, 0.0, None
+        self.marked = None
         self._actions = Actions(self._sync)
-        self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        self._nodes = SceneNodes(self._server, session, self._actions, self._select, self._click)
-        self._ping_panel = PingPanel(self._server, session, self._actions)
+        self.server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        self._nodes = SceneNodes(self.server, session, self._actions, self._select, self._click)
+        self._ping_panel = PingPanel(self.server, session, self._actions)
         self._controls = ControlPanel(
-            self._server, session, self._actions, self._move_by, self._select, self._lay_picture
+            self.server, session, self._actions, self._move_by, self._select, self._lay_picture
         )
         self._connect_browsers()
         self._thread = Thread(target=self._serve, name="sonar_gl page", daemon=True)
@@ -80,7 +82,7 @@ class ViewerPage:
         if self._listener is not None:
             self._listener.close()
         with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+            self.server.stop()
 
     def __enter__(self):
         return self
@@ -91,7 +93,7 @@ class ViewerPage:
     # ---- browsers -------------------------------------------------------------------------------------------
 
     def _connect_browsers(self) -> None:
-        server = self._server
+        server = self.server
 
         @server.on_client_connect
         async def _(client):
@@ -122,7 +124,7 @@ class ViewerPage:
         self._browsers.pop(client.client_id, None)
         if self._carrier == client.client_id:
             self._carry(None)
-        if self._listener is not None and not self._server.get_clients():
+        if self._listener is not None and not self.server.get_clients():
             self._listener.close()
             self._listener = None
 
@@ -159,7 +161,7 @@ class ViewerPage:
             self._carrier = client.client_id
         elif before is not None:
             self._mover = KEYS if self._mover == CAMERA else self._mover
-            for other in self._server.get_clients().values():
+            for other in self.server.get_clients().values():
                 if other.client_id == before:
                     self._nodes.look_from_behind(other.camera, self._session.pose)
         self._nodes.show_gizmo(self._carrier is None)
@@ -172,7 +174,7 @@ class ViewerPage:
         self._nodes.select(name)
 
     def _lay_picture(self, visible) -> None:
-        self._nodes.shows_picture, self._plane_at_s = bool(visible), 0.0
+        self._nodes.shows_picture = bool(visible)
 
     def _click(self, place: tuple[float, float]) -> None:
         """Mark the surface whose echo a place of the picture shows, and say what stands there."""
@@ -180,13 +182,15 @@ class ViewerPage:
         self._pointer = place
         reading = self._read()
         if reading is None:
-            self._nodes.highlight(None)
+            self.marked = None
         else:
-            self._nodes.highlight(self._session.surface_of(frame, reading.beam, reading.bin), reading.range_m)
+            self.marked = self._session.surface_of(frame, reading.beam, reading.bin)
+        self._nodes.mark(self.marked, 0.0 if reading is None else reading.range_m)
 
     def _read(self):
         """Show what stands under the pointer, and return it."""
         frame, reading = self._session.frame, None
+        self._read_at_s = time.monotonic()
         if self._pointer is not None:
             (right, down), (height, width) = self._pointer, frame.picture.shape[:2]
             reading = self._session.at(
@@ -225,6 +229,8 @@ class ViewerPage:
                 settings = frame.settings
                 self._sync()
             self._show(frame, now_s)
+            if self._pointer is not None and now_s - self._read_at_s >= READ_S:
+                self._actions.ask(None, self._read)
 
     def _move_by_keys(self, dt_s: float, now_s: float) -> None:
         keys = {
@@ -239,23 +245,33 @@ class ViewerPage:
                 self._sync()
 
     def _show(self, frame: LiveFrame, now_s: float) -> None:
-        with self._server.atomic():
-            self._ping_panel.show(frame, self._session.state())
+        self._ping_panel.show(frame, self._session.state())
+        slowest_s = max((state.frame_s for state, _ in self._browsers.values()), default=0.0)
+        if now_s - self._nodes_at_s < max(NODES_S, FRAMES * slowest_s):
+            return
+        self._nodes_at_s = now_s
+        with self.server.atomic():
             self._nodes.show(frame, self._session.pose)
-            if now_s - self._plane_at_s >= PLANE_S:
-                self._plane_at_s = now_s
-                self._nodes.show_picture(frame)
+            self._nodes.show_picture(frame)
 
 
-def _check_listenable(host: str, port: int) -> None:
-    """Raise Error unless one can listen there: viser would take another port, or wait for ever."""
+def load_viser():
+    """Return the module viser, which takes a second to import; raise Error if it is missing."""
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        import viser
+    except ImportError as why:
+        raise missing_extra("live", f"the page needs viser (got no module {why.name})") from None
+    return viser
+
+
+def _check_host(host: str) -> None:
+    """Raise Error unless one can listen at an address, for which viser would wait for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(address)
-    except (OSError, OverflowError) as why:
+    except (OSError, UnicodeError) as why:
         raise Error(
-            f"the page must be able to listen at {host}:{port} (got {getattr(why, 'strerror', None) or why}; "
-            "another --port may be free)"
+            f"the host must be an address of this machine (got {host!r}: {getattr(why, 'strerror', None) or why}; "
+            "127.0.0.1 is reached from this machine alone)"
         ) from None

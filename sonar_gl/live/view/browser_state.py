@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 
 FIELD = "page state"  # label of the text field that carries it; page.js has the same
+MAX_FRAME_S = 10.0
 # any picture that a browser loads at once: scripts in HTML that is added to a page do not run, handlers do
 _PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw=="
 
@@ -22,12 +23,14 @@ class BrowserState:
     clicks : number of clicks at the picture
     clicked : (right, down) of the last one
     keys : names of `live.motion.KEYS` that are held
+    frame_s : seconds that the browser lately took for a frame of the scene, 0..MAX_FRAME_S; 0 if it has not said so
     """
 
     pointer: tuple[float, float] | None = None
     clicks: int = 0
     clicked: tuple[float, float] | None = None
     keys: frozenset[str] = frozenset()
+    frame_s: float = 0.0
 
     @classmethod
     def read(cls, text: str) -> BrowserState:
@@ -44,12 +47,13 @@ class BrowserState:
             return cls()
         if not isinstance(values, dict):
             return cls()
-        clicks, keys = values.get("clicks"), values.get("keys")
+        clicks, keys, frame_s = values.get("clicks"), values.get("keys"), values.get("frame_s")
         return cls(
             _place(values.get("pointer")),
             clicks if type(clicks) is int else 0,
             _place(values.get("clicked")),
             frozenset(key for key in keys if isinstance(key, str)) if isinstance(keys, list) else frozenset(),
+            float(frame_s) if type(frame_s) in (int, float) and 0 <= frame_s <= MAX_FRAME_S else 0.0,
         )
 
 

@@ -10,6 +10,7 @@
     ArrowUp: "arrowup", ArrowDown: "arrowdown", ArrowLeft: "arrowleft", ArrowRight: "arrowright",
   };
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
+  const FRAMES_MS = 2000; // between two reports of the slowest frame
   const REPEAT_MS = 250; // while keys are held: the server lets go of keys of which it hears no more
 
   function row() {
@@ -27,7 +28,7 @@
   // viser runs this again whenever it draws the panel anew
   if (window.sonarView) return window.sonarView.hideField();
 
-  const state = { pointer: null, clicks: 0, clicked: null, keys: [], count: 0 };
+  const state = { pointer: null, clicks: 0, clicked: null, keys: [], frame_s: 0, count: 0 };
   const held = new Set();
   const write = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
 
@@ -93,6 +94,24 @@
   setInterval(() => {
     if (held.size > 0) send();
   }, REPEAT_MS);
+
+  // Pictures that arrive wait for frames of the scene that are being drawn. Where those take long, as without a graphics
+  // card, the server changes the scene less often.
+  let slowest_ms = 0;
+  let before_ms = performance.now();
+  const measure = (now_ms) => {
+    slowest_ms = Math.max(slowest_ms, now_ms - before_ms);
+    before_ms = now_ms;
+    requestAnimationFrame(measure);
+  };
+  requestAnimationFrame(measure);
+  setInterval(() => {
+    const frame_s = document.hidden ? 0 : Math.max(slowest_ms, performance.now() - before_ms) / 1000;
+    slowest_ms = 0;
+    if (Math.abs(frame_s - state.frame_s) <= 0.25 * state.frame_s) return;
+    state.frame_s = frame_s;
+    send();
+  }, FRAMES_MS);
 
   window.sonarView = { hideField };
   hideField();

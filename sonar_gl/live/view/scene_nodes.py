@@ -73,13 +73,14 @@ class SceneNodes:
         self._server, self._session, self._actions = server, session, actions
         self._on_place = on_place
         self._pose, self._device, self._plane, self._selected = None, None, None, ""
-        self._is_dragging = False
+        self._is_dragging = self._is_dragging_body = False
         scene = server.scene
         blend = np.linspace(0, 1, 64)[:, None, None]
         water = (1 - blend) * WATER_TOP + blend * WATER_BOTTOM
         scene.set_background_image(np.broadcast_to(water, (64, 2, 3)).astype(np.uint8), format="png")
         meshes = browser_meshes(session.scene)
-        scene.configure_environment_map("studio", environment_intensity=0.35)
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
@@ -116,6 +117,8 @@ class SceneNodes:
                 if world_from_body is not None:
                     put(self._bodies[name], world_from_body)
                 self._poses[name] = world_from_body
+                if name == self._selected and not self._is_dragging_body:
+                    self._follow_body()
 
     def show_picture(self, frame: LiveFrame) -> None:
         """Lay the fan image of a frame into the scene; nothing of a polar picture."""
@@ -142,7 +145,7 @@ class SceneNodes:
             self._picture.image = image
             self._picture.visible = True
 
-    def highlight(self, surface: Surface | None, range_m: float = 1.0) -> None:
+    def mark(self, surface: Surface | None, range_m: float) -> None:
         """Mark the points of a surface at a range, or none."""
         if self._surface is not None:
             self._surface.remove()
@@ -166,13 +169,7 @@ class SceneNodes:
         if name in self._bodies:
             self._center = np.eye(4)
             self._center[:3, 3] = self._middles[name]
-            self.follow_body()
-
-    def follow_body(self) -> None:
-        """Put the gizmo of the selected body where that is now."""
-        pose = self._session.bodies().get(self._selected)
-        if pose is not None:
-            put(self._body_gizmo, pose @ self._center)
+            self._follow_body()
 
     def show_gizmo(self, visible: bool) -> None:
         """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
@@ -266,9 +263,16 @@ class SceneNodes:
 
         @self._body_gizmo.on_update
         async def _(event):
+            self._is_dragging_body = event.phase != "end"
             name = self._selected
             pose = pose_of(self._body_gizmo.wxyz, self._body_gizmo.position) @ np.linalg.inv(self._center)
             self._actions.ask(event.client, lambda: self._session.move_body(name, pose))
+
+    def _follow_body(self) -> None:
+        """Put the gizmo of the selected body where that is now."""
+        pose = self._session.bodies().get(self._selected)
+        if pose is not None:
+            put(self._body_gizmo, pose @ self._center)
 
     def _add_path(self) -> None:
         track = self._session.track

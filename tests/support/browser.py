@@ -1,0 +1,36 @@
+"""A browser without a window, for the tests of web pages: Debian's chromium, driven by Playwright."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+NAMES = "chromium", "chromium-browser", "google-chrome", "chrome"
+# draws WebGL by software, since test machines have no graphics card; as root, as in CI, a sandbox is not to be had
+OPTIONS = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
+# counts new pictures; software WebGL draws a frame or two per second, so that frames would not do
+COUNT_PICTURES = """
+window.pictures = 0;
+new MutationObserver((changes) => {
+  window.pictures += changes.filter((one) => one.target instanceof HTMLImageElement).length;
+}).observe(document, { subtree: true, attributes: true, attributeFilter: ["src"] });
+"""
+
+
+@contextmanager
+def open_browser():
+    """Yield a playwright Browser; skip the test where there is none."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="Playwright, of the extra test, is missing"
+    )
+    path = next((found for found in map(shutil.which, NAMES) if found), None)
+    if path is None:
+        pytest.skip("there is no Chromium (apt-get install chromium brings it in)")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=path, args=OPTIONS)
+        try:
+            yield browser
+        finally:
+            browser.close()
