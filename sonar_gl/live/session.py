@@ -446,7 +446,9 @@ class LiveSession:
                         return
                     request = self._requests.popleft() if self._requests else None
                 if request is None:
-                    next_s = max(next_s + 1 / self._settings.max_rate_hz, time.monotonic())
+                    period_s, now_s = 1 / self._settings.max_rate_hz, time.monotonic()
+                    # a ping that is late is not made up for, but for what a timer is late by
+                    next_s = (now_s if now_s - next_s > period_s else next_s) + period_s
                     if not self._try_to_ping():
                         next_s = time.monotonic() + RETRY_S
                     continue

@@ -79,8 +79,9 @@ def _points_at(sector, gbuffer, world_from_beam, range_m: float, bin_size_m: flo
     half_sample_m = np.where(np.isfinite(step_m), step_m, 0.0) / 2
     off_m = np.abs(gbuffer.range_m - range_m) - half_sample_m
     chosen = seen & (off_m <= bin_size_m / 2)
-    if not chosen.any():
-        chosen = seen & (off_m <= (NEIGHBOURS + 0.5) * bin_size_m)
+    if seen.any() and not chosen.any():
+        nearest_m = off_m[seen].min() + bin_size_m / 2
+        chosen = seen & (off_m <= min(nearest_m, (SPREAD_BINS + 0.5) * bin_size_m))
     rays = np.stack([np.ones_like(u), -u, v], axis=-1)[chosen] @ sector.rotation()
     rays *= (gbuffer.range_m[chosen] / np.linalg.norm(rays, axis=-1))[:, None]
     turn, origin = world_from_beam[:3, :3], world_from_beam[:3, 3]
