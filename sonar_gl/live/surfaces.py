@@ -16,9 +16,9 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 RAYS = Sampling(columns_per_beam=16, rows=2048)  # over the width of a beam and the main lobe in elevation
-NEIGHBOURS = (
-    1  # bins on each side into which the pulse spreads an echo: they count where the bin has no surface
-)
+# Where a bin has no surface of its own, the nearest one within so many bins counts: pulse, and samples as coarse as the
+# tolerance allows, spread its echo.
+SPREAD_BINS = 5
 
 
 def surface_in_bin(

@@ -91,7 +91,7 @@ def test_a_rate_is_kept(scene):
         wait_for(lambda: len(frames) == 5)
         times_s = [frame.clock_s for frame in frames[:5]]
     assert times_s[4] - times_s[0] <= time.monotonic() - began_s
-    # four tenths of a second but for a tenth by which the first may be late, and one by which pings may differ in length
+    # four tenths of a second, but for one by which the first may be late, and one by which pings differ in length
     assert times_s[4] - times_s[0] > 0.2
 
 
