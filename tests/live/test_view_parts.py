@@ -23,7 +23,7 @@ SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)
 
 def test_state_of_a_browser_is_read():
     text = json.dumps(
-        {"pointer": [0.5, 1], "clicks": 3, "clicked": None, "keys": ["w", "arrowup"], "count": 7}
+        {"pointer": [0.5, 1], "clicks": 3, "clicked": None, "keys": ["w", "arrowup"], "frame_s": 0.5}
     )
     assert BrowserState.read(text) == BrowserState((0.5, 1.0), 3, None, frozenset({"w", "arrowup"}), 0.5)
 

@@ -1,11 +1,9 @@
-"""A browser without a window, for the tests of web pages: Debian's chromium, driven by Playwright."""
+"""A browser without a window, for tests and pictures of web pages: Debian's chromium, driven by Playwright."""
 
 from __future__ import annotations
 
 import shutil
 from contextlib import contextmanager
-
-import pytest
 
 NAMES = "chromium", "chromium-browser", "google-chrome", "chrome"
 # draws WebGL by software, since test machines have no graphics card; as root, as in CI, a sandbox is not to be had
@@ -19,16 +17,21 @@ new MutationObserver((changes) => {
 """
 
 
+class MissingBrowserError(RuntimeError):
+    """There is no browser to be driven, or nothing that drives it."""
+
+
 @contextmanager
 def open_browser():
-    """Yield a playwright Browser; skip the test where there is none."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="Playwright, of the extra test, is missing"
-    )
+    """Yield a playwright Browser; raise MissingBrowserError where there is none."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise MissingBrowserError("Playwright, of the extra test, is missing") from None
     path = next((found for found in map(shutil.which, NAMES) if found), None)
     if path is None:
-        pytest.skip("there is no Chromium (apt-get install chromium brings it in)")
-    with playwright.sync_playwright() as running:
+        raise MissingBrowserError("there is no Chromium (apt-get install chromium brings it in)")
+    with sync_playwright() as running:
         browser = running.chromium.launch(executable_path=path, args=OPTIONS)
         try:
             yield browser

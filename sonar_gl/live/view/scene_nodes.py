@@ -23,6 +23,7 @@ FAN_COLOR = (255, 176, 64)
 SURFACE_COLOR = (255, 48, 160)
 SONAR_COLOR = (255, 140, 0)
 WATER_TOP, WATER_BOTTOM = (38, 88, 116), (4, 18, 32)
+WATER_LIGHT = (205, 222, 232)  # what the water scatters: without it, walls would be black
 PLANE_HEIGHT = (
     320  # pixels of the picture that lies in the scene; a PNG, whose pixels outside the fan are clear
 )
@@ -81,6 +82,7 @@ class SceneNodes:
         meshes = browser_meshes(session.scene)
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_ambient("/lights/water", WATER_LIGHT, intensity=1.6)
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
