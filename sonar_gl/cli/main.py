@@ -269,7 +269,7 @@ VIEW_EPILOG = """\b
 Examples:
   sonar-gl view pylon
   sonar-gl view ocean_floor --sonar oculus-m750d-hf --polar
-  sonar-gl view pylon --poses dive.csv --job survey.toml
+  sonar-gl view pylon --poses dive.csv
 """
 
 

@@ -92,7 +92,7 @@ def decimated(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.nd
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     ).sum()
-    extent = float(np.ptp(vertices, axis=0).max())
+    extent = float(np.ptp(vertices, axis=0).max()) or 1.0
     # two triangles a cell on a plane; `area` counts it twice
     cell_m = max(math.sqrt(area / most), extent / 2**20)
     while True:

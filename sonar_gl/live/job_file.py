@@ -51,10 +51,11 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
             [float(time_s), *rounded_pose_numbers(pose)] for time_s, pose in zip(times_s, poses, strict=True)
         ]
     time_s = rows[-1][0] + STEP_S if rows else 0.0
-    write_poses(csv, [*rows, [time_s, *rounded_pose_numbers(world_from_sonar)]])
+    rows.append([time_s, *rounded_pose_numbers(world_from_sonar)])
     if names_csv:
+        write_poses(csv, rows)
         return
-    text = path.read_text(encoding="utf-8-sig")
+    text = path.read_text(encoding="utf-8")
     table = f'\n[[poses]]\nkind = "trajectory"\nfile = {_toml(csv.name)}  # by sonar-gl view\n'
     with atomic_write(path) as beside:
         beside.write_text(text + ("" if text.endswith("\n") else "\n") + table, encoding="utf-8")
@@ -64,6 +65,7 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
             raise Error(
                 f"{path}: poses must be tables [[poses]], so that another can follow (got poses = [...] in one line)"
             ) from None
+        write_poses(csv, rows)  # before the job names it
 
 
 def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:

@@ -9,6 +9,7 @@ from threading import Lock
 
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.errors import Error
+from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.files import output_folder, save_npz, save_png
 from sonar_gl.live.command_line import SceneSource, render_line
 from sonar_gl.live.frame import LiveFrame
@@ -32,6 +33,11 @@ class LiveOutput:
     folder : of the files; it is made when the first is written
     source : SceneSource; None for a scene that no command line names
     job : path of a job file to which poses are added; None for `poses.toml` of the folder
+
+    Raises
+    ------
+    Error
+        if there is no such job file.
     """
 
     def __init__(
@@ -43,6 +49,8 @@ class LiveOutput:
     ):
         self._session, self._folder, self._source = session, Path(folder), source
         self._job = None if job is None else Path(job)
+        if self._job is not None:
+            read_toml(self._job, "the job file")  # so that a wrong path is known at the start
         self._name = re.sub(r"[^\w-]+", "_", session.scene.name)[:64] or "scene"
         self._lock = Lock()
         self._recording: Recording | None = None
