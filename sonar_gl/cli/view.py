@@ -7,10 +7,11 @@ from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_fr
 from sonar_gl.cli.output import echo
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.command_line import SceneSource
+from sonar_gl.live.page import load_viser
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
-from sonar_gl.live.viewer import LiveView, load_page, warn_of_host
+from sonar_gl.live.viewer import LiveView, warn_of_host
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import check_engine
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
@@ -19,7 +20,7 @@ from sonar_gl.sonar.sonar import load_sonar
 
 def view(scene_name: str, options) -> None:
     """Show the page for --duration, or until Ctrl-C."""
-    load_page()  # before anything that takes long
+    load_viser()  # before anything that takes long
     load_numba()
     session = session_from(scene_name, options)
     warn_of_host(options.host)

@@ -11,12 +11,12 @@ from sonar_gl.core.checks import check_choice, check_kind, check_number, check_w
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
+from sonar_gl.raster.engine import ENGINES
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import check_tolerance
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 FORMS = "fan", "polar"
-ENGINES = "auto", "opengl", "cpu"
 DEFAULT_RATE_HZ = 25.0
 DEFAULT_TOLERANCE = 0.05
 DEFAULT_HEIGHT = 640

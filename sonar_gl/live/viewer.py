@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.command_line import SceneSource
+from sonar_gl.live.hosts import LOCAL
 from sonar_gl.live.listeners import Listener
 from sonar_gl.live.output import DEFAULT_FOLDER
+from sonar_gl.live.page import ViewerPage, load_viser
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
@@ -24,7 +25,6 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
-LOCAL = "127.0.0.1", "localhost"
 PORT = 8080
 WAIT_S = 0.2  # between looks at whether a callback has failed
 
@@ -54,7 +54,7 @@ class LiveView:
         self.session = session
         self._listener: Listener | None = None
         try:
-            self._page = load_page()(session, host, port)
+            self._page = ViewerPage(session, host, port)
             if on_ping is not None:
                 self._listener = session.listen(lambda frame: on_ping(frame.ping))
         except OSError as why:
@@ -100,15 +100,6 @@ class LiveView:
         self.close()
 
 
-def load_page():
-    """Return the class ViewerPage; raise Error if the extra `live` is missing."""
-    try:
-        from sonar_gl.live.page import ViewerPage  # needs viser, which takes a second to import
-    except ModuleNotFoundError as why:
-        raise missing_extra("live", f"view needs more packages (got no module {why.name})") from None
-    return ViewerPage
-
-
 def warn_of_host(host: str) -> None:
     """Warn of an address that other machines may reach."""
     if host not in LOCAL:
@@ -150,7 +141,7 @@ def view(
     Error
         if the extra is missing, or an argument is wrong. Exceptions of `on_ping` are raised again if `block`.
     """
-    load_page()  # before anything that takes long
+    load_viser()  # before anything that takes long
     load_numba()
     source = None
     if not isinstance(scene, Scene):

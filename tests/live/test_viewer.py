@@ -2,7 +2,6 @@
 
 import sys
 import threading
-import types
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ from click.testing import CliRunner
 
 import sonar_gl as sg
 from sonar_gl.cli import main as cli
-from sonar_gl.live import viewer
+from sonar_gl.cli import view as command
+from sonar_gl.live import page, viewer
 from sonar_gl.ping import Ping
 
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,-5,0,0.2,0\n2,1,0,-5,0,0.2,0\n"
@@ -33,9 +33,9 @@ def pages(monkeypatch, tmp_path):
         def close(self):
             self.is_closed = True
 
-    module = types.ModuleType("sonar_gl.live.page")
-    module.ViewerPage = ViewerPage
-    monkeypatch.setitem(sys.modules, "sonar_gl.live.page", module)
+    monkeypatch.setattr(viewer, "ViewerPage", ViewerPage)
+    for module in (viewer, command):
+        monkeypatch.setattr(module, "load_viser", lambda: None)
     monkeypatch.chdir(tmp_path)
     return opened
 
@@ -102,12 +102,14 @@ def test_a_port_that_cannot_be_had_is_an_error():
 
 
 def test_without_its_extra_view_says_how_to_add_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "sonar_gl.live.page", None)  # importing it now fails
-    monkeypatch.setattr(viewer, "load_scene", None)  # nothing is done before
-    with pytest.raises(sg.Error, match=r"view needs more packages .* to add it: "):
+    monkeypatch.setitem(sys.modules, "viser", None)  # importing it now fails
+    for module in (viewer, command):
+        monkeypatch.setattr(module, "load_viser", page.load_viser)
+        monkeypatch.setattr(module, "load_numba", None)  # nothing is done before
+    with pytest.raises(sg.Error, match=r"the page needs viser .* to add it: "):
         sg.view("pylon")
     done = run("view", "pylon")
-    assert done.exit_code == 2 and done.output.startswith("error: view needs more packages")
+    assert done.exit_code == 2 and done.output.startswith("error: the page needs viser")
 
 
 def test_the_command_opens_a_page_with_what_its_options_say(pages):
@@ -118,9 +120,9 @@ def test_the_command_opens_a_page_with_what_its_options_say(pages):
                "--without", "box", "--job", "job.toml", "--out", "pictures")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "the page is at http://127.0.0.1:0; Ctrl-C ends it" in done.output
-    (page,) = pages
-    session, settings = page.session, page.session.settings
-    assert page.is_closed and page.port == 0 and session.output.folder == Path("pictures")
+    (opened,) = pages
+    session, settings = opened.session, opened.session.settings
+    assert opened.is_closed and opened.port == 0 and session.output.folder == Path("pictures")
     assert settings.device.range_max_m == 12.0 and settings.device.n_bins == 99
     assert settings.sonar == sg.load_sonar("p900-90")
     assert settings.acoustics == sg.Acoustics.physical(pulse=False, water=sg.Water(temperature_c=4.0))
