@@ -82,7 +82,7 @@ class SceneNodes:
         meshes = browser_meshes(session.scene)
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
-        scene.add_light_ambient("/lights/water", WATER_LIGHT, intensity=1.6)
+        scene.add_light_ambient("/lights/water", color=WATER_LIGHT, intensity=1.6)
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
