@@ -10,6 +10,7 @@
     ArrowUp: "arrowup", ArrowDown: "arrowdown", ArrowLeft: "arrowleft", ArrowRight: "arrowright",
   };
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
+  const POINTER_MS = 50;
   const FRAMES_MS = 2000; // between two reports of the slowest frame
   const REPEAT_MS = 250; // while keys are held: the server lets go of keys of which it hears no more
 
@@ -41,6 +42,17 @@
     field.dispatchEvent(new Event("input", { bubbles: true }));
   }
 
+  // a pointer moves more often than viser sends
+  let isWaiting = false;
+  function sendSoon() {
+    if (isWaiting) return;
+    isWaiting = true;
+    setTimeout(() => {
+      isWaiting = false;
+      send();
+    }, POINTER_MS);
+  }
+
   // the picture is the page's only image that comes in parts of a message; its enlarged copy is another element
   const picture = (target) => (target instanceof HTMLImageElement && target.src.startsWith("blob:") ? target : null);
 
@@ -54,7 +66,7 @@
     if (image === null && state.pointer === null) return;
     if (image !== null) image.style.cursor = "crosshair";
     state.pointer = image && place(event, image);
-    send();
+    sendSoon();
   }, true);
 
   document.addEventListener("click", (event) => {
