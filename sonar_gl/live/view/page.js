@@ -12,7 +12,9 @@
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
   const POINTER_MS = 50;
   const FRAMES_MS = 2000; // between two reports of the slowest frame
-  const REPEAT_MS = 250; // while keys are held: the server lets go of keys of which it hears no more
+  // The server lets go of keys, and sends no pictures, while it gets no state: of 50 pictures that wait, React, which
+  // viser's page is made with, takes the last for an endless loop.
+  const REPEAT_MS = 250;
 
   function row() {
     const label = [...document.querySelectorAll("label")].find((one) => one.textContent === FIELD);
@@ -103,9 +105,7 @@
     send();
   });
 
-  setInterval(() => {
-    if (held.size > 0) send();
-  }, REPEAT_MS);
+  setInterval(send, REPEAT_MS);
 
   // Pictures that arrive wait for frames of the scene that are being drawn. Where those take long, as without a graphics
   // card, the server changes the scene less often.
@@ -122,7 +122,6 @@
     slowest_ms = 0;
     if (Math.abs(frame_s - state.frame_s) <= 0.25 * state.frame_s) return;
     state.frame_s = frame_s;
-    send();
   }, FRAMES_MS);
 
   window.sonarView = { hideField };
