@@ -19,7 +19,7 @@ from sonar_gl.live.view.ping_panel import PingPanel
 from sonar_gl.live.view.scene_nodes import SceneNodes, camera_sonar_pose
 
 STEP_S = 1 / 30  # between two moves of a sonar by keys
-KEYS_S = 1.0  # after which held keys count as released, if the browser tells no more of them
+SILENT_S = 1.0  # after which a browser that sends no state is taken to be busy: its keys count as released
 READ_S = 0.5  # between two read-outs under a pointer that rests
 NODES_S = 0.05  # between two changes of the scene, at least; a picture in it costs more than one in the panel
 FRAMES = 6  # of the scene that a browser could draw between two changes: pictures wait while it draws
@@ -225,6 +225,8 @@ class ViewerPage:
                 frame, self._frame = self._frame, None
             if frame is None:
                 continue
+            if not any(now_s - told_s < SILENT_S for _, told_s in self._browsers.values()):
+                continue
             if frame.settings is not settings:
                 settings = frame.settings
                 self._sync()
@@ -234,7 +236,10 @@ class ViewerPage:
 
     def _move_by_keys(self, dt_s: float, now_s: float) -> None:
         keys = {
-            key for state, told_s in self._browsers.values() if now_s - told_s < KEYS_S for key in state.keys
+            key
+            for state, told_s in self._browsers.values()
+            if now_s - told_s < SILENT_S
+            for key in state.keys
         }
         if keys and self._carrier is None:
             self._session.move(

@@ -24,7 +24,7 @@ from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
 from tools.chart import scenes
-from tools.docs import ablation, gallery
+from tools.docs import ablation, gallery, view
 
 ROOT = Path(__file__).resolve().parents[2]
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
@@ -162,6 +162,7 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
         *(f"chart_{name}" for name in (*scenes.SCENES, "shimmer", "embedding")),
         *(f"embedding_{name}" for name in embed.SHOWN),
         *(f"ablation_{name}" for name in ablation.SCENES),
+        *(f"view_{name}" for name in view.SCENES),
         "scaling",
         compare_real.OURS,
     }

@@ -25,17 +25,18 @@ from tools.pictures import write_png
 
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
 SIZE = {"width": 1280, "height": 800}
-SCENES = {"pylon": ("p900-45", 22.0), "ocean_floor": ("oculus-m750d-lf", 30.0)}  # sonar, range in metres
+# sonar, range in metres, and a place of the picture, 0..1 to the right and down, at which the pointer is
+SCENES = {"pylon": ("p900-45", 22.0, (0.69, 0.41)), "ocean_floor": ("oculus-m750d-lf", 30.0, (0.56, 0.6))}
 COLOURS = 192, 160, 128, 96, 64  # of the palette: as many as leave a picture below MAX_BYTES
 MAX_BYTES = 120_000
 FILM_WIDTH, FILM_FRAMES, FRAME_MS, TURN_RAD = 800, 30, 120, 0.012
-SETTLE_S = 4.0  # for the scene to be drawn by software
+SETTLE_S = 8.0  # for the scene to be drawn by software
 WAIT_MS = 120_000
 
 
 def show(browser, name: str):
     """Yield a tab that shows a scene, and its session."""
-    sonar, range_m = SCENES[name]
+    sonar, range_m, _ = SCENES[name]
     settings = LiveSettings(load_sonar(sonar), range_m=range_m)
     session = LiveSession(load_scene(name), settings, source=SceneSource(name))
     with session, ViewerPage(session, port=0) as page:
@@ -60,11 +61,10 @@ def screenshot(tab) -> Image.Image:
 
 def draw(browser, name: str) -> None:
     """Write the picture of a scene's page."""
-    for tab, session in show(browser, name):
+    for tab, _ in show(browser, name):
         box = tab.locator('img[src^="blob:"]').first.bounding_box()
-        tab.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.45 * box["height"])
-        time.sleep(SETTLE_S)
-        session.change(max_rate_hz=1.0)  # leaves the processor to the browser
+        _, _, (right, down) = SCENES[name]
+        tab.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
         time.sleep(SETTLE_S)
         image, path = screenshot(tab), PICTURES / f"view_{name}.png"
         for colours in COLOURS:

@@ -10,8 +10,11 @@
     ArrowUp: "arrowup", ArrowDown: "arrowdown", ArrowLeft: "arrowleft", ArrowRight: "arrowright",
   };
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
+  const POINTER_MS = 50;
   const FRAMES_MS = 2000; // between two reports of the slowest frame
-  const REPEAT_MS = 250; // while keys are held: the server lets go of keys of which it hears no more
+  // The server lets go of keys, and sends no pictures, while it gets no state: of 50 pictures that wait, React, which
+  // viser's page is made with, takes the last for an endless loop.
+  const REPEAT_MS = 250;
 
   function row() {
     const label = [...document.querySelectorAll("label")].find((one) => one.textContent === FIELD);
@@ -41,6 +44,17 @@
     field.dispatchEvent(new Event("input", { bubbles: true }));
   }
 
+  // a pointer moves more often than viser sends
+  let isWaiting = false;
+  function sendSoon() {
+    if (isWaiting) return;
+    isWaiting = true;
+    setTimeout(() => {
+      isWaiting = false;
+      send();
+    }, POINTER_MS);
+  }
+
   // the picture is the page's only image that comes in parts of a message; its enlarged copy is another element
   const picture = (target) => (target instanceof HTMLImageElement && target.src.startsWith("blob:") ? target : null);
 
@@ -54,7 +68,7 @@
     if (image === null && state.pointer === null) return;
     if (image !== null) image.style.cursor = "crosshair";
     state.pointer = image && place(event, image);
-    send();
+    sendSoon();
   }, true);
 
   document.addEventListener("click", (event) => {
@@ -91,9 +105,7 @@
     send();
   });
 
-  setInterval(() => {
-    if (held.size > 0) send();
-  }, REPEAT_MS);
+  setInterval(send, REPEAT_MS);
 
   // Pictures that arrive wait for frames of the scene that are being drawn. Where those take long, as without a graphics
   // card, the server changes the scene less often.
@@ -110,7 +122,6 @@
     slowest_ms = 0;
     if (Math.abs(frame_s - state.frame_s) <= 0.25 * state.frame_s) return;
     state.frame_s = frame_s;
-    send();
   }, FRAMES_MS);
 
   window.sonarView = { hideField };
