@@ -13,6 +13,7 @@ from .imaging.axes import draw_axes
 from .imaging.demarco2015 import demarco_image
 from .imaging.fan_image import colorize, fan_image
 from .imaging.files import load_npz, save_animation, save_npz, save_png
+from .live.viewer import view
 from .noise.settings import Noise
 from .ping import GBuffer, Ping
 from .scene.load import bundled_scenes, load_scene
@@ -65,4 +66,5 @@ __all__ = [
     "save_npz",
     "save_png",
     "textured_body",
+    "view",
 ]

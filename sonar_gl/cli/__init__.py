@@ -20,6 +20,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "scene_report",
         "system_checks",
         "verify",
+        "view",
         "warm_up_batch",
     ],
 )

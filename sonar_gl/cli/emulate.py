@@ -10,14 +10,13 @@ from sonar_gl.cli.common import acoustics_from, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.live.hosts import LOCAL
 from sonar_gl.live.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
 from sonar_gl.live.ping360 import PORT, Ping360Head, Ping360Server
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulated_head import SimulatedHead
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.sonar import Sonar, load_sonar
-
-LOCAL = "127.0.0.1", "localhost"
 
 
 def oculus(scene_name: str, options) -> str:

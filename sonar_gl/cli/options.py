@@ -25,6 +25,7 @@ HELP = {
     "axes": "Draw range and azimuth axes around the fan image, a title, and the bar of colours.",
     "form": "Style demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
     "join": "Style demarco2015: how points are drawn.",
+    "polar": "Show beams as columns and ranges as rows, in place of a fan.",
     "height": "Height of the picture without axes, pixels.",
     "tolerance": "Largest share of the echo that may lie in wrong bins.",
     "engine": "What draws: opengl, cpu, or auto, which takes OpenGL where there is a graphics card.",
@@ -54,6 +55,7 @@ HELP = {
     "pose_from": "Messages that move the sonar: odometry=TOPIC, pose=TOPIC or tf=FRAME.",
     "bodies_from": "Topic of tf2_msgs/TFMessage that moves bodies, whose names are the child frames.",
     "domain": "Domain of ROS 2.",
+    "job": "Job file of `sonar-gl batch` to which the page adds poses; otherwise one in the output folder.",
     "json": "Print one JSON object instead of text.",
     "out": "Output folder; created if it does not exist.",
 }

@@ -25,6 +25,11 @@ class PoseTrack:
         self._poses = [np.asarray(one, np.float64) for one in poses]
         self._times_s = np.zeros(1) if times_s is None else np.asarray(times_s, np.float64)
 
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first pose to the last."""
+        return float(self._times_s[-1] - self._times_s[0])
+
     def at(self, time_s: float) -> np.ndarray:
         """Return world_from_sonar, (4, 4) float64, at a time in seconds since the first pose."""
         times_s = self._times_s - self._times_s[0]

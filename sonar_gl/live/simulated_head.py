@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections import OrderedDict
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
-from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sonar import Sonar
-
-MAX_SIMULATORS = 4  # settings between which a program changes to and fro
 
 
 class SimulatedHead:
@@ -43,13 +40,13 @@ class SimulatedHead:
     ):
         self.acoustics, self.track = acoustics, track
         self._noise, self._tolerance, self._seed = noise, tolerance, seed
-        self._first = Simulator(scene, sonar, acoustics, tolerance=tolerance)
-        self._others: OrderedDict[tuple[Sonar, Acoustics], Simulator] = OrderedDict()
+        self._simulators = SimulatorPool(scene)
+        self._renderer = self._simulators.simulator(sonar, acoustics, tolerance).gl_info["renderer"]
 
     @property
     def renderer(self) -> str:
         """Name of what draws."""
-        return self._first.gl_info["renderer"]
+        return self._renderer
 
     def ping(
         self, sonar: Sonar, acoustics: Acoustics, time_s: float, number: int, turn: np.ndarray | None = None
@@ -63,25 +60,11 @@ class SimulatedHead:
         """
         pose = self.track.at(time_s)
         pose = pose if turn is None else pose @ turn
-        simulator = self._simulator(sonar, acoustics)
+        simulator = self._simulators.simulator(sonar, acoustics, self._tolerance)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a device does not say that it sees nothing
             return simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
 
-    def _simulator(self, sonar: Sonar, acoustics: Acoustics) -> Simulator:
-        """Return a simulator in the same world; the one that was not used for longest makes room."""
-        if (sonar, acoustics) == (self._first.sonar, self._first.acoustics):
-            return self._first
-        key = sonar, acoustics
-        if key not in self._others:
-            while len(self._others) >= MAX_SIMULATORS:
-                self._others.popitem(last=False)[1].close()
-            self._others[key] = Simulator(self._first, sonar, acoustics, tolerance=self._tolerance)
-        self._others.move_to_end(key)
-        return self._others[key]
-
     def close(self) -> None:
         """Give back all that it holds."""
-        for simulator in (*self._others.values(), self._first):
-            simulator.close()
-        self._others.clear()
+        self._simulators.close()

@@ -499,11 +499,14 @@ def test_examples_of_the_help_show_something(line, monkeypatch):
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
     words = shlex.split(line)
-    if words[0] == "emulate":  # it would go on for ever; the device's port may be taken
+    if words[0] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
         words += ["--duration", "1", "--port", "0"]
     if words[0] == "ros2":
         words += ["--duration", "1", "--domain", str(100 + os.getpid() % 100)]
     status, out, err = run(*words)
+    if words[0] == "view":
+        assert status == 0 and "the page is at http://127.0.0.1:" in err
+        return
     if words[0] in ("emulate", "ros2"):
         assert status == 0 and re.search(" sent, | pings published, ", out)
         return

@@ -24,7 +24,7 @@ from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
 from tools.chart import scenes
-from tools.docs import ablation, gallery
+from tools.docs import ablation, gallery, view
 
 ROOT = Path(__file__).resolve().parents[2]
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
@@ -104,7 +104,7 @@ def test_commands_run(words, folder, monkeypatch):
     for module in (costs, terms):  # what `plan` tells of times need not be exact
         monkeypatch.setattr(module, "TURNS", 1)
     before = set(folder.rglob("*"))
-    if words[1] == "emulate":  # it would go on for ever; the device's port may be taken
+    if words[1] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
         words = [*words, "--duration", "1", "--port", "0"]
     if words[1] == "ros2":  # the same, and programs that run beside tests may use domain 0
         words = [*words, "--duration", "1", "--domain", str(100 + os.getpid() % 100)]
@@ -167,6 +167,7 @@ def test_pictures_are_shown_small_and_made_by_the_tools():
         *(f"chart_{name}" for name in (*scenes.SCENES, "shimmer", "embedding")),
         *(f"embedding_{name}" for name in embed.SHOWN),
         *(f"ablation_{name}" for name in ablation.SCENES),
+        *(f"view_{name}" for name in view.SCENES),
         "scaling",
         compare_real.OURS,
     }

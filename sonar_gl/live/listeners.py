@@ -1,0 +1,84 @@
+"""Listeners of a live session: each has a thread of its own, and misses what comes while it is busy."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from threading import Condition, Thread, current_thread
+
+from sonar_gl.core.errors import Error
+
+logger = logging.getLogger(__name__)
+
+
+class Listener:
+    """Calls a function with what it is told, in a thread of its own.
+
+    While the function is busy, new items take the place of the ones that wait: a slow listener misses items, and holds
+    up nobody. An exception of the function ends the listening.
+
+    Parameters
+    ----------
+    call : function of one item
+    on_close : function of this listener, called once it is closed
+    waiting : how many items may wait
+
+    Attributes
+    ----------
+    missed : number of items that others replaced
+    failure : exception that ended the listening, or None
+    """
+
+    def __init__(self, call: Callable, on_close: Callable = lambda listener: None, waiting: int = 1):
+        self.missed, self.failure = 0, None
+        self._call, self._on_close = call, on_close
+        self._items, self._changed, self._is_closed = deque(maxlen=waiting), Condition(), False
+        self._thread = Thread(target=self._serve, name="sonar_gl listener", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it takes no more items."""
+        return self._is_closed
+
+    def tell(self, item) -> None:
+        """Hand over an item; never waits."""
+        with self._changed:
+            self.missed += len(self._items) == self._items.maxlen
+            self._items.append(item)
+            self._changed.notify()
+
+    def close(self, timeout_s: float | None = 10.0) -> None:
+        """Take no more items, and wait until those that were taken are done; a second call does nothing."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+        if current_thread() is not self._thread:
+            self._thread.join(timeout_s)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def _serve(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    while not self._items and not self._is_closed:
+                        self._changed.wait()
+                    if not self._items:
+                        return
+                    item = self._items.popleft()
+                self._call(item)
+        except Exception as why:
+            # whose fault an Error is it says by itself
+            logger.warning(
+                "a listener failed, and gets no more pings: %s", why, exc_info=not isinstance(why, Error)
+            )
+            self.failure = why
+        finally:
+            self._is_closed = True
+            self._on_close(self)

@@ -1,0 +1,160 @@
+"""The settings of a live session: sonar, acoustics, noise, samples, and how pings are shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
+from sonar_gl.analysis.terms import TERMS, Term
+from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number
+from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
+from sonar_gl.noise.settings import Noise
+from sonar_gl.raster.engine import ENGINES
+from sonar_gl.sonar.counts import Counts
+from sonar_gl.sonar.sampling import check_tolerance
+from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+FORMS = "fan", "polar"
+DEFAULT_RATE_HZ = 25.0
+DEFAULT_TOLERANCE = 0.05
+DEFAULT_HEIGHT = 640
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Everything about the pings of a live session but where the sonar and the bodies are.
+
+    Parameters
+    ----------
+    sonar : Sonar, or a text of `load_sonar`
+    range_m : maximum range in place of the sonar's, metres; bins as by `Sonar.with_range`; None for the sonar's own
+    n_bins : number of range bins in place of the sonar's; None for its own
+    acoustics : Acoustics, with the water
+    noise : Noise, or a text of `Noise.parse`
+    tolerance : as for `Simulator`
+    engine : "auto", "opengl" or "cpu", as for `Simulator`; None as for `Simulator`, too
+    seed : of the noise
+    counts : Counts in place of the sonar's: law and gain; None for the sonar's own
+    colormap : of `colorize`
+    form : "fan", seen from above, or "polar", a column for each beam, port on the left, far ranges at the top
+    height : of the picture, pixels
+    max_rate_hz : pings per second at most
+
+    Raises
+    ------
+    Error
+        if one of them is invalid.
+
+    >>> LiveSettings("p900-45").changed(range_m=20.0).device.range_max_m
+    20.0
+    """
+
+    sonar: Sonar
+    range_m: float | None = None
+    n_bins: int | None = None
+    acoustics: Acoustics = field(default_factory=Acoustics.physical)
+    noise: Noise = field(default_factory=Noise.physical)
+    tolerance: float = DEFAULT_TOLERANCE
+    engine: str | None = None
+    seed: int = 0
+    counts: Counts | None = None
+    colormap: str = DEFAULT_COLORMAP
+    form: str = "fan"
+    height: int = DEFAULT_HEIGHT
+    max_rate_hz: float = DEFAULT_RATE_HZ
+
+    def __post_init__(self):
+        if isinstance(self.sonar, str):
+            object.__setattr__(self, "sonar", load_sonar(self.sonar))
+        if isinstance(self.noise, str):
+            object.__setattr__(self, "noise", Noise.parse(self.noise))
+        check_kind("sonar", self.sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+        check_kind("acoustics", self.acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()")
+        check_kind("noise", self.noise, Noise, "such as sonar_gl.Noise.physical()")
+        check_kind("counts", self.counts, Counts | None, 'such as Counts("power", exponent=0.26)')
+        check_tolerance(self.tolerance)
+        check_whole_number("seed", self.seed)
+        if self.engine is not None:
+            check_choice("engine", self.engine, ENGINES)
+        colours(self.colormap)
+        check_choice("form", self.form, FORMS)
+        check_whole_number("height", self.height, 1, MAX_HEIGHT, "give pixels")
+        check_number("max_rate_hz", self.max_rate_hz, 0.01, 1000.0, "give pings per second")
+        self.device  # noqa: B018 - raises Error for a range that the sonar cannot have
+
+    @property
+    def device(self) -> Sonar:
+        """The sonar with these ranges, bins and law of counts."""
+        sonar = self.sonar if self.range_m is None else self.sonar.with_range(self.range_m)
+        sonar = sonar if self.n_bins is None else replace(sonar, n_bins=self.n_bins)
+        return sonar if self.counts is None else replace(sonar, counts=self.counts)
+
+    @property
+    def law(self) -> Counts:
+        """The law of counts by which pings are shown."""
+        return self.sonar.counts if self.counts is None else self.counts
+
+    @property
+    def water(self) -> Water:
+        """The water of the acoustics."""
+        return self.acoustics.water
+
+    def changed(self, **values) -> LiveSettings:
+        """Return these settings with other values of some fields.
+
+        Beside the fields there are `water`, a Water, and `gain_db`, a fixed gain of the law of counts. Another sonar
+        comes with its own range, bins and counts, unless they are given, too.
+
+        Raises
+        ------
+        Error
+            if a name is unknown or a value invalid.
+        """
+        known = [one.name for one in fields(self)] + ["water", "gain_db"]
+        for name in values:
+            if name not in known:
+                raise Error(f"unknown setting (got {name!r}; {nearest_names(name, known)})")
+        if "water" in values:
+            water = values.pop("water")
+            check_kind("water", water, Water, "such as sonar_gl.Water(temperature_c=4.0)")
+            check_kind(
+                "acoustics",
+                values.get("acoustics", self.acoustics),
+                Acoustics,
+                "such as Acoustics.physical()",
+            )
+            values["acoustics"] = replace(values.get("acoustics", self.acoustics), water=water)
+        gain_db = values.pop("gain_db", None)
+        if "sonar" in values:
+            values = {"range_m": None, "n_bins": None, "counts": None} | values
+        out = replace(self, **values)
+        return out if gain_db is None else replace(out, counts=out.law.changed({"gain_db": gain_db}))
+
+    def is_on(self, term: str) -> bool:
+        """Return whether a term of acoustics or noise is on, by its name in `analysis.terms.TERMS`."""
+        return not _term(term).on(self.acoustics, self.noise, self.device)
+
+    def switched(self, term: str, on: bool) -> LiveSettings:
+        """Return these settings with a term of acoustics or noise on or off.
+
+        >>> LiveSettings("p900-45").switched("multipath", True).acoustics.multipath
+        'incoherent'
+        """
+        found = _term(term)
+        values = found.on(self.acoustics, self.noise, self.device) if on else found.off
+        acoustics, noise = found.changed(self.acoustics, self.noise, values)
+        return replace(self, acoustics=acoustics, noise=noise)
+
+
+def term_names() -> list[str]:
+    """Return the names of the terms of acoustics and noise, as `sonar-gl plan` prices them."""
+    return [term.name for term in TERMS]
+
+
+def _term(name: str) -> Term:
+    for term in TERMS:
+        if term.name == name:
+            return term
+    raise Error(f"unknown term (got {name!r}; {nearest_names(name, term_names())})")

@@ -1,0 +1,338 @@
+"""The panel with the controls: what moves the sonar, its settings, bodies, and files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from threading import Thread
+
+from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
+from sonar_gl.analysis.terms import Price
+from sonar_gl.core.errors import Error
+from sonar_gl.imaging.fan_image import ANCHORS
+from sonar_gl.live.session import LiveSession
+from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
+from sonar_gl.live.view.actions import Actions, tell
+from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.sonar import presets
+
+KEYS, CAMERA, TRAJECTORY = "keys and gizmo", "browser's camera", "trajectory"
+NO_BODY = "none"
+COLORMAPS = (*ANCHORS, "jet", "viridis")
+NOISES = ("none", "demarco2015", "physical")
+OTHER = "other"
+MAX_RANGE_M = 150.0
+PANEL_WIDTH = 330  # pixels of the page
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How fast keys move the sonar.
+
+    Attributes
+    ----------
+    speed_m_s, turn_rate_rad_s : metres and radians per second
+    """
+
+    speed_m_s: float = 1.0
+    turn_rate_rad_s: float = 0.5
+
+
+def chosen(value, allowed: Mapping[str, object] | tuple[str, ...], what: str):
+    """Return what a name stands for; Error for other names, since a browser may send any text."""
+    if value not in allowed:
+        raise Error(f"{what} must be one of those that the page offers (got {str(value)[:80]!r})")
+    return allowed[value] if isinstance(allowed, Mapping) else value
+
+
+class ControlPanel:
+    """The panel on the right.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    session : LiveSession
+    actions : Actions
+    on_mover : action of (client, one of KEYS, CAMERA and TRAJECTORY) when another one is chosen
+    on_body : action of a body's name that was chosen; "" for none
+    on_picture : action of whether the picture lies in the scene
+    """
+
+    def __init__(
+        self,
+        server,
+        session: LiveSession,
+        actions: Actions,
+        on_mover: Callable,
+        on_body: Callable[[str], None],
+        on_picture: Callable[[bool], None],
+    ):
+        self._gui, self._session, self._actions = server.gui, session, actions
+        self._shown: list[tuple] = []  # handles, and what settings have each show
+        self._terms: dict[str, object] = {}
+        self.steps = Steps()
+        settings = session.settings
+        own = {} if settings.sonar in presets().values() else {settings.sonar.name: settings.sonar}
+        self._sonars = {**own, **presets()}
+        self._add_motion(on_mover)
+        self._add_sonar(settings)
+        self._add_display(settings, on_picture)
+        self._add_acoustics(settings)
+        self._add_water(settings)
+        self._add_bodies(on_body)
+        self._add_files()
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(PANEL_WIDTH)
+        self.sync()
+
+    def sync(self) -> None:
+        """Have all controls show the settings that the session has."""
+        settings = self._session.settings
+        for handle, shown in self._shown:
+            value = shown(settings)
+            if handle.value != value:
+                handle.value = value
+        is_recording = self._session.output.is_recording
+        label = "Stop recording" if is_recording else "Record"
+        if self._record.label != label:
+            self._record.label = label
+
+    def show_mover(self, mover: str) -> None:
+        """Show what moves the sonar."""
+        if self._mover.value != mover:
+            self._mover.value = mover
+
+    def show_body(self, name: str) -> None:
+        """Show which body is selected; "" for none."""
+        self._body.value = name or NO_BODY
+
+    # ---- parts --------------------------------------------------------------------------------------------
+
+    def _connect(self, handle, shown: Callable[[LiveSettings], object], change: Callable) -> None:
+        """Have a control show a part of the settings, and change it."""
+        self._shown.append((handle, shown))
+        self._actions.connect(handle, change)
+
+    def _add_motion(self, on_mover) -> None:
+        gui = self._gui
+        movers = (KEYS, CAMERA) + (() if self._session.track is None else (TRAJECTORY,))
+        with gui.add_folder("Motion"):
+            self._mover = gui.add_dropdown(
+                "moved by",
+                movers,
+                initial_value=movers[-1] if self._session.track is not None else KEYS,
+                hint="W S A D move ahead, back, to port, to starboard, E Q up, down; arrows turn. The browser's camera "
+                "is flown by the same keys and the mouse, and carries the sonar.",
+            )
+            speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
+
+        @self._mover.on_update
+        async def _(event):
+            if event.client is not None:
+                value = self._mover.value
+                self._actions.ask(
+                    event.client,
+                    lambda: on_mover(event.client, chosen(value, movers, "what moves the sonar")),
+                )
+
+        self._actions.connect(speed, self._set_speed)
+
+    def _set_speed(self, value) -> None:
+        self.steps = replace(self.steps, speed_m_s=min(max(float(value), 0.0), 100.0))
+
+    def _add_sonar(self, settings: LiveSettings) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Sonar"):
+            sonar = gui.add_dropdown("sonar", tuple(self._sonars), initial_value=settings.sonar.name)
+            range_m = gui.add_slider("range, m", 1.0, MAX_RANGE_M, 0.5, _shown_range(settings))
+            tolerance = gui.add_slider(
+                "tolerance, %", 0.5, 20.0, 0.5, _shown_tolerance(settings),
+                hint="Largest share of the echo that may lie in wrong bins.",
+            )  # fmt: skip
+            rate = gui.add_slider("pings per s", 1.0, 60.0, 1.0, _shown_rate(settings), hint="At most.")
+            engine = gui.add_dropdown("engine", ENGINES, initial_value=settings.engine or "auto")
+        self._connect(
+            sonar,
+            lambda settings: settings.sonar.name,
+            lambda name: session.change(sonar=chosen(name, self._sonars, "sonar")),
+        )
+        self._connect(range_m, _shown_range, lambda value: session.change(range_m=float(value)))
+        self._connect(tolerance, _shown_tolerance, lambda value: session.change(tolerance=float(value) / 100))
+        self._connect(rate, _shown_rate, lambda value: session.change(max_rate_hz=float(value)))
+        self._connect(
+            engine,
+            lambda settings: settings.engine or "auto",
+            lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
+        )
+
+    def _add_display(self, settings: LiveSettings, on_picture) -> None:
+        gui, session = self._gui, self._session
+        colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
+        with gui.add_folder("Display"):
+            form = gui.add_dropdown("form", FORMS, initial_value=settings.form)
+            colormap = gui.add_dropdown("colours", colormaps, initial_value=settings.colormap)
+            own = gui.add_checkbox(
+                "gain of the device", settings.counts is None, hint="The preset's law of counts."
+            )
+            gain = gui.add_slider("gain, dB", -40.0, 60.0, 1.0, _shown_gain(settings))
+            picture = gui.add_checkbox("picture in 3D", True, hint="On the upper face of the fan.")
+        self._actions.connect(picture, on_picture)
+        self._connect(
+            form,
+            lambda settings: settings.form,
+            lambda name: session.change(form=chosen(name, FORMS, "form")),
+        )
+        self._connect(
+            colormap,
+            lambda settings: settings.colormap,
+            lambda name: session.change(colormap=chosen(name, colormaps, "colours")),
+        )
+        self._connect(gain, _shown_gain, lambda value: session.change(gain_db=float(value)))
+        self._connect(own, lambda settings: settings.counts is None, self._switch_gain)
+
+    def _switch_gain(self, own: bool) -> None:
+        if own:
+            self._session.change(counts=None)
+        else:
+            self._session.change(gain_db=_shown_gain(self._session.settings))
+
+    def _add_acoustics(self, settings: LiveSettings) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Acoustics and noise", expand_by_default=False):
+            profile = gui.add_dropdown("profile", tuple(PROFILES), initial_value=settings.acoustics.profile)
+            noise = gui.add_dropdown("noise", (*NOISES, OTHER), initial_value=_shown_noise(settings))
+            for name in term_names():
+                self._terms[name] = gui.add_checkbox(name, settings.is_on(name))
+            self._price = gui.add_button(
+                "Price the terms", hint="What each changes and costs here; takes seconds."
+            )
+        self._connect(
+            profile,
+            lambda settings: settings.acoustics.profile,
+            lambda name: session.change(acoustics=self._profile(chosen(name, tuple(PROFILES), "profile"))),
+        )
+        self._connect(noise, _shown_noise, self._change_noise)
+        for name, handle in self._terms.items():
+            self._connect(
+                handle,
+                lambda settings, name=name: settings.is_on(name),
+                lambda on, name=name: session.switch(name, bool(on)),
+            )
+        self._actions.connect_button(self._price, self._find_prices)
+
+    def _profile(self, name: str) -> Acoustics:
+        return Acoustics(profile=name, water=self._session.settings.water)
+
+    def _change_noise(self, name: str) -> None:
+        if chosen(name, (*NOISES, OTHER), "noise") != OTHER:
+            self._session.change(noise=Noise.parse(name))
+
+    def _find_prices(self, client) -> None:
+        """Have the terms priced in a thread, since that takes seconds."""
+
+        def find():
+            try:
+                prices = self._session.prices()
+                self._actions.ask(client, lambda: self._show_prices(prices))
+            except Exception as why:
+                self._actions.ask(client, lambda why=why: _raise(why))
+            finally:
+                self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
+
+        self._price.disabled = True
+        Thread(target=find, name="sonar_gl prices", daemon=True).start()
+
+    def _show_prices(self, prices: list[Price]) -> None:
+        for one in prices:
+            if one.name in self._terms:
+                handle = self._terms[one.name]
+                handle.label = f"{one.name}: {100 * one.changes:.2g} %, {one.time_ms:.2g} ms"
+                handle.hint = (
+                    f"Changes {100 * one.changes:.2g} % of the echo, and {100 * one.changed_bins:.2g} % of the bins by "
+                    f"more than 3 dB; adds {one.time_ms:.2g} ms to a ping."
+                )
+
+    def _add_water(self, settings: LiveSettings) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Water", expand_by_default=False):
+            for name, label, low, high, step in (
+                ("temperature_c", "temperature, °C", 0.0, 35.0, 0.5),
+                ("salinity_psu", "salinity, psu", 0.0, 42.0, 0.5),
+                ("depth_m", "depth, m", 0.0, 1000.0, 1.0),
+            ):
+
+                def shown(settings, name=name, low=low, high=high):
+                    return min(max(float(getattr(settings.water, name)), low), high)
+
+                def change(value, name=name):
+                    session.change(water=replace(session.settings.water, **{name: float(value)}))
+
+                handle = gui.add_slider(label, low, high, step, shown(settings))
+                self._connect(handle, shown, change)
+
+    def _add_bodies(self, on_body) -> None:
+        gui, names = self._gui, tuple(body.name for body in self._session.scene.bodies)
+        with gui.add_folder("Bodies", expand_by_default=False):
+            self._body = gui.add_dropdown(
+                "selected", (NO_BODY, *names), initial_value=NO_BODY,
+                hint="A selected body stands out in the picture, and can be dragged in 3D. A click selects it, too.",
+            )  # fmt: skip
+            back = gui.add_button("Put all back")
+        allowed = {NO_BODY: "", **{name: name for name in names}}
+        self._actions.connect(self._body, lambda name: on_body(chosen(name, allowed, "body")))
+        self._actions.connect_button(back, lambda _: self._session.reset_bodies())
+
+    def _add_files(self) -> None:
+        gui, output = self._gui, self._session.output
+        with gui.add_folder("Files"):
+            self._record = gui.add_button("Record", hint="NPZ of each ping, an MP4, and the poses as CSV.")
+            picture = gui.add_button("Save picture")
+            line = gui.add_button("Command line")
+            job = gui.add_button("Add pose to job")
+        connect = self._actions.connect_button
+        connect(self._record, self._switch_recording)
+        connect(picture, lambda client: tell(client, "Picture saved", str(output.save_picture())))
+        connect(line, lambda client: self._show_command_line(client))
+        connect(job, lambda client: tell(client, "Pose added", str(output.add_pose_to_job())))
+
+    def _switch_recording(self, client) -> None:
+        output = self._session.output
+        if output.is_recording:
+            paths = output.stop_recording()
+            tell(client, "Recorded", ", ".join(str(path) for path in paths))
+        else:
+            tell(client, "Recording", f"into {output.start_recording()}")
+
+    def _show_command_line(self, client) -> None:
+        text = self._session.output.command_line()
+        with client.gui.add_modal("The same picture by a command") as modal:
+            client.gui.add_text("command", text, multiline=True)
+            close = client.gui.add_button("Close")
+
+        @close.on_click
+        async def _(_event):
+            modal.close()
+
+
+def _raise(why: Exception) -> None:
+    raise why
+
+
+def _shown_range(settings: LiveSettings) -> float:
+    return min(max(settings.device.range_max_m, 1.0), MAX_RANGE_M)
+
+
+def _shown_tolerance(settings: LiveSettings) -> float:
+    return min(max(100 * settings.tolerance, 0.5), 20.0)
+
+
+def _shown_rate(settings: LiveSettings) -> float:
+    return min(max(settings.max_rate_hz, 1.0), 60.0)
+
+
+def _shown_gain(settings: LiveSettings) -> float:
+    return min(max(float(settings.law.gain_db), -40.0), 60.0)
+
+
+def _shown_noise(settings: LiveSettings) -> str:
+    return next((name for name in NOISES if Noise.parse(name) == settings.noise), OTHER)

@@ -1,0 +1,316 @@
+"""The 3D part of the page: bodies, the sonar and its fan, and what can be clicked and dragged there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
+
+from sonar_gl.imaging.fan_image import fan_geometry
+from sonar_gl.live.decimate import BrowserMesh, browser_meshes
+from sonar_gl.live.frame import LiveFrame, Surface
+from sonar_gl.live.session import LiveSession
+from sonar_gl.live.view.actions import Actions
+from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.sonar.sonar import Sonar
+
+# Colours of bodies in turn, RGB: stone and steel first, and none that a picture or a gizmo has.
+BODY_COLORS = ((140, 126, 104), (120, 142, 158), (150, 128, 140), (128, 150, 128), (160, 146, 110))
+SELECTED_COLOR = (255, 214, 92)
+FAN_COLOR = (255, 176, 64)
+SURFACE_COLOR = (255, 48, 160)
+SONAR_COLOR = (255, 140, 0)
+WATER_TOP, WATER_BOTTOM = (38, 88, 116), (4, 18, 32)
+WATER_LIGHT = (205, 222, 232)  # what the water scatters: without it, walls would be black
+PLANE_HEIGHT = (
+    320  # pixels of the picture that lies in the scene; a PNG, whose pixels outside the fan are clear
+)
+SONAR_FROM_CAMERA = np.array(
+    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+)  # x right, y down, z ahead
+
+
+def pose_of(wxyz, position) -> np.ndarray:
+    """Return the (4, 4) pose of a node."""
+    out = quaternion_matrix(np.asarray(wxyz, float))
+    out[:3, 3] = position
+    return out
+
+
+def put(node, pose: np.ndarray) -> None:
+    """Move a node to a (4, 4) pose."""
+    node.position, node.wxyz = pose[:3, 3], quaternion_from_matrix(pose)
+
+
+def camera_sonar_pose(camera) -> np.ndarray:
+    """Return the (4, 4) pose of a sonar that looks as a browser's camera does."""
+    out = pose_of(camera.wxyz, camera.position)
+    out[:3, :3] = out[:3, :3] @ SONAR_FROM_CAMERA.T
+    return out
+
+
+class SceneNodes:
+    """The nodes of viser's scene that show a session.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    session : LiveSession
+    actions : Actions of the page
+    on_body : action of a body's name that was clicked
+    on_place : action of (right, down), 0..1 of the picture in the scene, that was clicked
+    """
+
+    def __init__(
+        self,
+        server,
+        session: LiveSession,
+        actions: Actions,
+        on_body: Callable[[str], None],
+        on_place: Callable[[tuple[float, float]], None],
+    ):
+        self._server, self._session, self._actions = server, session, actions
+        self._on_place = on_place
+        self._pose, self._device, self._plane, self._selected = None, None, None, ""
+        self._is_dragging = self._is_dragging_body = False
+        scene = server.scene
+        blend = np.linspace(0, 1, 64)[:, None, None]
+        water = (1 - blend) * WATER_TOP + blend * WATER_BOTTOM
+        scene.set_background_image(np.broadcast_to(water, (64, 2, 3)).astype(np.uint8), format="png")
+        meshes = browser_meshes(session.scene)
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_ambient("/lights/water", color=WATER_LIGHT, intensity=1.6)
+        self._bodies = {
+            mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
+        }
+        self._middles = {mesh.name: _middle(mesh) for mesh in meshes}
+        self._poses = {}
+        self._sonar = scene.add_frame("/sonar", show_axes=False)
+        self._outline = self._arcs = self._housing = self._picture = self._surface = None
+        self._gizmo = scene.add_transform_controls("/move_sonar", scale=1.0, depth_test=False)
+        self._body_gizmo = scene.add_transform_controls(
+            "/move_body", scale=1.0, depth_test=False, visible=False
+        )
+        self._center = np.eye(4)
+        self._connect_gizmos()
+        self.shows_picture = True
+        if session.track is not None:
+            self._add_path()
+
+    # ---- what the page tells ------------------------------------------------------------------------------
+
+    def show(self, frame: LiveFrame, pose: np.ndarray) -> None:
+        """Show the sonar, its fan and the bodies as they were at a ping, and the gizmo where the sonar is now."""
+        device = frame.settings.device
+        if self._device is None or _extent(device) != _extent(self._device):
+            self._draw_fan(device)
+        self._device = device
+        if self._pose is None or not np.array_equal(self._pose, frame.pose):
+            put(self._sonar, frame.pose)
+            self._pose = frame.pose
+        if not self._is_dragging:
+            _put_if_moved(self._gizmo, pose)
+        for name, world_from_body in frame.bodies.items():
+            if name in self._bodies and world_from_body is not self._poses.get(name):
+                self._bodies[name].visible = world_from_body is not None
+                if world_from_body is not None:
+                    put(self._bodies[name], world_from_body)
+                self._poses[name] = world_from_body
+                if name == self._selected and not self._is_dragging_body:
+                    self._follow_body()
+
+    def show_picture(self, frame: LiveFrame) -> None:
+        """Lay the fan image of a frame into the scene; nothing of a polar picture."""
+        if not self.shows_picture or frame.settings.form != "fan":
+            if self._picture is not None:
+                self._picture.visible = False
+            return
+        geometry = fan_geometry(frame.ping, frame.picture.shape[0])
+        plane = PicturePlane.of(geometry, math.radians(frame.settings.device.elevation_fov_deg) / 2)
+        step = max(1, round(frame.picture.shape[0] / PLANE_HEIGHT))
+        colors = frame.picture[::step, ::step]
+        inside = np.concatenate([rows.inside for rows in geometry.pixel_rows()])[::step, ::step]
+        # dark water lets the scene through, echoes do not
+        alpha = np.where(inside, np.maximum(120, colors.max(2)), 0).astype(np.uint8)
+        image = np.dstack([colors, alpha])
+        if (
+            self._picture is None
+            or self._plane is None
+            or (plane.width_m, plane.height_m) != self._plane_size()
+        ):
+            self._plane = plane
+            self._add_picture(frame, image)
+        else:
+            self._picture.image = image
+            self._picture.visible = True
+
+    def mark(self, surface: Surface | None, range_m: float) -> None:
+        """Mark the points of a surface at a range, or none."""
+        if self._surface is not None:
+            self._surface.remove()
+            self._surface = None
+        if surface is not None and len(surface.points_m):
+            self._surface = self._server.scene.add_point_cloud(
+                "/surface",
+                np.asarray(surface.points_m, np.float32),
+                SURFACE_COLOR,
+                point_size=max(0.02, 0.006 * range_m),
+                point_shape="circle",
+                precision="float32",
+            )
+
+    def select(self, name: str) -> None:
+        """Mark a body, and give it a gizmo; "" for none."""
+        for number, (other, node) in enumerate(self._bodies.items()):
+            node.color = SELECTED_COLOR if other == name else _color(number)
+        self._selected = name
+        self._body_gizmo.visible = name in self._bodies
+        if name in self._bodies:
+            self._center = np.eye(4)
+            self._center[:3, 3] = self._middles[name]
+            self._follow_body()
+
+    def show_gizmo(self, visible: bool) -> None:
+        """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
+        self._gizmo.visible = self._sonar.visible = visible
+
+    def look_from_behind(self, camera, pose: np.ndarray) -> None:
+        """Have a camera look over the sonar into the scene."""
+        far_m = self._session.settings.device.range_max_m
+        ahead = np.array([pose[0, 0], pose[1, 0], 0.0])
+        ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0.0, 0.0])
+        # to starboard a little, so that the fan is not seen edge on
+        side = np.array([ahead[1], -ahead[0], 0.0])
+        place = pose[:3, 3] - 0.28 * far_m * ahead + 0.14 * far_m * side + [0.0, 0.0, 0.36 * far_m]
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position = place
+        camera.look_at = pose[:3, 3] + 0.42 * far_m * ahead - [0.0, 0.0, 0.08 * far_m]
+
+    # ---- nodes --------------------------------------------------------------------------------------------
+
+    def _add_body(self, number: int, mesh: BrowserMesh, on_body) -> object:
+        node = self._server.scene.add_mesh_simple(
+            f"/bodies/{number}",
+            mesh.vertices,
+            mesh.faces,
+            color=_color(number),
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        put(node, mesh.pose)
+
+        @node.on_click
+        async def _(event):
+            self._actions.ask(event.client, lambda: on_body(mesh.name))
+
+        return node
+
+    def _draw_fan(self, device: Sonar) -> None:
+        for node in (self._outline, self._arcs, self._housing):
+            if node is not None:
+                node.remove()
+        scene, far_m = self._server.scene, device.range_max_m
+        self._outline = scene.add_line_segments(
+            "/sonar/outline", fan_outline(device), FAN_COLOR, thickness=2.0, thickness_units="screen"
+        )
+        arcs = fan_arcs(device, _round_step(far_m / 5))
+        self._arcs = scene.add_line_segments(
+            "/sonar/ranges", arcs, (150, 110, 60), thickness=1.0, thickness_units="screen"
+        )
+        size = 0.02 * far_m
+        self._housing = scene.add_box(
+            "/sonar/housing", SONAR_COLOR, dimensions=(size, 1.4 * size, 0.8 * size)
+        )
+        self._gizmo.scale = self._body_gizmo.scale = 0.1 * far_m
+
+    def _add_picture(self, frame: LiveFrame, image: np.ndarray) -> None:
+        pose = frame.settings.device.sonar_from_head @ self._plane.head_from_picture
+        self._picture = self._server.scene.add_image(
+            "/sonar/picture",
+            image,
+            self._plane.width_m,
+            self._plane.height_m,
+            format="png",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        put(self._picture, pose)
+
+        @self._picture.on_click
+        async def _(event):
+            self._actions.ask(event.client, lambda: self._click_picture(event))
+
+    def _plane_size(self) -> tuple[float, float]:
+        return self._plane.width_m, self._plane.height_m
+
+    def _click_picture(self, event) -> None:
+        head = self._device.head_pose(self._pose)
+        place = self._plane.place_of_ray(
+            np.linalg.inv(head), np.asarray(event.ray_origin), np.asarray(event.ray_direction)
+        )
+        if place is not None:
+            self._on_place(place)
+
+    def _connect_gizmos(self) -> None:
+        @self._gizmo.on_update
+        async def _(event):
+            pose = pose_of(self._gizmo.wxyz, self._gizmo.position)
+            self._is_dragging = event.phase != "end"
+            self._actions.ask(event.client, lambda: self._session.set_pose(pose))
+
+        @self._body_gizmo.on_update
+        async def _(event):
+            self._is_dragging_body = event.phase != "end"
+            name = self._selected
+            pose = pose_of(self._body_gizmo.wxyz, self._body_gizmo.position) @ np.linalg.inv(self._center)
+            self._actions.ask(event.client, lambda: self._session.move_body(name, pose))
+
+    def _follow_body(self) -> None:
+        """Put the gizmo of the selected body where that is now."""
+        pose = self._session.bodies().get(self._selected)
+        if pose is not None:
+            put(self._body_gizmo, pose @ self._center)
+
+    def _add_path(self) -> None:
+        track = self._session.track
+        times_s = np.linspace(0, track.duration_s, 200)
+        points = np.array([track.at(time_s)[:3, 3] for time_s in times_s], np.float32)
+        self._server.scene.add_line_segments(
+            "/path",
+            np.stack([points[:-1], points[1:]], 1),
+            (90, 200, 160),
+            thickness=2.0,
+            thickness_units="screen",
+        )
+
+
+def _color(number: int) -> tuple[int, int, int]:
+    return BODY_COLORS[number % len(BODY_COLORS)]
+
+
+def _middle(mesh: BrowserMesh) -> np.ndarray:
+    """Return the middle of a mesh's box in the body's frame, (3,): where a gizmo is easy to find."""
+    return (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2 if len(mesh.vertices) else np.zeros(3)
+
+
+def _extent(device: Sonar) -> tuple:
+    """Return what the drawing of a fan depends on."""
+    return (
+        device.azimuth_fov_deg, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
+    )  # fmt: skip
+
+
+def _round_step(about_m: float) -> float:
+    """Return 1, 2 or 5 times a power of ten near a length."""
+    power = 10.0 ** np.floor(np.log10(about_m))
+    return float(power * min((1, 2, 5, 10), key=lambda digit: abs(digit * power - about_m)))
+
+
+def _put_if_moved(node, pose: np.ndarray) -> None:
+    if not np.allclose(pose_of(node.wxyz, node.position), pose, atol=1e-6):
+        put(node, pose)

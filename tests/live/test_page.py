@@ -1,0 +1,343 @@
+"""The web page of a live session, in a browser without a window."""
+
+import math
+import re
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error
+from sonar_gl.live.command_line import SceneSource
+from sonar_gl.live.page import ViewerPage
+from sonar_gl.live.session import LiveSession
+from sonar_gl.live.settings import LiveSettings
+from tests.support.browser import COUNT_PICTURES, MissingBrowserError, open_browser
+
+viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
+
+PICTURE = 'img[src^="blob:"]'
+WAIT_S = 60.0  # on a machine that draws WebGL by software and does other work beside it
+SIZE = {"width": 1000, "height": 700}
+
+
+def wait_for(what, timeout_s=WAIT_S):
+    """Return the first value of a function that is true; fail if there is none in time."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        if value := what():
+            return value
+        time.sleep(0.02)
+    pytest.fail(f"waited {timeout_s:g} s in vain")
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    """A session, its page, a browser's tab that shows it, and what the tab asked for.
+
+    There are few beams and bins, and speckle, since equal pictures are not sent again.
+    """
+    folder = tmp_path_factory.mktemp("view") / "out"
+    sonar = replace(sg.load_sonar("p900-45").with_range(22.0), n_beams=64, n_bins=128, keeps_n_bins=True)
+    settings = LiveSettings(
+        sonar, acoustics=sg.Acoustics.ideal(), noise="speckle=yes", height=300, engine="cpu"
+    )
+    with ExitStack() as stack:
+        try:
+            browser = stack.enter_context(open_browser())
+        except MissingBrowserError as why:
+            pytest.skip(str(why))
+        session = stack.enter_context(
+            LiveSession(sg.load_scene("pylon"), settings, folder=folder, source=SceneSource("pylon"))
+        )
+        page = stack.enter_context(ViewerPage(session, port=0))
+        tab = browser.new_page(viewport=SIZE)
+        requests, failures = [], []
+        tab.on("request", lambda request: requests.append(request.url))
+        tab.on("pageerror", lambda why: failures.append(f"{why}\n{why.stack}"))
+        tab.on("websocket", lambda socket: requests.append(socket.url))
+        tab.add_init_script(COUNT_PICTURES)
+        tab.goto(page.url)
+        tab.wait_for_selector(PICTURE, timeout=1000 * WAIT_S)
+        yield SimpleNamespace(
+            browser=browser,
+            session=session,
+            page=page,
+            tab=tab,
+            requests=requests,
+            failures=failures,
+            folder=folder,
+        )
+
+
+@pytest.fixture(autouse=True)
+def at_home(request):
+    """Each test starts at the scene's pose, with nothing selected, and the pointer elsewhere."""
+    if "viewer" in request.fixturenames:
+        viewer = request.getfixturevalue("viewer")
+        viewer.session.set_pose(viewer.session.scene.sonar_pose)
+        viewer.session.reset_bodies()
+        viewer.tab.mouse.move(5, 5)
+
+
+def new_pictures(tab, count=3):
+    """Wait until the tab shows so many more pictures."""
+    shown = tab.evaluate("window.pictures")
+    wait_for(lambda: tab.evaluate("window.pictures") >= shown + count)
+
+
+def control(tab, label):
+    """The input beside a label."""
+    row = tab.locator("label", has_text=re.compile(f"^{re.escape(label)}$")).locator(
+        "xpath=ancestor::p/../.."
+    )
+    return row.locator("input:not([type=hidden])").last
+
+
+def read_out(tab):
+    """What stands under the picture."""
+    return tab.get_by_text("under pointer").locator("xpath=../..").inner_text()
+
+
+def place_of(viewer, body):
+    """A place of the page where the picture shows a body: the strongest of its pixels."""
+    frame = viewer.session.next_frame()
+    mask = viewer.session.pixels_of(frame, body)
+    brightness = np.where(mask, frame.picture.sum(2, dtype=int), -1)
+    row, column = np.unravel_index(brightness.argmax(), mask.shape)
+    box = viewer.tab.locator(PICTURE).first.bounding_box()
+    height, width = mask.shape
+    return box["x"] + (column + 0.5) / width * box["width"], box["y"] + (row + 0.5) / height * box["height"]
+
+
+def test_pictures_follow_one_another(viewer):
+    assert viewer.session.state().rate_hz > 0
+    new_pictures(viewer.tab, 5)
+
+
+def test_sonar_moves_while_a_key_is_held(viewer):
+    session, tab = viewer.session, viewer.tab
+    start = session.pose
+    tab.keyboard.down("w")
+    wait_for(lambda: np.linalg.norm(session.pose[:3, 3] - start[:3, 3]) > 0.3)
+    tab.keyboard.up("w")
+    wait_for(
+        lambda: (
+            (before := session.pose) is not None
+            and (time.sleep(0.3), session.pose)[1].tolist() == before.tolist()
+        )
+    )
+    moved = session.pose[:3, 3] - start[:3, 3]
+    assert moved / np.linalg.norm(moved) == pytest.approx(start[:3, 0], abs=1e-9)
+    assert session.pose[:3, :3].tolist() == start[:3, :3].tolist()
+    new_pictures(tab)
+    tab.keyboard.down("ArrowLeft")
+    wait_for(lambda: session.pose[1, 0] > 0.05)  # the boresight turns to port
+    tab.keyboard.up("ArrowLeft")
+
+
+def test_keys_that_are_typed_move_nothing(viewer):
+    start = viewer.session.pose
+    field = control(viewer.tab, "speed, m/s")
+    field.click()
+    viewer.tab.keyboard.press("w")
+    viewer.tab.keyboard.press("ArrowUp")
+    viewer.tab.evaluate("document.activeElement.blur()")
+    new_pictures(viewer.tab)
+    assert viewer.session.pose.tolist() == start.tolist()
+
+
+def test_a_control_changes_the_settings(viewer):
+    field = control(viewer.tab, "range, m")
+    field.fill("15")
+    field.press("Enter")
+    viewer.tab.evaluate("document.activeElement.blur()")
+    wait_for(lambda: viewer.session.settings.range_m == 15.0)
+    wait_for(lambda: viewer.session.frame.ping.range_m[-1] < 15.0)
+    viewer.session.change(range_m=22.0)
+    # what the session has, the control shows
+    wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
+
+
+def test_the_pointer_reads_what_is_under_it(viewer):
+    x, y = place_of(viewer, "pylon_square")
+    viewer.tab.mouse.move(x, y)
+    viewer.tab.wait_for_selector("text=pylon_square", timeout=1000 * WAIT_S)
+    text = (
+        viewer.tab.locator("div", has_text=re.compile("^under pointer")).last.locator("xpath=..").inner_text()
+    )
+    range_m = float(re.search(r"range\s*([\d.]+) m", text)[1])
+    azimuth_deg = float(re.search(r"azimuth\s*([+-][\d.]+)°", text)[1])
+    # its walls: 15.5 m ahead, 3.7 m to starboard, 3 m wide; beams are 1° wide
+    assert 13.0 < range_m < 17.5
+    assert -22.0 < azimuth_deg < -6.0
+    viewer.tab.mouse.move(5, 5)
+    wait_for(lambda: "pylon_square" not in read_out(viewer.tab))
+
+
+def test_a_click_marks_the_surface_of_the_bin(viewer):
+    x, y = place_of(viewer, "pylon_square")
+    viewer.tab.mouse.click(x, y)
+    surface = wait_for(lambda: viewer.page.marked)
+    names = [body.name for body in viewer.session.scene.bodies]
+    assert 1 + names.index("pylon_square") in set(surface.body_id.tolist())
+    distances = np.linalg.norm(surface.points_m - viewer.session.pose[:3, 3], axis=1)
+    bin_m = viewer.session.frame.ping.bin_size_m
+    assert distances.max() - distances.min() < 3 * bin_m  # a bin, and a footprint on either side
+
+
+def test_a_selected_body_stands_out(viewer):
+    select = control(viewer.tab, "selected")
+    viewer.tab.get_by_text("Bodies", exact=True).click()
+    select.wait_for(state="visible", timeout=1000 * WAIT_S)
+    select.click()
+    viewer.tab.get_by_role("option", name="pylon_square").click()
+    wait_for(lambda: viewer.session.highlighted == "pylon_square")
+    frame = wait_for(lambda: viewer.session.frame if viewer.session.frame.highlight is not None else None)
+    assert frame.highlight.any() and not frame.highlight.all()
+    select.click()
+    viewer.tab.get_by_role("option", name="none").click()
+    wait_for(lambda: viewer.session.highlighted == "")
+    viewer.tab.get_by_text("Bodies", exact=True).click()
+
+
+def on_canvas(viewer, point):
+    """The place of the page where a point of the world is drawn."""
+    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    box = viewer.tab.locator("canvas").first.bounding_box()
+    ahead = camera.look_at - camera.position
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, camera.up_direction)
+    right = right / np.linalg.norm(right)
+    offset = point - camera.position
+    scale = box["height"] / 2 / math.tan(camera.fov / 2) / (offset @ ahead)
+    return (
+        box["x"] + box["width"] / 2 + scale * (offset @ right),
+        box["y"] + box["height"] / 2 - scale * (offset @ np.cross(right, ahead)),
+    )
+
+
+def test_the_gizmo_drags_the_sonar(viewer):
+    session, mouse = viewer.session, viewer.tab.mouse
+    start = session.pose
+    gizmo_m = 0.1 * session.settings.device.range_max_m
+    up = start[:3, 2]
+    new_pictures(viewer.tab, 10)
+    x, y = on_canvas(viewer, start[:3, 3] + 0.6 * gizmo_m * up)
+    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * up)
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(to_x, to_y, steps=5)
+    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ up > 0.2 * gizmo_m)
+    mouse.up()
+    moved = session.pose[:3, 3] - start[:3, 3]
+    assert moved - (moved @ up) * up == pytest.approx(
+        np.zeros(3), abs=1e-3
+    )  # along its axis; messages have float32
+
+
+def test_files_are_written_into_the_folder(viewer):
+    tab, folder = viewer.tab, viewer.folder
+    tab.get_by_role("button", name="Record", exact=True).click()
+    tab.get_by_role("button", name="Stop recording").wait_for(timeout=1000 * WAIT_S)
+    new_pictures(tab, 5)
+    tab.get_by_role("button", name="Stop recording").click()
+    wait_for(lambda: not viewer.session.output.is_recording)
+    tab.get_by_role("button", name="Save picture").click()
+    tab.get_by_role("button", name="Add pose to job").click()
+    kinds = {".npz", ".mp4", ".csv", ".png", ".toml"}
+    wait_for(lambda: kinds <= {path.suffix for path in folder.rglob("*")})
+    tab.get_by_text("Pose added").wait_for(timeout=1000 * WAIT_S)
+
+
+def test_the_command_line_can_be_copied(viewer):
+    viewer.tab.get_by_role("button", name="Command line").click()
+    field = viewer.tab.locator("textarea:visible").first
+    field.wait_for(timeout=1000 * WAIT_S)
+    assert field.input_value() == viewer.session.output.command_line()
+    viewer.tab.get_by_role("button", name="Close", exact=True).click()
+    wait_for(lambda: not field.is_visible())
+
+
+def test_what_fails_is_told_and_the_page_goes_on(viewer):
+    job = viewer.folder / "poses.toml"
+    job.parent.mkdir(exist_ok=True)
+    job.write_text("this is no job")
+    try:
+        viewer.tab.get_by_role("button", name="Add pose to job").click()
+        viewer.tab.get_by_text("That did not work").wait_for(timeout=1000 * WAIT_S)
+        viewer.tab.get_by_text("poses.toml").last.wait_for(timeout=1000 * WAIT_S)
+    finally:
+        job.unlink()
+    new_pictures(viewer.tab)
+
+
+def test_a_browser_that_closes_stops_no_other(viewer):
+    second = viewer.browser.new_page(viewport=SIZE)
+    second.add_init_script(COUNT_PICTURES)
+    second.goto(viewer.page.url)
+    second.wait_for_selector(PICTURE, timeout=1000 * WAIT_S)
+    new_pictures(second)
+    new_pictures(viewer.tab)
+    second.close()
+    new_pictures(viewer.tab)
+
+
+def test_the_camera_carries_the_sonar(viewer):
+    session, tab = viewer.session, viewer.tab
+    mover = control(tab, "moved by")
+    mover.click()
+    tab.get_by_role("option", name="browser's camera").click()
+    client = next(iter(viewer.page.server.get_clients().values()))
+    wait_for(lambda: np.allclose(client.camera.position, session.pose[:3, 3], atol=1e-3))
+    client.camera.position = (1.0, 2.0, -4.0)
+    wait_for(lambda: np.allclose(session.pose[:3, 3], (1.0, 2.0, -4.0), atol=1e-3))
+    ahead = client.camera.look_at - client.camera.position
+    assert session.pose[:3, 0] == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)  # float32 on the way
+    mover.click()
+    tab.get_by_role("option", name="keys and gizmo").click()
+    wait_for(lambda: not np.allclose(client.camera.position, session.pose[:3, 3], atol=1.0))
+
+
+def test_no_request_leaves_the_machine(viewer):
+    assert len(viewer.requests) > 2
+    local = re.compile(r"(blob:http|http|ws)://127\.0\.0\.1:\d+(/|$)")
+    assert [url for url in viewer.requests if not (local.match(url) or url.startswith("data:"))] == []
+    assert viewer.page.server.request_share_url() is None
+    assert viewer.failures == []
+
+
+# ---- without a browser ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def session(tmp_path):
+    sonar = replace(sg.load_sonar("p900-45").with_range(22.0), n_beams=16, n_bins=32, keeps_n_bins=True)
+    settings = LiveSettings(sonar, acoustics=sg.Acoustics.ideal(), noise="none", height=60, engine="cpu")
+    with LiveSession(sg.load_scene("pylon"), settings, folder=tmp_path) as session:
+        yield session
+
+
+def test_a_session_does_not_ping_for_a_page_that_nobody_sees(session):
+    with ViewerPage(session, port=0):
+        first = session.frame.number
+        time.sleep(0.5)  # ten pings and more
+        assert session.frame.number == first
+
+
+def test_a_closed_page_frees_its_port_and_its_threads(session):
+    with ViewerPage(session, port=0) as page:
+        port = page.server.get_port()
+        page.close()
+    with ViewerPage(session, port=port) as again:
+        assert again.url == f"http://127.0.0.1:{port}"
+
+
+def test_a_host_that_is_not_of_this_machine_is_an_error(session):
+    for host in ("192.0.2.1", "no such host", ""):  # the first is for documentation
+        with pytest.raises(Error, match="host must be an address of this machine"):
+            ViewerPage(session, host=host, port=0)

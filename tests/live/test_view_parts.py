@@ -1,0 +1,136 @@
+"""Parts of the web page that need neither a browser nor viser."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose
+from sonar_gl.imaging.fan_image import fan_geometry
+from sonar_gl.live.motion import KEYS
+from sonar_gl.live.view.actions import Actions
+from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
+from sonar_gl.live.view.control_panel import chosen
+from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
+from sonar_gl.sonar.sonar import Sonar
+from tests.support.fan_ping import fan_ping
+
+SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)
+
+
+def test_state_of_a_browser_is_read():
+    text = json.dumps(
+        {"pointer": [0.5, 1], "clicks": 3, "clicked": None, "keys": ["w", "arrowup"], "frame_s": 0.5}
+    )
+    assert BrowserState.read(text) == BrowserState((0.5, 1.0), 3, None, frozenset({"w", "arrowup"}), 0.5)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{", "null", "[1, 2]", '"w"', "[" * 100_000,
+        '{"pointer": [0.5]}', '{"pointer": [0.5, -0.1]}', '{"pointer": [0.5, NaN]}', '{"pointer": ["a", "b"]}',
+        '{"clicks": "3"}', '{"clicks": true}', '{"clicked": {"x": 1}}', '{"keys": "w"}', '{"keys": [1, null, ["w"]]}',
+        '{"frame_s": -1}', '{"frame_s": 1e9}', '{"frame_s": "1"}', '{"frame_s": NaN}',
+    ],
+)  # fmt: skip
+def test_text_that_no_page_sends_is_an_empty_state(text):
+    assert BrowserState.read(text) == BrowserState()
+
+
+def test_script_and_server_agree_on_names():
+    html = script_html(True)
+    assert f"const FIELD = &quot;{FIELD}&quot;" in html
+    assert all(f"&quot;{key}&quot;" in html for key in KEYS)
+    assert "data-keys-move-sonar" in html.split("<img")[0]
+    assert "data-keys-move-sonar" not in script_html(False).split("<img")[0]
+
+
+def test_outline_is_that_of_the_fan():
+    ends = fan_outline(SONAR).reshape(-1, 3)
+    ranges = np.linalg.norm(ends, axis=1)
+    azimuths, elevations = np.arctan2(ends[:, 1], ends[:, 0]), np.arcsin(ends[:, 2] / ranges)
+    for got, edges in (
+        (ranges, (1, 10)),
+        (azimuths, (-math.pi / 6, math.pi / 6)),
+        (abs(elevations), (math.radians(10),)),
+    ):
+        assert got.min() == pytest.approx(min(edges), abs=1e-5)  # float32
+        assert got.max() == pytest.approx(max(edges), abs=1e-5)
+
+
+def test_outline_tilts_with_the_head():
+    tilted = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0, tilt_deg=25.0)
+    expected = fan_outline(SONAR) @ pose(pitch=math.radians(25.0))[:3, :3].T
+    assert fan_outline(tilted) == pytest.approx(expected, abs=1e-5)  # float32 at 10 m
+
+
+def test_arcs_are_ranges_up_to_the_last():
+    ranges = np.linalg.norm(fan_arcs(SONAR, 4.0), axis=2)
+    assert sorted(set(ranges.round(4).ravel().tolist())) == [4.0, 8.0, 10.0]
+
+
+@pytest.mark.parametrize("elevation_rad", [0.0, 0.2])
+def test_a_ray_meets_the_picture_where_its_pixel_lies(elevation_rad):
+    geometry = fan_geometry(fan_ping(), 200)
+    plane = PicturePlane.of(geometry, elevation_rad)
+    azimuth, range_m = geometry.azimuth_edges_rad[1] / 2, 0.7 * geometry.range_edges_m[1]
+    column, row = geometry.pixel(azimuth, range_m)
+    # the plane is tilted about the axis to port: azimuth and range are those within it
+    point = pose(pitch=-elevation_rad) @ [range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0, 1]
+    world_from_head = pose(3, -2, 1, 0.1, 0.2, 0.3)
+    eye, target = np.array([5.0, 4.0, 30.0]), (world_from_head @ point)[:3]
+    place = plane.place_of_ray(np.linalg.inv(world_from_head), eye, target - eye)
+    assert place == pytest.approx(((column + 0.5) / geometry.width, (row + 0.5) / geometry.height), abs=1e-9)
+
+
+def test_a_ray_beside_the_picture_or_away_from_it_meets_nothing():
+    plane = PicturePlane.of(fan_geometry(fan_ping(), 200), 0.0)
+    above, down = np.array([5.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0])
+    assert plane.place_of_ray(np.eye(4), above, down) is not None
+    assert plane.place_of_ray(np.eye(4), above, -down) is None
+    assert plane.place_of_ray(np.eye(4), above, np.array([1.0, 0.0, 0.0])) is None
+    assert plane.place_of_ray(np.eye(4), np.array([5.0, 1e4, 3.0]), down) is None
+
+
+def test_sonar_looks_where_its_camera_does():
+    # axes of a camera: x right, y down, z ahead; those of a sonar: x ahead, y to port, z up
+    right, down, ahead = np.eye(3)
+    assert (SONAR_FROM_CAMERA @ ahead).tolist() == [1, 0, 0]
+    assert (SONAR_FROM_CAMERA @ right).tolist() == [0, -1, 0]
+    assert (SONAR_FROM_CAMERA @ down).tolist() == [0, 0, -1]
+
+
+def test_a_choice_that_the_page_does_not_offer_is_refused():
+    assert chosen("fan", ("fan", "polar"), "form") == "fan"
+    assert chosen("a", {"a": 1}, "sonar") == 1
+    for text in ("/etc/passwd", "../sonar.toml", ""):
+        with pytest.raises(Error, match="must be one of those that the page offers"):
+            chosen(text, {"a": 1}, "sonar")
+
+
+class Notes:
+    """A browser that keeps what it is told."""
+
+    def __init__(self):
+        self.texts = []
+
+    def add_notification(self, _title, text, **_settings):
+        self.texts.append(text)
+
+
+def test_actions_go_on_after_one_that_fails():
+    browser, done = Notes(), []
+
+    def fail():
+        raise Error("the range must be more")
+
+    actions = Actions(lambda: done.append("told"))
+    for action in (fail, fail, lambda: done.append("moved"), None):
+        actions.ask(browser, action)
+    actions.do(0.0)
+    assert browser.texts == ["the range must be more"]  # once, though it failed twice
+    assert done == ["told", "told", "moved", "told"]
