@@ -16,12 +16,15 @@ allows within TOLERANCE: large for a taper, whose side lobes lie below the floor
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from threadpoolctl import threadpool_limits
 
 from sonar_gl.acoustics.beam_pattern import FarPattern
@@ -32,12 +35,13 @@ from sonar_gl.core.worker import held
 # Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.
 TOLERANCE = 0.1
 RANKS = 4, 8, 12  # multiples of kernels.TILE_BEAMS
-LOBES = 12, 8, 6, 5, 4, 3, 2.5, 2, 1.5, 1  # in a block
+LOBES = 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 10, 12  # in a block, whole steps of nodes
 COLUMNS_PER_BEAM = 2.5  # about, for the cost of blocks
 # Fans of more side lobes, and more moments of columns, are left without: the memory would be gigabytes. Devices have up
 # to 200 lobes and five million moments.
 MAX_LOBES, MAX_MOMENTS = 1024, 20_000_000
 NODES_PER_LOBE = 16  # of functions, which are interpolated linearly: off by 1 % of a lobe's peak at most
+BASIS_STRIDE = 4  # of pieces of the pattern that functions are made for: four a lobe hold all others
 
 
 # The last bits of LAPACK's results depend on the number of its threads, and pings have the same bytes with any number.
@@ -82,9 +86,20 @@ class LobeBlocks:
         """Number of functions."""
         return self.functions.shape[1]
 
+    def per_moment(self) -> np.ndarray:
+        """Return what beams receive of the moments of blocks of columns: (B, J rank)."""
+        return _expand(self.expansion, self.first_moment, self.coupling)
+
     def values(self, places) -> np.ndarray:
         """Return the functions at coordinates from the edge of a block on: (..., rank)."""
         return np.stack([np.interp(places, self.nodes, one) for one in self.functions.T], axis=-1)
+
+
+def _expand(expansion, first_moment, coupling) -> np.ndarray:
+    """Return the rows V M of beams, (B, J rank), one product for each block of beams."""
+    first, start = np.unique(first_moment, return_index=True)
+    blocks = zip(first, np.split(expansion, start[1:]), strict=True)
+    return np.concatenate([beams @ coupling[m : m + beams.shape[1]] for m, beams in blocks])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,69 +155,142 @@ def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> L
     if n_lobes > MAX_LOBES or not pattern.is_far(np.linspace(0, farthest, 4096)).any():
         return None
 
-    best, least = None, math.inf
+    table = _node_table(pattern, stop - start)
+    basis = cache(partial(_basis, table))  # one decomposition serves all ranks
+
+    @cache
+    def fit(rank: int, lobes: float) -> Fit:
+        return _fit(table, basis(round(lobes * NODES_PER_LOBE))[:, :rank])
+
+    cheapest, least, n_fit = None, math.inf, 0
     for rank in RANKS:
-        for lobes in LOBES:
-            n_blocks = math.ceil(n_lobes / lobes)
-            if n_blocks * rank * COLUMNS_PER_BEAM * len(axes) > MAX_MOMENTS:
-                break
-            products = n_blocks * rank * min(n_blocks * rank, len(axes))
-            products += (1 + COLUMNS_PER_BEAM) * len(axes) * rank
-            if best is not None and products >= least:
-                break  # so do smaller blocks
-            found = _blocks(pattern, axes, np.linspace(start, stop, n_blocks + 1), rank)
-            if found.error <= TOLERANCE or (rank, lobes) == (RANKS[-1], LOBES[-1]):
-                best, least = found, products
-                break
-    return best
+        # larger blocks err more; those that fewer functions fit need not be tried again, since more would cost more
+        n_fit = bisect_left(
+            LOBES, True, lo=n_fit, key=lambda lobes, rank=rank: fit(rank, lobes).error > TOLERANCE
+        )
+        if n_fit == 0 and rank < RANKS[-1]:
+            continue
+        lobes = LOBES[max(n_fit - 1, 0)]
+        n_moments = math.ceil(n_lobes / lobes) * rank
+        products = n_moments * min(n_moments, len(axes)) + (1 + COLUMNS_PER_BEAM) * len(axes) * rank
+        if n_moments * COLUMNS_PER_BEAM * len(axes) <= MAX_MOMENTS and products < least:
+            cheapest, least = (rank, lobes), products
+    return None if cheapest is None else _blocks(table, fit(*cheapest), axes, start)
 
 
-def _blocks(pattern: FarPattern, axes, edges, rank: int) -> LobeBlocks:
-    """Return the far side lobes with these blocks, (J + 1,) edges, and so many functions."""
-    width, n_blocks = edges[1] - edges[0], len(edges) - 1
-    nodes = width * np.linspace(
-        0, 1, max(math.ceil(width / pattern.lobe_sine * NODES_PER_LOBE), 2 * rank) + 1
-    )
-    # differences of nodes of two blocks are whole multiples of the nodes' spacing
-    n_steps = len(nodes) - 1
-    differences = nodes[1] * np.arange(-n_blocks * n_steps, n_blocks * n_steps + 1)
-    of_node = np.arange(len(nodes))
-    apart = n_steps * np.arange(1, 2 * n_blocks)[:, None, None] + of_node - of_node[:, None]
-    # of blocks so far apart, (2 J − 1, beam's node, column's node)
-    power, peak, counts = (of(differences)[apart] for of in (pattern.power, pattern.peak, pattern.is_far))
-    # relative to the peaks, so that weak lobes are as exact as strong ones
-    functions = _basis((power / peak).transpose(2, 0, 1).reshape(len(nodes), -1), rank)
+class NodeTable(NamedTuple):
+    """The far pattern at the differences of two nodes, −N..N times their spacing.
+
+    Attributes
+    ----------
+    pattern : FarPattern
+    span : width of the fan, of coordinates
+    power : (2 N + 1,)
+    peak : (2 N + 1,) `FarPattern.peak`; infinite where errors do not count
+    relative : (2 N + 1,) power over the peak: weak lobes are to be as exact as strong ones
+    """
+
+    pattern: FarPattern
+    span: float
+    power: np.ndarray
+    peak: np.ndarray
+    relative: np.ndarray
+
+    @property
+    def spacing(self) -> float:
+        """The distance of two nodes."""
+        return self.pattern.lobe_sine / NODES_PER_LOBE
+
+    def n_blocks(self, n_steps: int) -> int:
+        """Return how many blocks of so many steps from node to node cover the fan."""
+        return math.ceil(self.span / (n_steps * self.spacing))
+
+    def of_blocks(self, values, n_steps: int) -> np.ndarray:
+        """Return `values` between the nodes of two blocks 0, 1, ... apart: (J, beam's node, column's node)."""
+        middle, n_blocks = len(values) // 2, self.n_blocks(n_steps)
+        rows = sliding_window_view(values, n_steps + 1)
+        return rows[middle + n_steps * np.arange(n_blocks)[:, None] - np.arange(n_steps + 1)]
+
+
+def _node_table(pattern: FarPattern, span: float) -> NodeTable:
+    """Return the table for a fan of so many coordinates."""
+    spacing = pattern.lobe_sine / NODES_PER_LOBE
+    differences = spacing * np.arange(math.ceil(span / spacing) + LOBES[-1] * NODES_PER_LOBE + 1)
+    power, peak = pattern.power(differences), pattern.peak(differences)
+    counts = pattern.is_far(differences) & (differences <= span + spacing)
+    halves = power, np.where(counts, peak, np.inf), power / peak
+    return NodeTable(pattern, span, *(np.concatenate([half[:0:-1], half]) for half in halves))
+
+
+class Fit(NamedTuple):
+    """Functions of a block, and what they describe.
+
+    Attributes
+    ----------
+    functions : (N, rank) at its nodes
+    coupling : (J, rank, rank) of blocks 0, 1, ... apart, the beam's function first
+    error : the largest, as TOLERANCE
+    """
+
+    functions: np.ndarray
+    coupling: np.ndarray
+    error: float
+
+
+def _fit(table: NodeTable, functions: np.ndarray) -> Fit:
+    """Return how (N, rank) orthonormal functions describe the pattern in blocks of N nodes."""
+    n_steps = len(functions) - 1
+    power = table.of_blocks(table.power, n_steps)
     coupling = functions.T @ power @ functions
-    error = np.abs(functions @ coupling @ functions.T - power) / peak
-    block = np.clip((axes - edges[0]) // width, 0, n_blocks - 1).astype(int)
+    # the pattern is even: between blocks that lie the other way round, all is the transpose
+    error = functions @ coupling @ functions.T
+    error -= power
+    error /= table.of_blocks(table.peak, n_steps)
+    return Fit(functions, coupling, float(max(error.max(), -error.min())))
+
+
+def _basis(table: NodeTable, n_steps: int) -> np.ndarray:
+    """Return orthonormal functions, the constant and then those that describe the pattern best, best first.
+
+    Returns
+    -------
+    (n_steps + 1, RANKS[-1])
+    """
+    n = n_steps + 1
+    windows = sliding_window_view(table.relative, n)[::BASIS_STRIDE]
+    windows = windows - windows.mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(windows.T @ windows)  # by rising eigenvalue
+    constant = np.full((n, 1), 1 / math.sqrt(n))
+    functions, _ = np.linalg.qr(np.hstack([constant, vectors[:, : -RANKS[-1] : -1]]))
+    return functions
+
+
+def _blocks(table: NodeTable, fit: Fit, axes, start: float) -> LobeBlocks:
+    """Return the far side lobes of beams at coordinates `axes` over blocks of this fit from a coordinate on."""
+    n_blocks, (n_nodes, rank) = len(fit.coupling), fit.functions.shape
+    nodes = table.spacing * np.arange(n_nodes)
+    edges = start + nodes[-1] * np.arange(n_blocks + 1)
+    # of column's blocks from J − 1 to starboard to J − 1 to port of the beam's
+    coupling = np.concatenate([fit.coupling[:0:-1].transpose(0, 2, 1), fit.coupling])
+    block = np.clip((axes - start) // nodes[-1], 0, n_blocks - 1).astype(int)
     used, number = np.unique(block, return_inverse=True)
     distance = np.arange(n_blocks) - used[:, None] + n_blocks - 1
     matrix = coupling[distance].transpose(0, 2, 1, 3).reshape(len(used) * rank, n_blocks * rank)
-    worst = float(error[counts].max(initial=0))
-    found = LobeBlocks(pattern, edges, nodes, functions, number * rank, functions, matrix, worst)
+    functions = fit.functions
+    found = LobeBlocks(table.pattern, edges, nodes, functions, number * rank, functions, matrix, fit.error)
     expansion = found.values(axes - edges[block])
     if len(axes) >= len(matrix):
         return replace(found, expansion=expansion)
     # fewer beams than moments: M Uᵀ makes beams right away, and each expands itself alone
     beams = np.arange(len(axes))
     tile = kernels.TILE_BEAMS
-    of_beams = np.einsum("br,brm->bm", expansion, matrix.reshape(-1, rank, n_blocks * rank)[number])
+    of_beams = _expand(expansion, number * rank, matrix)
     return replace(
         found,
         first_moment=beams // tile * tile,
         expansion=(beams[:, None] % tile == np.arange(tile)).astype(float),
         coupling=np.pad(of_beams, ((0, -len(axes) % tile), (0, 0))),
     )
-
-
-def _basis(values, rank: int) -> np.ndarray:
-    """Return (n, rank) orthonormal functions, the constant and those that describe the columns of `values` best."""
-    n = len(values)
-    one = np.full((n, 1), 1 / math.sqrt(n))
-    rest = values - one @ (one.T @ values)
-    _, vectors = np.linalg.eigh(rest @ rest.T)  # by rising eigenvalue
-    functions, _ = np.linalg.qr(np.hstack([one, vectors[:, :-rank:-1]]))
-    return functions
 
 
 def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
@@ -233,9 +321,7 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     np.add.at(means, (block, np.arange(C)[:, None]), values)
     by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
     # what each beam receives of each column, 1 on its axis: (B, C)
-    B, n = blocks.expansion.shape
-    rows = blocks.coupling.reshape(-1, n, n_blocks * rank)[blocks.first_moment // n]
-    per_block = np.einsum("br,brm->bm", blocks.expansion, rows).astype(np.float32)
+    B, per_block = len(blocks.expansion), blocks.per_moment().astype(np.float32)
     far = per_block @ by_moment
     columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
     of_support = far[np.arange(B)[:, None], columns]

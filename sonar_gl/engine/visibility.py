@@ -22,7 +22,7 @@ IN_FRONT = 1.01  # 1/x over that of the sample there: a vertex at the foot of a 
 class BodyCounts(NamedTuple):
     """What each body contributes to a ping, by number, 0 for none: (bodies + 1,) float64 arrays.
 
-    samples : how many met it, inside aperture and range
+    samples : how many met it, inside the fan, its aperture and range
     echo : about the sum of its echo with the gain
     """
 
@@ -31,14 +31,16 @@ class BodyCounts(NamedTuple):
 
 
 @compiled
-def _count_samples(samples, lattice, r_first, per_metre, gain, elevation_table, counts, echo):
+def _count_samples(samples, lattice, widest, bins, gain, elevation_table, counts, echo):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
     samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
+    widest : |u| beyond which samples only fill sheared rows
+    bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
     """
     plane_echo, body_id = samples
-    u, v, tan_low, tan_high, columns = lattice
+    (u, v, tan_low, tan_high, columns), (r_first, per_metre) = lattice, bins
     per_sine = (elevation_table.shape[0] - 1) / 2
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
@@ -50,7 +52,7 @@ def _count_samples(samples, lattice, r_first, per_metre, gain, elevation_table, 
                 continue
             uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
             v2, u2 = vc * abs(vc), 1.0 + uc * uc
-            if v2 > high2 * u2 or v2 < low2 * u2:
+            if abs(uc) > widest or v2 > high2 * u2 or v2 < low2 * u2:
                 continue
             L = math.sqrt(1.0 + uc * uc + vc * vc)
             k = (L / q - r_first) * per_metre
@@ -70,8 +72,9 @@ def count_bodies(
     counts, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
     for one in samples:
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
-        ranges = sonar.range_min_m, 1.0 / sonar.bin_size_m
-        _count_samples(arrays, one.lattice, *ranges, gain, elevation_table, counts, echo)
+        bins = sonar.range_min_m, 1.0 / sonar.bin_size_m
+        widest = math.tan(one.sector.half_width_rad)
+        _count_samples(arrays, one.lattice, widest, bins, gain, elevation_table, counts, echo)
     return BodyCounts(counts, echo)
 
 

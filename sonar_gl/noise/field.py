@@ -11,7 +11,7 @@ from sonar_gl.acoustics.beam_pattern import taper_series
 from sonar_gl.acoustics.pulse import field_weights
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.k_distribution import multiply_by_texture
-from sonar_gl.noise.place_locked_speckle import place_locked_field
+from sonar_gl.noise.place_locked_speckle import WaveCache, place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference, receiver_levels_db
 from sonar_gl.noise.settings import Noise
@@ -20,6 +20,8 @@ from sonar_gl.ping import Ping
 
 SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
 MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
+# Four cells of most devices, whose waves take 5 to 40 MB each, and one of the largest.
+_WAVES = WaveCache(128 << 20)
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 
 
@@ -45,11 +47,14 @@ def _field_at(
         correlation = correlation._replace(pulse_weights=field_weights(bin_size_m, *pulse))
     seed, term, look = key
 
-    def generator(cell_x, cell_y, chunk):
-        return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+    def waves(cell_x, cell_y, chunks, n_wave_bins):
+        def generator(chunk):
+            return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+
+        return _WAVES.waves((key, cell_x, cell_y), chunks, n_wave_bins, generator)
 
     pose = np.frombuffer(place).reshape(2, 4)
-    out = place_locked_field(correlation, n_bins, bin_size_m, wavelength_m, pose, generator, pulse)
+    out = place_locked_field(correlation, n_bins, bin_size_m, wavelength_m, pose, waves, pulse)
     out.setflags(write=False)
     return out
 

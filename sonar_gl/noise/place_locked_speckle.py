@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from itertools import product
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +13,7 @@ from numba import float32, uint64
 
 from sonar_gl.acoustics.pulse import amplitude_response
 from sonar_gl.core.compiled import compiled
+from sonar_gl.core.worker import held
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
 
@@ -132,24 +136,85 @@ def _sum_waves(coefficients, start, real, imaginary, shift, weights, out):
     real, imaginary : (B, W) float32, weights of each beam's W waves, W even
     shift, weights : (B,) and (B, n), of `_shift_weights`
     """
-    row = np.empty((2, coefficients.shape[2]), np.float32)
-    last, n_bins = uint64(coefficients.shape[2]), uint64(out.shape[2])
+    n_bins = uint64(out.shape[2])
+    last = n_bins + uint64(weights.shape[1] - 1)  # bins that the interpolation takes
+    row = np.empty((2, last), np.float32)
     for b in range(uint64(len(out))):
+        first, past = uint64(shift[b]), uint64(shift[b]) + last
         for k in range(last):
             row[0, k] = float32(0)
             row[1, k] = float32(0)
         for w in range(uint64(0), uint64(real.shape[1]), uint64(2)):  # two at a time: sums stay in registers
             c, s, d, t = real[b, w], imaginary[b, w], real[b, w + 1], imaginary[b, w + 1]
             one, other = coefficients[uint64(start[b] + w)], coefficients[uint64(start[b] + w + 1)]
-            x, y, p, q = one[0], one[1], other[0], other[1]
+            x, y, p, q = one[0, first:past], one[1, first:past], other[0, first:past], other[1, first:past]
             for k in range(last):
                 row[0, k] += (c * x[k] - s * y[k]) + (d * p[k] - t * q[k])
                 row[1, k] += (c * y[k] + s * x[k]) + (d * q[k] + t * p[k])
         for j in range(uint64(weights.shape[1])):
-            a, x = weights[b, j], row[:, uint64(shift[b] + j) :]
+            a, x = weights[b, j], row[:, uint64(j) :]
             for part in range(2):
                 for k in range(n_bins):
                     out[b, part, k] += a * x[part, k]
+
+
+class Waves(NamedTuple):
+    """Random waves of a cell of the sea.
+
+    Attributes
+    ----------
+    chunks : their numbers, CHUNK waves each
+    coefficients : (waves, 2, bins) float32, complex amplitudes, read-only
+    """
+
+    chunks: range
+    coefficients: np.ndarray
+
+
+class WaveCache:
+    """The waves that the last pings received: those of a sonar that moves are mostly the same.
+
+    Parameters
+    ----------
+    max_bytes : of the waves that it keeps; those that were not used for longest go
+    """
+
+    def __init__(self, max_bytes: int):
+        self._max_bytes, self._lock, self._cells = max_bytes, Lock(), OrderedDict()
+
+    def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
+        """Return waves of a cell: these chunks, or more.
+
+        Parameters
+        ----------
+        key : with `n_bins` what determines the waves, besides the numbers of their chunks
+        generator : function (chunk) -> numpy.random.Generator
+        """
+        key = key, n_bins
+        with held(self._lock):
+            old = self._cells.get(key)
+        if old is None or chunks.start < old.chunks.start or old.chunks.stop < chunks.stop:
+            found = Waves(chunks, np.empty((len(chunks) * CHUNK, 2, n_bins), np.float32))
+            for chunk in chunks:
+                known = old is not None and chunk in old.chunks
+                _chunk_of(found, chunk)[:] = (
+                    _chunk_of(old, chunk) if known else standard_normal(generator(chunk), (CHUNK, 2, n_bins))
+                )
+            found.coefficients.setflags(write=False)
+        else:
+            found = old
+        with held(self._lock):
+            self._cells[key] = found
+            self._cells.move_to_end(key)
+            while sum(cell.coefficients.nbytes for cell in self._cells.values()) > self._max_bytes:
+                self._cells.popitem(last=False)
+        return found
+
+
+def _chunk_of(waves: Waves, chunk: int) -> np.ndarray:
+    """Return the coefficients of a chunk."""
+    first = (chunk - waves.chunks.start) * CHUNK
+    return waves.coefficients[first : first + CHUNK]
 
 
 def place_locked_field(
@@ -158,7 +223,7 @@ def place_locked_field(
     bin_size_m: float,
     wavelength_m: float,
     pose,
-    generator,
+    waves_of: Callable[[int, int, range, int], Waves],
     pulse=None,
 ) -> np.ndarray:
     """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
@@ -168,7 +233,7 @@ def place_locked_field(
     correlation : its beams have a width; of its pulse weights only the length counts
     n_bins, bin_size_m, wavelength_m : K, metres, metres
     pose : (4, 4) world_from_sonar, or its first two rows; its heading and its horizontal position count
-    generator : function (cell x, cell y, chunk) -> numpy.random.Generator
+    waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
     pulse : None, or (bandwidth_hz, taper, sound_speed_m_s) of `acoustics.pulse.amplitude_response`
 
     Returns
@@ -223,12 +288,11 @@ def place_locked_field(
         # Less the phase of the way from the cell's middle to the sonar and back. The field of a cell would else turn by
         # that from beam to beam, each cell by its own, and neighbours would not correlate where cells cross-fade.
         phase = waves * repeats * azimuth[:, None] - (4 * np.pi / wavelength_m * along_m)[:, None]
-        chunks = range(waves.min() // CHUNK, waves.max() // CHUNK + 1)
-        size = CHUNK, 2, n_bins + 2 * margin
-        coefficients = np.concatenate([standard_normal(generator(cx, cy, chunk), size) for chunk in chunks])
+        chunks = range(int(waves.min()) // CHUNK, int(waves.max()) // CHUNK + 1)
+        chunks, coefficients = waves_of(cx, cy, chunks, n_bins + 2 * margin)
         weights, shift = _shift_weights(correlation, along_m / bin_size_m, response)
         matrix = (weight * np.cos(phase)).astype(np.float32), (weight * np.sin(phase)).astype(np.float32)
-        _sum_waves(coefficients, start - chunks[0] * CHUNK, *matrix, shift + margin, weights, out)
+        _sum_waves(coefficients, start - chunks.start * CHUNK, *matrix, shift + margin, weights, out)
     if nodes is None:
         return out
     fields, out = out, np.empty((len(correlation.azimuth_rad), 2, n_bins), np.float32)

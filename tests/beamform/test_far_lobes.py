@@ -10,7 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.beamform.far_lobes import TOLERANCE, make_lobe_blocks
+from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar import presets
@@ -76,11 +76,15 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     # TOLERANCE bounds the error at nodes; 16 of them a lobe are interpolated linearly, off by 1 % of its peak
     # along beams and as much along columns
     assert error[beyond].max(initial=0) < TOLERANCE + 0.02
-    level = weights @ (np.diff(edges) * height)
-    if transmit is None:
-        np.testing.assert_allclose(
-            level, 1, rtol=3e-5
-        )  # a wall all round; float32, and what is less than nothing
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, sonar in DEVICES.items() if sonar.transmit_width_deg is None]
+)
+def test_a_wall_all_round_has_the_level_1_in_all_beams(name):
+    beamformer = make_beamformer(DEVICES[name], PHYSICAL, sg.Sampling(1, 16))
+    # float32 sums of some hundred columns
+    np.testing.assert_allclose(beamformer.even_response, 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", presets())
@@ -96,6 +100,23 @@ def test_far_side_lobes_of_the_presets_keep_the_tolerance_and_cost_less_than_a_p
         columns = 2 * sonar.n_beams * (ends[1] - ends[0]) / math.radians(sonar.azimuth_fov_deg)  # at least
         products = blocks.coupling.size + blocks.expansion.size + blocks.rank * columns
         assert products < 0.8 * sonar.n_beams * columns
+
+
+def test_the_pattern_is_decomposed_once_for_each_size_of_block_that_is_tried(monkeypatch):
+    """Bisections try few sizes, and all numbers of functions share a decomposition: setting up is quick."""
+    sizes, eigh = [], np.linalg.eigh
+
+    def counted(matrix):
+        sizes.append(len(matrix))
+        return eigh(matrix)
+
+    monkeypatch.setattr(np.linalg, "eigh", counted)
+    sonar = replace(P900, n_beams=251)  # blocks of no other test
+    support = PHYSICAL.receive_support_rad(sonar)
+    ends = sonar.azimuth_rad[0] - support, sonar.azimuth_rad[-1] + support
+    make_lobe_blocks(PHYSICAL.far_pattern(sonar), sonar.azimuth_rad, ends)
+    assert sorted(set(sizes)) == sorted(sizes)
+    assert 0 < len(sizes) < len(LOBES)
 
 
 def test_a_floor_alone_is_exact():

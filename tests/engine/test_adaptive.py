@@ -86,6 +86,29 @@ def count_samples(simulator):
         return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, table).samples
 
 
+@pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
+def test_bodies_beside_the_fan_ask_for_no_samples(acoustics):
+    """The sheared lattice and its mirror image jut out of the fan at opposite corners, where they met bodies."""
+    half_width = math.radians(SONAR.azimuth_fov_deg / 2) + acoustics.receive_support_rad(SONAR)
+    far = sg.Body("far", trimesh.creation.box((1, 60, 30)), sg.pose(18))
+    beside = []
+    for side in (
+        -1,
+        1,
+    ):  # a wall along the edge of the fan, 5 cm outside, which reaches from edge to edge of the aperture
+        wall = trimesh.creation.box((12, 0.1, 30))
+        place = sg.pose(0, 0, 0, 0, 0, side * half_width) @ sg.pose(8, side * 0.1, 0)
+        beside.append(sg.Body(f"beside {side}", wall, place))
+    with sg.Simulator(sg.Scene([far]), SONAR, acoustics, tolerance=0.05) as simulator:
+        alone = simulator.plan([np.eye(4)])
+    with sg.Simulator(sg.Scene([far, *beside]), SONAR, acoustics, tolerance=0.05) as simulator:
+        plan = simulator.plan([np.eye(4)])
+        samples = count_samples(simulator)
+    assert samples[1] > 0
+    assert not samples[2:].any()
+    assert plan.level == alone.level
+
+
 @pytest.mark.parametrize("tolerance, radius", [(0.05, 0.008), (0.01, 0.02)])
 def test_a_body_missed_by_the_first_samples_is_found(tolerance, radius):
     """The ball is too small for the coarse lattice, and the only source of echo."""

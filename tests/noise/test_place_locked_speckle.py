@@ -9,6 +9,8 @@ import pytest
 from sonar_gl import pose
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.place_locked_speckle import CHUNK, WaveCache
+from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
@@ -134,6 +136,47 @@ def test_beams_overlap_in_the_cross_fade_as_within_a_cell(x, y):
     assert np.mean(found) == pytest.approx(
         np.sinc(UNIFORM_WIDTH / 2) ** 2, abs=SIGMAS * 2 / np.sqrt(n) + 0.05
     )
+
+
+def cached_waves(cache, chunks, key=0):
+    """Return waves of a cache, and how many chunks were generated."""
+    generated = []
+
+    def generator(chunk):
+        generated.append(chunk)
+        return stream(1, 0, "speckle", key, chunk)
+
+    return cache.waves(key, chunks, 10, generator), generated
+
+
+def test_only_waves_that_the_pings_before_did_not_receive_are_generated():
+    cache, wanted = WaveCache(1 << 20), range(4, 9)
+    assert cached_waves(cache, range(3, 6))[1] == [3, 4, 5]
+    assert cached_waves(cache, range(4, 5))[1] == []
+    found, generated = cached_waves(cache, wanted)
+    assert generated == [6, 7, 8]
+    new, _ = cached_waves(WaveCache(1 << 20), wanted)
+    assert found.chunks == new.chunks == wanted
+    np.testing.assert_array_equal(found.coefficients, new.coefficients)
+
+
+def test_the_cache_of_waves_keeps_those_that_were_used_last():
+    chunk = CHUNK * 2 * 10 * 4  # bytes
+    cache = WaveCache(2 * chunk)
+    for key in (0, 1, 0, 2):
+        cached_waves(cache, range(1), key)
+    assert cached_waves(cache, range(1), 0)[1] == []
+    assert cached_waves(cache, range(1), 1)[1] == [0]
+    cached_waves(cache, range(3), 3)  # more than fits: nothing is kept
+    assert cached_waves(cache, range(3), 3)[1] == [0, 1, 2]
+
+
+def test_pings_before_do_not_change_a_pattern():
+    """The way there and back takes other waves of the same cell, of which some are kept and some new."""
+    first = moved(0, x=0.07, y=0.03)
+    for step in range(8):
+        moved(0, x=0.07 - 0.02 * step, y=0.03 - 0.01 * step)
+    np.testing.assert_array_equal(moved(0, x=0.07, y=0.03), first)
 
 
 @pytest.mark.parametrize("missing", ["pose", "sonar"])
