@@ -234,13 +234,17 @@ def test_the_trigger_s_angle_is_that_of_the_rotation():
             )
 
 
-def test_samples_are_counted_in_the_aperture_alone():
-    """It is bounded by planes of elevation, which curve on the image plane: rows at the sides of a sector count."""
+def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
+    """Planes of elevation bound the aperture and curve on the image plane: rows at the sides of a sector count.
+
+    Those that only fill sheared rows, beside the sector, do not.
+    """
     fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), 0.0)
     samples, expected = [], 0
     for sector in fan.sectors:
         u, v = sector.sample_coordinates()
-        expected += (np.abs(np.arctan2(v, np.hypot(1, u))) < math.radians(10)).sum()
+        inside = np.abs(np.arctan(u)) < sector.half_width_rad
+        expected += (inside & (np.abs(np.arctan2(v, np.hypot(1, u))) < math.radians(10))).sum()
         q = np.sqrt(1 + u * u + v * v) / 5  # a sphere of 5 m
         plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
         samples.append(SectorSamples(sector, plane_echo, np.ones(u.shape, np.uint16)))
