@@ -430,16 +430,16 @@ def test_a_generator_of_poses_may_add_bodies():
 
 @pytest.mark.parametrize("step_rad", [0.01, 0.02])
 def test_samples_do_not_flicker_where_they_change_within_a_batch(step_rad):
-    """Pings that were drawn ahead, before the samples changed, are drawn once more: 58 rows, then 41, never back."""
-    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
+    """Pings that were drawn ahead, before the samples changed, are drawn once more: 41 rows, then 58, never back."""
+    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(5, 4.0), 1.0)
     far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
     poses = [sg.pose(yaw=step_rad * k) for k in range(24)]
-    with simulator(None, [far, near], tolerance=0.03) as it:
+    with simulator(None, [far, near], tolerance=0.01) as it:
         single = [it.ping(pose) for pose in poses]
-    with simulator(None, [far, near], tolerance=0.03) as it:
+    with simulator(None, [far, near], tolerance=0.01) as it:
         together = list(it.pings(poses))
     rows = [ping.meta["sampling"]["rows"] for ping in together]
-    assert rows == sorted(rows, reverse=True) and rows[0] > rows[-1]
+    assert rows == sorted(rows) and rows[0] < rows[-1]
     for one, other in zip(together, single, strict=True):
         np.testing.assert_array_equal(one.intensity, other.intensity)
 

@@ -23,7 +23,7 @@ from cyclonedds.core import Policy
 from cyclonedds.domain import Domain, DomainParticipant
 from rosbags.serde.errors import SerdeError
 
-from sonar_gl.batch.ros import message_types
+from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command
 from sonar_gl.live.dds_transport import DdsTransport

@@ -330,7 +330,7 @@ def test_a_slow_listener_misses_frames_and_holds_up_nobody(session):
         go_on.wait(WAIT_S)
 
     with session.listen(wait) as waiting, session.listen(fast.append, 1000) as quick:
-        wait_for(lambda: len(fast) >= 10)
+        wait_for(lambda: slow and fast and fast[-1].number >= slow[0] + 10)
         assert len(slow) == 1
         go_on.set()
         wait_for(lambda: len(slow) >= 2)

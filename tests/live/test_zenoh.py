@@ -11,7 +11,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from sonar_gl.batch.ros import message_types
+from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, quality_text
 from sonar_gl.live.transport import Topic

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from sonar_gl.batch.ros import BagSettings, message_types
+from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.live.transport import Topic
 from tests.support.even_ping import even_ping
 
@@ -34,7 +34,7 @@ def ping_message(n_beams: int = 256, n_bins: int = 512):
     ping = even_ping(n_beams, n_bins, 0.35)
     ping.intensity[:] = np.random.default_rng(1).exponential(1.0, ping.intensity.shape)
     types = message_types()
-    message = types.ping(types.header(0, "sonar_beams"), ping, BagSettings())
+    message = types.ping(types.header(0, "sonar_beams"), ping, "port")
     return ping, types.encode(message)
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonar_gl.batch.ros import message_types
+from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.live.transport import Topic
 
 PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
