@@ -10,6 +10,7 @@ frame     what noise and picture add to a ping, beside a trace of as many rays t
 scaling   how the time grows with triangles, beams, bins, field of view, bodies and tolerance
 engines   both raster engines; what labels, multipath and pictures add
 live      how even the pings of a live loop are
+view      how many new pings a second the page of `sonar-gl view` shows; needs Chromium
 changes   sequences, two sonars in one world, bodies that come, go and move
 batch     rate of a headless batch, where a worker's time goes, what ten million pings take
 embed     the four embedding modes, in a bare OpenGL program and in the hosts of examples/
@@ -26,7 +27,7 @@ from importlib import import_module
 
 from tools.bench import harness
 
-NAMES = ("ping", "frame", "scaling", "engines", "live", "changes", "batch", "embed", "host", "start", "paper")
+NAMES = ("ping", "frame", "scaling", "engines", "live", "view", "changes", "batch", "embed", "host", "start", "paper")
 
 
 def main(arguments=None):
