@@ -158,6 +158,9 @@ def _sum_waves(coefficients, start, real, imaginary, shift, weights, out):
                     out[b, part, k] += a * x[part, k]
 
 
+RECENT_USES = 8  # of waves: two pings take those of four cells each
+
+
 class Waves(NamedTuple):
     """Random waves of a cell of the sea.
 
@@ -174,13 +177,20 @@ class Waves(NamedTuple):
 class WaveCache:
     """The waves that the last pings received: those of a sonar that moves are mostly the same.
 
+    Those that were not used for longest make room, unless that was a moment ago: of cells that are used in turn and do
+    not all fit, each would go just before it is used again.
+
     Parameters
     ----------
-    max_bytes : of the waves that it keeps; those that were not used for longest go
+    max_bytes : of the waves that it keeps
     """
 
     def __init__(self, max_bytes: int):
-        self._max_bytes, self._lock, self._cells = max_bytes, Lock(), OrderedDict()
+        self._max_bytes, self._lock = max_bytes, Lock()
+        self._cells: OrderedDict[Hashable, tuple[int, Waves]] = (
+            OrderedDict()
+        )  # with the number of their last use
+        self._n_uses = 0
 
     def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
         """Return waves of a cell: these chunks, or more.
@@ -192,7 +202,7 @@ class WaveCache:
         """
         key = key, n_bins
         with held(self._lock):
-            old = self._cells.get(key)
+            _, old = self._cells.get(key, (0, None))
         if old is None or chunks.start < old.chunks.start or old.chunks.stop < chunks.stop:
             found = Waves(chunks, np.empty((len(chunks) * CHUNK, 2, n_bins), np.float32))
             for chunk in chunks:
@@ -204,11 +214,22 @@ class WaveCache:
         else:
             found = old
         with held(self._lock):
-            self._cells[key] = found
-            self._cells.move_to_end(key)
-            while sum(cell.coefficients.nbytes for cell in self._cells.values()) > self._max_bytes:
-                self._cells.popitem(last=False)
+            self._n_uses += 1
+            self._cells.pop(key, None)
+            if self._make_room(found.coefficients.nbytes):
+                self._cells[key] = self._n_uses, found
         return found
+
+    def _make_room(self, n_bytes: int) -> bool:
+        """Return whether so many bytes fit, after those have gone that may go."""
+        room = self._max_bytes - n_bytes - sum(waves.coefficients.nbytes for _, waves in self._cells.values())
+        while room < 0 and self._cells:
+            last_use, oldest = next(iter(self._cells.values()))
+            if last_use > self._n_uses - RECENT_USES:
+                return False
+            room += oldest.coefficients.nbytes
+            self._cells.popitem(last=False)
+        return room >= 0
 
 
 def _chunk_of(waves: Waves, chunk: int) -> np.ndarray:

@@ -162,7 +162,9 @@ def make_fan(
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not box:
-        width = min(SKIRTS_COARSER * span / n_samples, support_rad / WIDE_COLUMNS_PER_SUPPORT)
+        # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
+        widest = support_rad / WIDE_COLUMNS_PER_SUPPORT * (math.sqrt(2) if shear < 0 else 1)
+        width = min(SKIRTS_COARSER * span / n_samples, widest)
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1

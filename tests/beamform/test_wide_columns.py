@@ -11,6 +11,7 @@ from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.sonar import fan as fan_module
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.sector import SHEAR
 from tests.support.fans import make_sonar
 
 PHYSICAL = sg.Acoustics.physical()
@@ -163,3 +164,11 @@ def test_each_body_of_the_side_lobes_has_its_label():
     body_echo = beamformer.label(samples, gain, 2).body_echo
     # the lattice of one half is that of the other turned by half a circle
     np.testing.assert_allclose(body_echo, [0.0, whole / 2, whole / 2], rtol=1e-3)
+
+
+@pytest.mark.parametrize("samples_per_beam", [0.7, 2.0])
+def test_the_lattice_that_a_ping_is_compared_with_has_wider_ones(samples_per_beam):
+    """Were they the same, the difference of the two would not hold the error that they make."""
+    for sonar in SONARS.values():
+        fewer = fan_of(sonar, samples_per_beam / math.sqrt(2), shear=-SHEAR)
+        assert fewer.n_wide_columns < fan_of(sonar, samples_per_beam).n_wide_columns

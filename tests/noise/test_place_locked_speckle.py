@@ -9,7 +9,7 @@ import pytest
 from sonar_gl import pose
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.place_locked_speckle import CHUNK, WaveCache
+from sonar_gl.noise.place_locked_speckle import CHUNK, RECENT_USES, WaveCache
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import (
@@ -163,12 +163,19 @@ def test_only_waves_that_the_pings_before_did_not_receive_are_generated():
 def test_the_cache_of_waves_keeps_those_that_were_used_last():
     chunk = CHUNK * 2 * 10 * 4  # bytes
     cache = WaveCache(2 * chunk)
-    for key in (0, 1, 0, 2):
+    for key in (0, 1, *[0] * RECENT_USES, 2):
         cached_waves(cache, range(1), key)
     assert cached_waves(cache, range(1), 0)[1] == []
     assert cached_waves(cache, range(1), 1)[1] == [0]
-    cached_waves(cache, range(3), 3)  # more than fits: nothing is kept
+    cached_waves(cache, range(3), 3)  # more than fits: not kept
     assert cached_waves(cache, range(3), 3)[1] == [0, 1, 2]
+
+
+def test_of_waves_in_turn_that_do_not_all_fit_some_are_kept():
+    """Were those to go that were not used for longest, none would be there when its turn comes."""
+    cache = WaveCache(2 * CHUNK * 2 * 10 * 4)  # bytes of two chunks
+    generated = [bool(cached_waves(cache, range(1), key)[1]) for _ in range(3) for key in range(3)]
+    assert generated == [True, True, True, False, False, True, False, False, True]
 
 
 def test_pings_before_do_not_change_a_pattern():

@@ -3,10 +3,9 @@
 python -m tools.bench view                       # pylon, ocean_floor; half a minute
 python -m tools.bench view --only pylon
 
-The page is in Chromium without a window, on the same machine, which draws the 3D scene by software, too. The P900-45 swims as
-in the bench `live`, with the acoustics, noise and tolerance that the page has at first, 640 pixels high.
-"pings" are those that the session made, "pictures" those that the browser has shown, "error" the worst error
-estimate.
+The page is in Chromium without a window, on the same machine, which draws the 3D scene by software, too. The P900-45
+swims as in the bench `live`, with the acoustics, noise and tolerance that the page has at first, 640 pixels high.
+"pings" are those that the session made, "pictures" those that the browser has shown, "error" the worst error estimate.
 """
 
 from __future__ import annotations
