@@ -11,7 +11,8 @@ from sonar_gl.sonar.sampling import sampling_at
 from tests.support.worlds import ROD_SONAR, rods_before_a_wall
 from tools import promise
 
-pytestmark = pytest.mark.slow
+# truths of the whole device take 20 to 50 s each
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 # At least ninety-five of a hundred worlds keep the promise; the chance that fewer than fourteen of sixteen do
 # is then one in twenty. The worlds are the same in every run: the first from 700 on whose truths take fewer
