@@ -22,7 +22,7 @@ SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
 MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
 # A sonar within a cell takes 1 to 20 MB of its waves; near a corner it takes those of four cells, of up to 100 MB each
 # for the widest fans, most of which are then made anew in each ping.
-_WAVES = WaveCache(128 << 20)
+_WAVES = WaveCache(64 << 20)
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 
 
