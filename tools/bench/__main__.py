@@ -27,7 +27,20 @@ from importlib import import_module
 
 from tools.bench import harness
 
-NAMES = ("ping", "frame", "scaling", "engines", "live", "view", "changes", "batch", "embed", "host", "start", "paper")
+NAMES = (
+    "ping",
+    "frame",
+    "scaling",
+    "engines",
+    "live",
+    "view",
+    "changes",
+    "batch",
+    "embed",
+    "host",
+    "start",
+    "paper",
+)
 
 
 def main(arguments=None):
