@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.analysis.terms import TERMS
+from tests.support import browser
 from tools import drivers
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
@@ -167,6 +169,15 @@ def check_aims(aims, printed, least):
         assert aim["met"] == (apart >= 0)
         (line,) = (line for line in printed.splitlines() if line.startswith(f"  {aim['name']} "))
         assert line.endswith("met" if aim["met"] else "missed")
+
+
+@pytest.mark.slow
+def test_bench_view():
+    if not any(map(shutil.which, browser.NAMES)):
+        pytest.skip("there is no Chromium (apt-get install chromium brings it in)")
+    found, printed = bench("view", "--quick", "--only", "pylon")
+    check_aims(found["aims"], printed, 1)
+    assert 0 < found["scenes"]["pylon"]["pictures, /s"] <= 1.2 * found["scenes"]["pylon"]["pings, /s"]
 
 
 @pytest.mark.slow
