@@ -162,7 +162,9 @@ class DdsTransport(Transport):
         with self._lock:
             dds_topic = self._topic(topic)
             try:
-                reader = dds.sub.DataReader(self._receiver.subscriber, dds_topic, qos=_qos(dds, topic))
+                reader = dds.sub.DataReader(
+                    self._receiver.subscriber, dds_topic, qos=_qos(dds, topic, topic.depth)
+                )
             except dds.core.DDSException as why:
                 raise Error(f"DDS topic {topic.name!r} cannot be read: {_reason(why)}") from None
             self._receiver.add(topic.name, reader, receive)
@@ -184,7 +186,8 @@ class DdsTransport(Transport):
             if writer is None:
                 dds_topic = self._topic(topic)
                 try:
-                    writer = dds.pub.DataWriter(self._publisher, dds_topic, qos=_qos(dds, topic))
+                    depth = 1 if topic.latched else topic.depth
+                    writer = dds.pub.DataWriter(self._publisher, dds_topic, qos=_qos(dds, topic, depth))
                 except dds.core.DDSException as why:
                     raise Error(f"DDS topic {topic.name!r} cannot be written: {_reason(why)}") from None
                 self._writers[topic] = writer
@@ -307,14 +310,17 @@ def _configuration(interface: str) -> str:
 # ---- quality of service and types -------------------------------------------------------------------
 
 
-def _qos(dds: SimpleNamespace, topic: Topic):
-    """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it."""
+def _qos(dds: SimpleNamespace, topic: Topic, depth: int):
+    """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it.
+
+    depth : number of messages that are kept; those of a reader are of all writers together
+    """
     policy = dds.core.Policy
     return dds.core.Qos(
         policy.Reliability.Reliable(0) if topic.reliable else policy.Reliability.BestEffort,
         policy.Durability.TransientLocal if topic.latched else policy.Durability.Volatile,
         # such a writer drops its oldest message rather than wait for slow readers
-        policy.History.KeepLast(1 if topic.latched else topic.depth),
+        policy.History.KeepLast(depth),
         # XCDR1 alone: readers of ROS 2 know no other
         policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         policy.Userdata(data=f"typehash={topic.type_hash};".encode()),

@@ -367,6 +367,23 @@ def test_late_subscribers_receive_the_last_latched_message(open_transport, parti
     ]
 
 
+def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_transport, name):
+    """As of /tf_static, which each node with fixed frames writes."""
+    topic, arrived = topic_of(name, latched=True, depth=100), []
+    for number in range(4):
+        open_transport().publish(topic, header_bytes(number), 0)
+    late = open_transport()
+    holds, is_free = threading.Event(), threading.Event()
+    late.subscribe(topic_of(f"{name}_held"), lambda _: (holds.set(), is_free.wait(WAIT_S)))
+    with published_meanwhile(open_transport(), topic_of(f"{name}_held")):
+        assert holds.wait(WAIT_S)
+    late.subscribe(topic, arrived.append)  # whose messages wait for the thread that is held
+    time.sleep(1.0)  # until they are there
+    is_free.set()
+    wait_for(lambda: len(arrived) >= 4)
+    assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]
+
+
 def test_late_nodes_of_another_vendor_receive_the_last_latched_message(
     open_transport, domain, name, fast_dds_peer, tmp_path
 ):
