@@ -73,6 +73,7 @@ class ZenohTransport(Transport):
     Notes
     -----
     Without a router on this machine there is a warning, and messages reach nobody until it is started.
+    A router on another machine is a warning, since whoever reaches it can read and send messages.
     What is published while nobody is connected is not sent later, but for the last messages of latched topics.
     """
 
@@ -86,6 +87,11 @@ class ZenohTransport(Transport):
         self._senders, self._inboxes, self._numbers = {}, [], count(1)
         # what zenoh has declared lasts as long as Python holds it
         self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
+        if not is_local:
+            warn_caller(
+                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
+                "poses"
+            )
         if not list(self._session.info.routers_zid()):
             warn_caller(
                 f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "

@@ -411,6 +411,16 @@ def test_there_is_no_warning_with_a_router(router, transports):
         transports()
 
 
+def test_a_router_of_another_machine_is_warned_of(router, transports, port):
+    with pytest.warns(UserWarning) as noticed:
+        transports(host="0.0.0.0")
+    assert [str(one.message) for one in noticed] == [
+        f"zenoh leaves this machine by the router at tcp/0.0.0.0:{port}: who reaches it can read these topics and send "
+        "poses"
+    ]
+    assert noticed[0].filename == __file__  # of the caller's stack
+
+
 def test_a_router_of_another_machine_must_answer(port, transports):
     why = f"a zenoh router must answer at tcp/0.0.0.0:{port} (got no answer in 3 s; start it there, or give"
     with pytest.raises(MachineError, match=re.escape(why)):
