@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 import warnings
 from collections.abc import Sequence
@@ -159,7 +158,6 @@ class Publisher:
         self._n_pings = self._n_failed = 0
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
-        self._sending = threading.Lock()  # the loop sends the clock, and the simulation all else
         self._is_placed, self._is_own, self._pose, self._moved = False, True, None, {}
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")
@@ -393,9 +391,9 @@ class Publisher:
 
     def _send(self, kind: str, message, time_ns: int) -> None:
         topic, data = self._topics[kind], self._types.encode(message)
-        with self._sending:
-            for transport in self._transports:
-                transport.publish(topic, data, time_ns)
+        # the loop sends the clock while the simulation sends a ping: transports may be used by several threads
+        for transport in self._transports:
+            transport.publish(topic, data, time_ns)
 
     # ---- reports and end -----------------------------------------------------------------------------
 

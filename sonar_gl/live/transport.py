@@ -34,7 +34,7 @@ class Topic:
 
 
 class Transport(ABC):
-    """Carries messages in CDR, little endian, with its header of four bytes."""
+    """Carries messages in CDR, little endian, with its header of four bytes. Threads may share it."""
 
     @abstractmethod
     def advertise(self, topic: Topic) -> None:
@@ -42,7 +42,7 @@ class Transport(ABC):
 
     @abstractmethod
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
-        """Send a message without waiting for those who receive it.
+        """Send a message without waiting for those who receive it, nor for messages of other topics.
 
         time_ns : time of the message in nanoseconds, as in its header
         """

@@ -7,7 +7,7 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from types import SimpleNamespace
 
@@ -49,6 +49,7 @@ class _Sender:
     publisher: object
     gid: bytes
     number: int = 0  # of the last message
+    lock: threading.Lock = field(default_factory=threading.Lock)  # numbers arrive in their order
 
 
 class ZenohTransport(Transport):
@@ -116,9 +117,7 @@ class ZenohTransport(Transport):
         Error
             if ROS does not allow its name or its type, or the transport is closed.
         """
-        with self._lock:
-            if topic.name not in self._senders:
-                self._senders[topic.name] = self._declare_sender(topic)
+        self._sender(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
         """Send a message without waiting; where the network is too slow, it is dropped, as rmw_zenoh does.
@@ -132,9 +131,8 @@ class ZenohTransport(Transport):
         -----
         `time_ns` is not sent: rmw_zenoh attaches the time of sending, by the computer's clock.
         """
-        self.advertise(topic)
-        with self._lock:
-            sender = self._senders[topic.name]
+        sender = self._sender(topic)
+        with sender.lock:
             sender.number += 1
             attached = attachment(sender.number, time.time_ns(), sender.gid)
             try:
@@ -206,6 +204,13 @@ class ZenohTransport(Transport):
             raise MachineError(
                 f"a zenoh router must answer at {connect} (got {wait}; start it there, or give its address)"
             ) from None
+
+    def _sender(self, topic: Topic) -> _Sender:
+        """Return what sends the messages of a topic, declared on first use."""
+        with self._lock:
+            if topic.name not in self._senders:
+                self._senders[topic.name] = self._declare_sender(topic)
+            return self._senders[topic.name]
 
     def _declare_sender(self, topic: Topic) -> _Sender:
         """Return a publisher of a topic that other programs know of."""

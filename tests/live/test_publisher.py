@@ -310,12 +310,13 @@ class HeldTransport(LoopbackTransport):
 
 def test_in_the_background_a_slow_ping_holds_no_step_up(scene):
     transport = HeldTransport()
-    topics = {"clock": None, "tf": None}
-    with publisher_of(scene, transport, rate_hz=10.0, in_background=True, topics=topics) as publisher:
+    with publisher_of(scene, transport, rate_hz=10.0, in_background=True) as publisher:
         assert publisher.step(0.0).has_pinged
         assert transport.holds.wait(WAIT_S)
         results = [publisher.step(k / 100) for k in range(1, 36)]  # each returns, though nothing is sent
         assert not any(result.has_pinged or result.n_dropped for result in results)
+        clock = [message.clock.nanosec for message in transport.messages("/clock")]
+        assert clock == list(range(0, 360_000_000, CLOCK_NS))
         transport.is_free.set()
         while not (result := publisher.step(0.36)).has_pinged:  # until the thread is done
             pass

@@ -267,6 +267,26 @@ def test_a_topic_that_is_not_latched_keeps_nothing_for_late_programs(port, route
     assert set(received) == {b"later"}
 
 
+def test_a_topic_does_not_wait_for_another_one(router, transports, monkeypatch):
+    """As /clock for a ping that the network takes in slowly."""
+    transport, holds, is_free = transports(), threading.Event(), threading.Event()
+
+    def held(number, *arguments):
+        if threading.current_thread() is not threading.main_thread():
+            holds.set()
+            assert is_free.wait(60.0)
+        return attachment(number, *arguments)
+
+    monkeypatch.setattr("sonar_gl.live.zenoh_transport.attachment", held)
+    slow = threading.Thread(target=transport.publish, args=(image_topic(), b"slow", 0))
+    slow.start()
+    assert holds.wait(60.0)
+    transport.publish(topic_of("/clock", "rosgraph_msgs/msg/Clock"), b"quick", 0)
+    assert slow.is_alive()
+    is_free.set()
+    slow.join()
+
+
 # ---- messages of other programs -----------------------------------------------------------------------
 
 
