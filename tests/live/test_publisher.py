@@ -284,6 +284,17 @@ def test_losses_are_reported_while_it_runs(scene, loopback, caplog, monkeypatch)
         assert len(caplog.messages) == 1
 
 
+def test_messages_that_are_ignored_are_logged_once(scene, loopback, caplog, monkeypatch):
+    monkeypatch.setattr("sonar_gl.live.publisher.REPORT_S", 0.0)
+    with publisher_of(scene, loopback, bodies_from="/bodies", rate_hz=10.0) as publisher:
+        for k in range(3):
+            loopback.inject("/bodies", transforms(("world", "link", AT)))
+            publisher.step(k / 10)
+        assert publisher.counts.refused == 3
+    (message,) = caplog.messages
+    assert "child frames must be names of bodies (got 'link')" in message
+
+
 def test_time_that_jumps_back_begins_anew(scene, loopback):
     with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
         for time_s in (100.0, 100.1, 0.0, 0.05, 0.1):
