@@ -30,7 +30,7 @@ from sonar_gl.sonar.sonar import Sonar
 logger = logging.getLogger(__name__)
 
 TF_DEPTH = 100  # as in tf2_ros
-CLOCK_NS = 10_000_000  # at most 100 times a second; a loop may be quicker
+CLOCK_NS = 10_000_000  # 100 times a second, and at each ping; a loop may be quicker
 REPORT_S = 10.0  # of real time, between lines of the log
 
 
@@ -267,14 +267,18 @@ class Publisher:
             raise closed_error("Publisher")
         if self._work is not None and self._work.done():
             self._finish()
-        self._tick(time_ns)
+        if not self._is_placed:
+            self._place_fixed(time_ns)
+            self._is_placed = True
         self._heed(pose, bodies)
         if self._pose is None:
+            self._tick(time_ns)
             self._report()
             return StepResult(waits_for_pose=True)
         slot = self._schedule.advance(time_ns, is_ready=self._work is None)
         self._n_dropped += slot.n_dropped
         self._n_jumps += slot.has_jumped
+        self._tick(time_ns, slot.is_due)
         if slot.is_due:
             order = _Order(time_ns, self._pose, self._moved, self._is_own)
             self._moved = {}
@@ -289,14 +293,11 @@ class Publisher:
         work, self._work = self._work, None
         work.result()
 
-    def _tick(self, time_ns: int) -> None:
-        """Publish the clock, and in the first step the frames that do not move."""
-        if not self._is_placed:
-            self._place_fixed(time_ns)
-            self._is_placed = True
-        if "clock" not in self._topics:
+    def _tick(self, time_ns: int, is_due: bool = False) -> None:
+        """Publish the clock, also before a ping, whose stamp must not lie ahead of it."""
+        if "clock" not in self._topics or time_ns == self._clock_ns:
             return
-        if self._clock_ns is None or not self._clock_ns <= time_ns < self._clock_ns + CLOCK_NS:
+        if is_due or self._clock_ns is None or time_ns // CLOCK_NS != self._clock_ns // CLOCK_NS:
             self._clock_ns = time_ns
             self._send("clock", self._types.clock(time_ns), time_ns)
 
