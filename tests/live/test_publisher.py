@@ -4,6 +4,7 @@ import logging
 import math
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from trimesh.transformations import quaternion_matrix
 
 import sonar_gl as sg
 from sonar_gl.batch.ros_messages import BEAMS, message_types
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.gl.memory import CONTEXT_LOST, check_driver
 from sonar_gl.live import PoseSource, Publisher, PublisherSettings
 from sonar_gl.live.publisher import CLOCK_NS, StepResult
 from sonar_gl.live.publisher_settings import TOPICS
@@ -416,6 +418,23 @@ def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_rais
                 publisher.step(0.2, AT)
         publisher.step(0.3)
         assert publisher.counts.pings == 1
+
+
+def test_a_lost_context_ends_it_whoevers_poses_they_are(scene, loopback, monkeypatch):
+    """Nothing comes of the pings that follow."""
+
+    class Lost:
+        def take_errors(self):
+            return {CONTEXT_LOST}
+
+    def ping(simulator, *_, **__):
+        check_driver(SimpleNamespace(extra=SimpleNamespace(gl=Lost()), extensions=set()))
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    with publisher_of(scene, loopback, pose_from=PoseSource("pose", "/pose")) as publisher:
+        loopback.inject("/pose", pose_stamped(AT))
+        with pytest.raises(MachineError, match="must keep the sonar's OpenGL context"):
+            publisher.step(0.0)
 
 
 # ---- mistakes --------------------------------------------------------------------------------------
