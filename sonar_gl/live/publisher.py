@@ -86,7 +86,7 @@ class _Order:
     time_ns : its stamp
     vehicle_pose : (4, 4) world_from_vehicle, or that of the sonar if the settings name no vehicle
     bodies : poses of those that have moved since the ping before
-    is_own : whether all poses are the caller's, who is told what is wrong with them
+    is_own : whether all that is placed there is placed by the caller, who is told what is wrong with the ping
     """
 
     time_ns: int
@@ -158,7 +158,8 @@ class Publisher:
         self._n_pings = self._n_failed = 0
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
-        self._is_placed, self._is_own, self._pose, self._moved = False, True, None, {}
+        self._is_placed, self._pose, self._moved = False, None, {}
+        self._is_own_pose, self._are_own_bodies = True, True
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")
         try:
@@ -280,7 +281,8 @@ class Publisher:
         self._n_jumps += slot.has_jumped
         self._tick(time_ns, slot.is_due)
         if slot.is_due:
-            order = _Order(time_ns, self._pose, self._moved, self._is_own)
+            is_own = self._is_own_pose and self._are_own_bodies
+            order = _Order(time_ns, self._pose, self._moved, is_own)
             self._moved = {}
             self._work = self._executor.submit(self._ping, order)
             if not self._in_background:
@@ -304,15 +306,15 @@ class Publisher:
     def _heed(self, pose, bodies: dict | None) -> None:
         """Keep the poses of the caller, or those that came by messages."""
         if pose is not None:
-            self._pose, self._is_own = check_pose(pose), True
+            self._pose, self._is_own_pose = check_pose(pose), True
         elif self._pose_input is not None and (came := self._pose_input.latest()) is not None:
-            self._pose, self._is_own = came, False
+            self._pose, self._is_own_pose = came, False
         if bodies is not None:
             check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
             self._moved |= bodies
         if self._bodies_input is not None and (moved := self._bodies_input.take()):
             self._moved |= moved
-            self._is_own = False
+            self._are_own_bodies = False  # from now on, since they stay where they are
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
@@ -320,9 +322,9 @@ class Publisher:
         """Make a ping and publish it."""
         settings, time_ns = self.settings, order.time_ns
         pose = order.vehicle_pose @ settings.vehicle_from_sonar
+        if order.bodies:  # of messages only those that the scene has, so what is wrong is the caller's
+            self._simulator.place(order.bodies)
         try:
-            if order.bodies:
-                self._simulator.place(order.bodies)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # a device does not say that it sees nothing
                 ping = self._simulator.ping(

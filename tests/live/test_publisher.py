@@ -420,6 +420,23 @@ def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_rais
         assert publisher.counts.pings == 1
 
 
+def test_a_ping_that_fails_where_messages_moved_bodies_is_counted_though_the_pose_is_the_callers(
+    scene, loopback, monkeypatch
+):
+    def ping(simulator, *_, **__):
+        raise Error("no ping with the ball there")
+
+    with publisher_of(scene, loopback, bodies_from="/bodies", rate_hz=10.0) as publisher:
+        publisher.step(0.0, AT)
+        monkeypatch.setattr(sg.Simulator, "ping", ping)
+        loopback.inject("/bodies", transforms(("world", "ball", AT)))
+        assert not publisher.step(0.05, AT).has_pinged  # between two pings the body moves,
+        assert publisher.step(0.1, AT).has_pinged and publisher.step(0.2, AT).has_pinged  # and stays there
+        assert (publisher.counts.pings, publisher.counts.failed) == (1, 2)
+        with pytest.raises(Error, match="bodies must be bodies of the scene"):
+            publisher.step(0.3, AT, {"boat": AT})
+
+
 def test_a_lost_context_ends_it_whoevers_poses_they_are(scene, loopback, monkeypatch):
     """Nothing comes of the pings that follow."""
 
