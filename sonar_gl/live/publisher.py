@@ -20,6 +20,7 @@ from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.live.message_inputs import BodiesInput, ClockInput, FrameInput, PoseInput, RefusedMessages
 from sonar_gl.live.ping_schedule import PingSchedule
 from sonar_gl.live.publisher_settings import POSE_SOURCES, TOPICS, PublisherSettings
+from sonar_gl.live.static_frames import publish_static
 from sonar_gl.live.transport import Topic, Transport
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -358,8 +359,9 @@ class Publisher:
         links = [(settings.frame, settings.beams_frame, turn)]
         if settings.vehicle is not None:
             links.insert(0, (settings.vehicle, settings.frame, settings.vehicle_from_sonar))
-        message = self._types.transforms([self._types.transform(time_ns, *link) for link in links])
-        self._send("tf_static", message, time_ns)
+        links = [self._types.transform(time_ns, *link) for link in links]
+        for transport in self._transports:
+            publish_static(transport, self._topics["tf_static"], links, time_ns)
 
     def _place(self, order: _Order) -> None:
         """Publish where the vehicle is, or the sonar."""

@@ -206,6 +206,24 @@ def test_frames_lead_from_the_beams_to_the_world(sent, decode):
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 1, 0], atol=1e-12)
 
 
+def test_publishers_that_share_a_transport_keep_each_others_fixed_frames(scene, loopback):
+    """A late subscriber gets the last message alone."""
+    other, topics = LoopbackTransport(), {kind: None for kind in TOPICS if kind != "tf"}
+    with (
+        publisher_of(scene, loopback, name="front", topics=topics) as front,
+        publisher_of(scene, loopback, other, name="side", topics=topics) as side,
+    ):
+        front.step(0.0)
+        side.step(1.0)
+
+    def links(transport):
+        link = transport.messages("/tf_static")[-1].transforms
+        return {one.child_frame_id: (one.header.frame_id, one.header.stamp.sec) for one in link}
+
+    assert links(other) == {"side_beams": ("side", 1)}
+    assert links(loopback) == {"front_beams": ("front", 0), "side_beams": ("side", 1)}
+
+
 @DECODERS
 def test_clock(sent, decode):
     clock = decoded(sent, "/clock", decode).clock
