@@ -148,7 +148,9 @@ def _run(publisher: Publisher, options, track: PoseTrack | None) -> None:
             time_ns = times.wait(CLOCK_WAIT_S)
             if time_ns is None:
                 if first_ns is None and time.monotonic() >= told_s + CLOCK_REPORT_S:
-                    logger.warning("no /clock has come yet; a simulator publishes it, or ros2 bag play --clock")
+                    logger.warning(
+                        "no /clock has come yet; a simulator publishes it, or ros2 bag play --clock"
+                    )
                     told_s = time.monotonic()
                 continue
         elif options.clock == "system":

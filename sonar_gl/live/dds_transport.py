@@ -22,7 +22,8 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
+from itertools import count
 from types import SimpleNamespace
 
 from sonar_gl.core.checks import check_whole_number
@@ -147,8 +148,10 @@ class DdsTransport(Transport):
                 f"(Cyclone DDS refuses it: {_reason(why)})"
             ) from None
 
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other participants, in a thread of the transport.
+
+        Returns a function that withdraws the subscription.
 
         Messages that do not have the layout of the type do not arrive. Up to three bytes that only fill the last word
         may follow a message. What `receive` raises is logged, once for the topic.
@@ -167,7 +170,7 @@ class DdsTransport(Transport):
                 )
             except dds.core.DDSException as why:
                 raise Error(f"DDS topic {topic.name!r} cannot be read: {_reason(why)}") from None
-            self._receiver.add(topic.name, reader, receive)
+            return partial(self._withdraw, self._receiver.add(topic.name, reader, receive))
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
@@ -178,6 +181,12 @@ class DdsTransport(Transport):
             # Cyclone DDS deletes what nothing refers to any more: what depends on the participant goes first
             self._writers, self._topics = {}, {}
             self._receiver = self._publisher = self._participant = self._opened = None
+
+    def _withdraw(self, number: int) -> None:
+        """End a subscription, if it has not ended yet."""
+        with self._lock:
+            if self._receiver is not None:
+                self._receiver.remove(number)
 
     def _writer(self, topic: Topic):
         dds = self._dds
@@ -405,19 +414,28 @@ class _Receiver:
         self._stop = core.GuardCondition(participant)
         self._waiting = core.WaitSet(participant)
         self._waiting.attach(self._stop)
-        self._readers = []  # name of the topic, reader, condition, function
+        self._readers = {}  # by number: name of the topic, reader, condition, function
+        self._numbers = count()
         self._failed = set()  # names of topics whose function has raised
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="DDS messages", daemon=True)
         self._thread.start()
 
-    def add(self, name: str, reader, receive: Callable[[bytes], None]) -> None:
-        """Give the messages of a reader to a function from now on."""
+    def add(self, name: str, reader, receive: Callable[[bytes], None]) -> int:
+        """Give the messages of a reader to a function from now on; return its number."""
         core = self._dds.core
         mask = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
         condition = core.ReadCondition(reader, mask)
-        self._readers.append((name, reader, condition, receive))
+        number = next(self._numbers)
+        self._readers[number] = name, reader, condition, receive
         self._waiting.attach(condition)
+        return number
+
+    def remove(self, number: int) -> None:
+        """Let a reader go, if it is there."""
+        if number in self._readers:
+            _, _, condition, _ = self._readers.pop(number)
+            self._waiting.detach(condition)
 
     def close(self) -> None:
         """End the thread, and let the readers go; a function that receives messages may call this, too."""
@@ -425,7 +443,7 @@ class _Receiver:
         self._stop.set(True)
         if threading.current_thread() is not self._thread:
             self._thread.join(PATIENCE_S)
-        for _, _, condition, _ in self._readers:
+        for _, _, condition, _ in self._readers.values():
             self._waiting.detach(condition)
         self._readers.clear()
 
@@ -433,13 +451,19 @@ class _Receiver:
         forever = self._dds.duration(infinite=True)
         while not self._is_closed:
             self._waiting.wait(forever)
-            for name, reader, condition, receive in list(self._readers):
-                if self._is_closed:
-                    return
-                for sample in reader.take(TAKEN_AT_ONCE, condition):
-                    # a sample without data tells that a writer is gone
-                    if sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN:
-                        self._give(name, receive, sample.message)
+            for number in list(self._readers):
+                self._take(number)
+
+    def _take(self, number: int) -> None:
+        """Give what a reader has received to its function, unless it was let go meanwhile."""
+        if self._is_closed or (found := self._readers.get(number)) is None:
+            return
+        name, reader, condition, receive = found
+        for sample in reader.take(TAKEN_AT_ONCE, condition):
+            # a sample without data tells that a writer is gone
+            is_message = sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN
+            if is_message and number in self._readers:
+                self._give(name, receive, sample.message)
 
     def _give(self, name: str, receive: Callable[[bytes], None], message: bytes) -> None:
         if self._is_closed:

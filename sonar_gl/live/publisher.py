@@ -132,7 +132,7 @@ class Publisher:
         settings: PublisherSettings | None = None,
         in_background: bool = False,
     ):
-        self._executor = None
+        self._executor, self._withdrawals = None, []
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
@@ -215,7 +215,7 @@ class Publisher:
         """Have an input receive a topic; by best effort, which every publisher offers."""
         topic = self._topic(name, msgtype, reliable=reliable, **quality)
         for transport in self._transports:
-            transport.subscribe(topic, messages.receive)
+            self._withdrawals.append(transport.subscribe(topic, messages.receive))
 
     def clock(self, name: str = "/clock") -> ClockInput:
         """Return what follows the time of a topic, for the loop; the publisher must not publish this topic itself."""
@@ -420,6 +420,9 @@ class Publisher:
         executor, self._executor = self._executor, None
         if executor is None:
             return
+        for withdraw in self._withdrawals:
+            withdraw()
+        self._withdrawals.clear()
         simulator = getattr(self, "_simulator", None)
         if simulator is not None:
             executor.submit(simulator.close).result()  # after the ping that is made

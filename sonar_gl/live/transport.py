@@ -48,8 +48,12 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
-        """Call `receive` with each message of other programs on a topic, in a thread of the transport."""
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
+        """Call `receive` with each message of other programs on a topic, in a thread of the transport.
+
+        Returns a function that withdraws the subscription, which may be called twice, and after `close`. A call of
+        `receive` that has begun by then still ends.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -7,7 +7,9 @@ import re
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from types import SimpleNamespace
 
@@ -85,8 +87,9 @@ class ZenohTransport(Transport):
         is_local = _is_local(connect)
         self._libraries, self._lock = _libraries(), threading.Lock()
         self._session = self._opened(connect, is_local)
-        self._senders, self._inboxes, self._numbers = {}, [], count(1)
+        self._senders, self._numbers, self._dropped = {}, count(1), 0
         # what zenoh has declared lasts as long as Python holds it
+        self._subscribed = {}  # inbox: subscriber and token
         self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
         if not is_local:
             warn_caller(
@@ -107,7 +110,8 @@ class ZenohTransport(Transport):
     @property
     def dropped(self) -> int:
         """Number of received messages that were dropped, as more came than were read."""
-        return sum(inbox.dropped for inbox in self._inboxes)
+        with self._lock:
+            return self._dropped + sum(inbox.dropped for inbox in self._subscribed)
 
     def advertise(self, topic: Topic) -> None:
         """Make a topic known to other programs.
@@ -140,10 +144,11 @@ class ZenohTransport(Transport):
             except self._libraries.zenoh.ZError:
                 raise closed_error("ZenohTransport") from None
 
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other programs on a topic, in a thread of its own.
 
-        While it works, `topic.depth` messages wait, of which newer ones replace older ones.
+        While it works, `topic.depth` messages wait, of which newer ones replace older ones. Returns a function that
+        withdraws the subscription.
 
         Raises
         ------
@@ -165,17 +170,27 @@ class ZenohTransport(Transport):
                 subscriber = ext.declare_advanced_subscriber(
                     self._session, key, handler, allowed_origin=zenoh.Locality.REMOTE, **latched
                 )
-                self._declared += [subscriber, self._declare_token(SUBSCRIPTION, topic)[1]]
-                self._inboxes.append(inbox)
+                self._subscribed[inbox] = subscriber, self._declare_token(SUBSCRIPTION, topic)[1]
         except zenoh.ZError:
             inbox.close()
             raise closed_error("ZenohTransport") from None
+        return partial(self._withdraw, inbox)
 
     def close(self) -> None:
         """Withdraw the topics, and end the session and its threads; may be called twice."""
         self._session.close()  # before the inboxes, so that no more messages come
-        for inbox in self._inboxes:
+        for inbox in list(self._subscribed):
             inbox.close()
+
+    def _withdraw(self, inbox: Inbox) -> None:
+        """End the subscription of an inbox, if it has not ended yet."""
+        with self._lock:
+            declared = self._subscribed.pop(inbox, ())
+            self._dropped += inbox.dropped if declared else 0
+        for one in declared:
+            with suppress(self._libraries.zenoh.ZError):  # of a session that is closed
+                one.undeclare()
+        inbox.close()
 
     def _opened(self, connect: str, is_local: bool):
         """Return a session of zenoh, or raise an Error."""

@@ -150,7 +150,9 @@ def test_it_says_that_no_clock_comes(transports, monkeypatch, caplog):
     found = run("pylon", *FAST, "--clock", "ros", "--duration", "0.9")
     assert found.exit_code == 0 and "0 pings published" in found.output
     # one each 0.35 s, of which two end within 0.9 s; one where the machine is busy
-    assert set(caplog.messages) >= {"no /clock has come yet; a simulator publishes it, or ros2 bag play --clock"}
+    assert set(caplog.messages) >= {
+        "no /clock has come yet; a simulator publishes it, or ros2 bag play --clock"
+    }
     assert sum("no /clock" in message for message in caplog.messages) <= 2
 
 

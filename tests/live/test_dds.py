@@ -289,6 +289,22 @@ def test_own_messages_do_not_come_back(open_transport, name):
     assert (own, others) == ([received(header_bytes(2))], [received(header_bytes(1))])
 
 
+def test_a_subscription_is_withdrawn(open_transport, participant, name):
+    topic, ended, kept, transport = topic_of(name), [], [], open_transport()
+    withdraw = transport.subscribe(topic, ended.append)
+    transport.subscribe(topic, kept.append)
+    writing = dds_entities.writer(participant, f"rt{name}", topic.msgtype)
+    wait_for(lambda: len(writing.get_matched_subscriptions()) == 2)
+    withdraw()
+    withdraw()
+    wait_for(lambda: len(writing.get_matched_subscriptions()) == 1)
+    writing.write(dds_types.Header(dds_types.Time(1, 2), "a"))
+    wait_for(lambda: kept)
+    assert ended == []
+    transport.close()
+    withdraw()
+
+
 # ---- quality of service -----------------------------------------------------------------------------
 
 

@@ -472,6 +472,18 @@ def test_a_lost_context_ends_it_whoevers_poses_they_are(scene, loopback, monkeyp
             publisher.step(0.0)
 
 
+def test_a_closed_publisher_receives_nothing(scene, loopback):
+    settings = {"pose_from": PoseSource("tf", "rov"), "bodies_from": "/bodies", "topics": {"clock": None}}
+    with publisher_of(scene, loopback, **settings) as publisher:
+        clock = publisher.clock()
+        for name in ("/tf", "/tf_static", "/bodies", "/clock"):
+            loopback.inject(name, b"nonsense")
+        assert publisher.counts.refused == 4
+    for name in ("/tf", "/tf_static", "/bodies", "/clock"):
+        loopback.inject(name, b"nonsense")
+    assert publisher.counts.refused == 4 and clock.wait(0.0) is None
+
+
 # ---- mistakes --------------------------------------------------------------------------------------
 
 

@@ -313,6 +313,24 @@ def test_messages_of_other_programs_arrive_and_ones_own_do_not(peer, router, tra
     assert not received
 
 
+def test_a_subscription_is_withdrawn(peer, router, transports):
+    topic, ended, kept, transport = topic_of("/odom", "nav_msgs/msg/Odometry"), [], [], transports()
+    before = set(threading.enumerate())
+    withdraw = transport.subscribe(topic, ended.append)
+    (thread,) = (one for one in set(threading.enumerate()) - before if one.name == "inbox /odom")
+    transport.subscribe(topic, kept.append)
+    wait_until(lambda: len(tokens_of(router)) == 3)
+    withdraw()
+    withdraw()
+    wait_until(lambda: len(tokens_of(router)) == 2)
+    publisher = peer.declare_publisher(f"0/odom/nav_msgs::msg::dds_::Odometry_/{topic.type_hash}")
+    wait_until(lambda: publisher.put(b"probe") or kept)
+    assert ended == [] and not thread.is_alive() and transport.dropped == 0
+    other = transport.subscribe(topic, ended.append)
+    transport.close()
+    other()
+
+
 def test_a_reader_that_raises_does_not_end_the_messages(peer, router, transports, caplog):
     topic, received = topic_of("/odom", "nav_msgs/msg/Odometry"), []
 
