@@ -19,6 +19,7 @@ import logging
 import os
 import re
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,6 +41,7 @@ LOOPBACK_NAMES = "lo", "lo0", "localhost"
 MAX_INDEX = 32
 TAKEN_AT_ONCE = 64
 PATIENCE_S = 5.0  # with a function that receives a message while its transport is closed
+PAUSE_S = 0.1  # after a failure to receive
 LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
 
 
@@ -416,7 +418,7 @@ class _Receiver:
         self._waiting.attach(self._stop)
         self._readers = {}  # by number: name of the topic, reader, condition, function
         self._numbers = count()
-        self._failed = set()  # names of topics whose function has raised
+        self._failed = set()  # names of topics whose function has raised, and None where DDS has
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="DDS messages", daemon=True)
         self._thread.start()
@@ -450,9 +452,18 @@ class _Receiver:
     def _run(self) -> None:
         forever = self._dds.duration(infinite=True)
         while not self._is_closed:
-            self._waiting.wait(forever)
+            self._attempt(self._waiting.wait, forever)
             for number in list(self._readers):
-                self._take(number)
+                self._attempt(self._take, number)
+
+    def _attempt(self, act: Callable, argument) -> None:
+        """Do what DDS may fail at; the next attempt may succeed, and that of another reader."""
+        try:
+            act(argument)
+        except Exception:
+            if not self._is_closed:
+                self._log_once(None, "messages of DDS cannot be taken; they are waited for again")
+                time.sleep(PAUSE_S)
 
     def _take(self, number: int) -> None:
         """Give what a reader has received to its function, unless it was let go meanwhile."""
@@ -471,6 +482,9 @@ class _Receiver:
         try:
             receive(message)
         except Exception:
-            if name not in self._failed:
-                self._failed.add(name)
-                logger.exception("a message of %r is lost: the function that receives it fails", name)
+            self._log_once(name, "a message of %r is lost: the function that receives it fails", name)
+
+    def _log_once(self, kind: str | None, *message) -> None:
+        if kind not in self._failed:
+            self._failed.add(kind)
+            logger.exception(*message)

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import Policy
+from cyclonedds.core import DDSException, Policy, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.sub import DataReader
 from rosbags.serde.errors import SerdeError
 
 from sonar_gl.batch.ros_messages import message_types
@@ -287,6 +288,27 @@ def test_own_messages_do_not_come_back(open_transport, name):
     other.publish(topic, header_bytes(2), 0)
     wait_for(lambda: own)
     assert (own, others) == ([received(header_bytes(2))], [received(header_bytes(1))])
+
+
+@pytest.mark.parametrize("owner, method", [(DataReader, "take"), (WaitSet, "wait")])
+def test_a_failure_of_dds_does_not_end_the_messages(open_transport, name, monkeypatch, caplog, owner, method):
+    works, calls = getattr(owner, method), []
+
+    def fail_twice(self, *arguments, **more):
+        found = works(self, *arguments, **more)
+        if len(calls) < 2:
+            calls.append(found)
+            raise DDSException(DDSException.DDS_RETCODE_ERROR)
+        return found
+
+    monkeypatch.setattr(owner, method, fail_twice)
+    topic, arrived, other = topic_of(name), [], open_transport()
+    other.subscribe(topic, arrived.append)
+    with published_meanwhile(open_transport(), topic):
+        wait_for(lambda: arrived)
+    assert len(calls) == 2
+    (record,) = caplog.records
+    assert record.getMessage() == "messages of DDS cannot be taken; they are waited for again"
 
 
 def test_a_subscription_is_withdrawn(open_transport, participant, name):
