@@ -77,7 +77,9 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for block in blocks("csv"):
         Path(POSES_FILE).write_text(block.values[0])
-    for block, name in zip(blocks("toml", [ROS2]), ("rov.toml", "gazebo.toml", "stonefish.toml"), strict=True):
+    for block, name in zip(
+        blocks("toml", [ROS2]), ("rov.toml", "gazebo.toml", "stonefish.toml"), strict=True
+    ):
         Path(name).write_text(block.values[0])
     return tmp_path
 
