@@ -800,6 +800,19 @@ MUTATIONS = (
     Mutation(
         "live/jumps back", "time_ns < self._last_ns - self._period_ns", "False", ("test_ping_schedule",)
     ),
+    Mutation("live/short bags", "ahead_ns < -BACK_NS", "False", ("test_ping_schedule",)),
+    Mutation(
+        "live/clock before a ping",
+        "if is_due or self._clock_ns is None",
+        "if self._clock_ns is None",
+        ("test_publisher",),
+    ),
+    Mutation(
+        "live/bodies of messages",
+        "is_own = self._is_own_pose and self._are_own_bodies",
+        "is_own = self._is_own_pose",
+        ("test_publisher",),
+    ),
     Mutation(
         "live/length of a quaternion",
         "if not abs(square - 1) <= NORM_TOLERANCE:",

@@ -2,8 +2,9 @@
 
     python -m tools.soak_live                            # zenoh, 30 minutes at 20 Hz
     python -m tools.soak_live --minutes 2 --rate 50
+    python -m tools.soak_live --transport dds
 
-One process sends a message of 256 beams and 512 bins, another receives it, and a third one is the router of zenoh.
+One process sends a message of 256 beams and 512 bins, another receives it, and for zenoh a third one is the router.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from time import perf_counter, sleep, time_ns
 
 import numpy as np
 
+from sonar_gl.live.dds_transport import DdsTransport
 from sonar_gl.live.transport import Transport
 from sonar_gl.live.zenoh_transport import ZenohTransport
 from tests.support.live_messages import (
@@ -34,6 +36,7 @@ DISCOVERY_S = 2.0  # until both ends know of one another
 LINGER_S = 1.0  # for the last messages to arrive
 WARM_UP = 0.25  # share of the time whose growth of memory does not count: pools of threads and buffers fill
 N_SAMPLES = 400  # of memory
+DOMAINS = 100  # of DDS; ports of higher ones may be taken by other programs
 DEPTH = 100  # messages that wait for the reader: not its pauses are examined here, but the way to it
 
 
@@ -42,7 +45,12 @@ def zenoh_transport(port: int) -> Transport:
     return ZenohTransport(f"tcp/127.0.0.1:{port}")
 
 
-TRANSPORTS = {"zenoh": zenoh_transport}
+def dds_transport(port: int) -> Transport:
+    """Return a transport of this process, in a domain that a port tells from those of other runs."""
+    return DdsTransport(1 + port % DOMAINS)
+
+
+TRANSPORTS = {"zenoh": zenoh_transport, "dds": dds_transport}
 ROUTERS = {"zenoh": zenoh_router}  # transports that need one
 
 
@@ -66,8 +74,13 @@ class Memory:
             self._n += 1
 
     def growth(self) -> float:
-        """Return the growth after the warm-up, bytes per minute: the slope of the line with the least squares."""
+        """Return the growth after the warm-up, bytes per minute: the slope of the line with the least squares.
+
+        NaN if there were fewer than two samples.
+        """
         rows = self._rows[int(WARM_UP * self._n) : self._n]
+        if len(rows) < 2:
+            return float("nan")
         return 60.0 * float(np.polyfit(rows[:, 0], rows[:, 1], 1)[0])
 
 
@@ -80,7 +93,7 @@ class Received:
     count : messages
     damaged : messages that differ from what was sent in more than the time
     disordered : messages that came after a later one, or twice
-    dropped : messages that came while more waited than the topic keeps
+    dropped : messages that came while more waited than the topic keeps; None where the transport does not count them
     latency_s : (count,) from sending to receiving
     growth : of its memory, bytes per minute
     """
@@ -88,7 +101,7 @@ class Received:
     count: int
     damaged: int
     disordered: int
-    dropped: int
+    dropped: int | None
     latency_s: np.ndarray
     growth: float
 
@@ -145,7 +158,7 @@ def receive(kind: str, port: int, most: int, checksum: int, duration_s: float, p
     pipe.recv()
     transport.close()
     latency_s = reader.latency_s[: reader.count]
-    counts = reader.count, reader.damaged, reader.disordered, transport.dropped
+    counts = reader.count, reader.damaged, reader.disordered, getattr(transport, "dropped", None)
     pipe.send(Received(*counts, latency_s, reader.memory.growth()))
 
 
@@ -230,15 +243,15 @@ def main():
         parser.error("--minutes and --rate must be greater than 0")
     found = soak(options.transport, 60.0 * options.minutes, options.rate)
     received = found.received
-    median_s, worst_s = np.median(received.latency_s), received.latency_s.max()
     print(f"{options.transport}, {options.minutes:g} minutes at {options.rate:g} Hz")
     print(
         f"messages of {found.message_bytes} bytes: {found.sent} sent, {received.count} received, {found.lost} lost"
     )
-    print(
-        f"{received.damaged} damaged, {received.disordered} out of order, {received.dropped} dropped by the reader"
-    )
-    print(f"latency: median {1e3 * median_s:.2f} ms, worst {1e3 * worst_s:.1f} ms")
+    dropped = "" if received.dropped is None else f", {received.dropped} dropped by the reader"
+    print(f"{received.damaged} damaged, {received.disordered} out of order{dropped}")
+    if received.count:
+        median_s, worst_s = np.median(received.latency_s), received.latency_s.max()
+        print(f"latency: median {1e3 * median_s:.2f} ms, worst {1e3 * worst_s:.1f} ms")
     print(f"publish: worst {1e3 * found.worst_publish_s:.1f} ms")
     print(
         f"growth of memory: sender {found.growth / 1e3:+.1f} kB, receiver {received.growth / 1e3:+.1f} kB per minute"

@@ -162,10 +162,12 @@ class MessageTypes:
                 f"a ping in a ROS message must have sonar and acoustics (missing: {' and '.join(missing)})"
             )
         sonar, n_beams, data = ping.sonar, len(ping.azimuth_rad), by_range(ping.counts())
+        acoustics = ping.acoustics
         info = self.make(
             "marine_acoustic_msgs/PingInfo",
             sonar.frequency_hz,
-            ping.acoustics.water.sound_speed(),
+            # "speed of sound used to calculate ranges": the one that the sonar assumes
+            acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed(),
             np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
             np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
         )

@@ -21,8 +21,11 @@ from sonar_gl.live.ros2_file import OPTIONS, Ros2File, read_ros2_file
 from sonar_gl.live.transport import MAX_DOMAIN
 from sonar_gl.noise.settings import Noise
 
+logger = logging.getLogger(__name__)
+
 LOOP_S = 0.01  # between steps in real time
 CLOCK_WAIT_S = 0.1  # for a message of /clock, before the end is looked for again
+CLOCK_REPORT_S = 10.0  # of real time, between lines of the log where none comes
 
 
 def ros2(scene_name: str, options, given: set[str]) -> str:
@@ -138,11 +141,17 @@ def _domain(options) -> int:
 def _run(publisher: Publisher, options, track: PoseTrack | None) -> None:
     """Step through time until --duration has passed."""
     times = publisher.clock() if options.clock == "ros" else None
-    began_s, first_ns = time.monotonic(), None
+    began_s = told_s = time.monotonic()
+    first_ns = None
     while options.duration is None or time.monotonic() < began_s + options.duration:
         if times is not None:
             time_ns = times.wait(CLOCK_WAIT_S)
             if time_ns is None:
+                if first_ns is None and time.monotonic() >= told_s + CLOCK_REPORT_S:
+                    logger.warning(
+                        "no /clock has come yet; a simulator publishes it, or ros2 bag play --clock"
+                    )
+                    told_s = time.monotonic()
                 continue
         elif options.clock == "system":
             time_ns = time.time_ns()

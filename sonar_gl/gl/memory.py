@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import moderngl
 
-from sonar_gl.core.errors import Error, SampleLimitError
+from sonar_gl.core.errors import Error, MachineError, SampleLimitError
 from sonar_gl.gl import egl
 
 OUT_OF_MEMORY, CONTEXT_LOST = 0x0505, 0x0507
@@ -44,7 +44,10 @@ def check_room(context: moderngl.Context, n_bytes: int, what: str) -> None:
 
 
 def check_driver(context: moderngl.Context) -> None:
-    """Raise an Error if the driver has reported an error since the last call, in the context that is current."""
+    """Raise an Error if the driver has reported an error since the last call, in the context that is current.
+
+    It is a MachineError where no other pose or setting would help.
+    """
     gl = context.extra.gl
     errors = gl.take_errors()
     if OUT_OF_MEMORY in errors:
@@ -52,10 +55,10 @@ def check_driver(context: moderngl.Context) -> None:
     if CONTEXT_LOST in errors or (
         not ROBUST.isdisjoint(context.extensions) and gl.glGetGraphicsResetStatus()
     ):
-        raise Error(egl.LOST)
+        raise MachineError(egl.LOST)
     if errors:
         got = ", ".join(f"0x{error:04x}" for error in errors)
-        raise Error(
+        raise MachineError(
             f"the driver must draw without errors (got OpenGL error {got}; update the driver, and send in what "
             "'sonar-gl doctor --report FILE' writes)"
         )

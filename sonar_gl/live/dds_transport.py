@@ -19,10 +19,12 @@ import logging
 import os
 import re
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
+from itertools import count
 from types import SimpleNamespace
 
 from sonar_gl.core.checks import check_whole_number
@@ -39,6 +41,7 @@ LOOPBACK_NAMES = "lo", "lo0", "localhost"
 MAX_INDEX = 32
 TAKEN_AT_ONCE = 64
 PATIENCE_S = 5.0  # with a function that receives a message while its transport is closed
+PAUSE_S = 0.1  # after a failure to receive
 LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
 
 
@@ -147,8 +150,10 @@ class DdsTransport(Transport):
                 f"(Cyclone DDS refuses it: {_reason(why)})"
             ) from None
 
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other participants, in a thread of the transport.
+
+        Returns a function that withdraws the subscription.
 
         Messages that do not have the layout of the type do not arrive. Up to three bytes that only fill the last word
         may follow a message. What `receive` raises is logged, once for the topic.
@@ -162,10 +167,12 @@ class DdsTransport(Transport):
         with self._lock:
             dds_topic = self._topic(topic)
             try:
-                reader = dds.sub.DataReader(self._receiver.subscriber, dds_topic, qos=_qos(dds, topic))
+                reader = dds.sub.DataReader(
+                    self._receiver.subscriber, dds_topic, qos=_qos(dds, topic, topic.depth)
+                )
             except dds.core.DDSException as why:
                 raise Error(f"DDS topic {topic.name!r} cannot be read: {_reason(why)}") from None
-            self._receiver.add(topic.name, reader, receive)
+            return partial(self._withdraw, self._receiver.add(topic.name, reader, receive))
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
@@ -177,6 +184,12 @@ class DdsTransport(Transport):
             self._writers, self._topics = {}, {}
             self._receiver = self._publisher = self._participant = self._opened = None
 
+    def _withdraw(self, number: int) -> None:
+        """End a subscription, if it has not ended yet."""
+        with self._lock:
+            if self._receiver is not None:
+                self._receiver.remove(number)
+
     def _writer(self, topic: Topic):
         dds = self._dds
         with self._lock:
@@ -184,7 +197,8 @@ class DdsTransport(Transport):
             if writer is None:
                 dds_topic = self._topic(topic)
                 try:
-                    writer = dds.pub.DataWriter(self._publisher, dds_topic, qos=_qos(dds, topic))
+                    depth = 1 if topic.latched else topic.depth
+                    writer = dds.pub.DataWriter(self._publisher, dds_topic, qos=_qos(dds, topic, depth))
                 except dds.core.DDSException as why:
                     raise Error(f"DDS topic {topic.name!r} cannot be written: {_reason(why)}") from None
                 self._writers[topic] = writer
@@ -307,14 +321,17 @@ def _configuration(interface: str) -> str:
 # ---- quality of service and types -------------------------------------------------------------------
 
 
-def _qos(dds: SimpleNamespace, topic: Topic):
-    """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it."""
+def _qos(dds: SimpleNamespace, topic: Topic, depth: int):
+    """Return the quality of service of a topic's writer or reader, as ROS 2 nodes set it.
+
+    depth : number of messages that are kept; those of a reader are of all writers together
+    """
     policy = dds.core.Policy
     return dds.core.Qos(
         policy.Reliability.Reliable(0) if topic.reliable else policy.Reliability.BestEffort,
         policy.Durability.TransientLocal if topic.latched else policy.Durability.Volatile,
         # such a writer drops its oldest message rather than wait for slow readers
-        policy.History.KeepLast(1 if topic.latched else topic.depth),
+        policy.History.KeepLast(depth),
         # XCDR1 alone: readers of ROS 2 know no other
         policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         policy.Userdata(data=f"typehash={topic.type_hash};".encode()),
@@ -399,19 +416,28 @@ class _Receiver:
         self._stop = core.GuardCondition(participant)
         self._waiting = core.WaitSet(participant)
         self._waiting.attach(self._stop)
-        self._readers = []  # name of the topic, reader, condition, function
-        self._failed = set()  # names of topics whose function has raised
+        self._readers = {}  # by number: name of the topic, reader, condition, function
+        self._numbers = count()
+        self._failed = set()  # names of topics whose function has raised, and None where DDS has
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="DDS messages", daemon=True)
         self._thread.start()
 
-    def add(self, name: str, reader, receive: Callable[[bytes], None]) -> None:
-        """Give the messages of a reader to a function from now on."""
+    def add(self, name: str, reader, receive: Callable[[bytes], None]) -> int:
+        """Give the messages of a reader to a function from now on; return its number."""
         core = self._dds.core
         mask = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
         condition = core.ReadCondition(reader, mask)
-        self._readers.append((name, reader, condition, receive))
+        number = next(self._numbers)
+        self._readers[number] = name, reader, condition, receive
         self._waiting.attach(condition)
+        return number
+
+    def remove(self, number: int) -> None:
+        """Let a reader go, if it is there."""
+        if number in self._readers:
+            _, _, condition, _ = self._readers.pop(number)
+            self._waiting.detach(condition)
 
     def close(self) -> None:
         """End the thread, and let the readers go; a function that receives messages may call this, too."""
@@ -419,21 +445,36 @@ class _Receiver:
         self._stop.set(True)
         if threading.current_thread() is not self._thread:
             self._thread.join(PATIENCE_S)
-        for _, _, condition, _ in self._readers:
+        for _, _, condition, _ in self._readers.values():
             self._waiting.detach(condition)
         self._readers.clear()
 
     def _run(self) -> None:
         forever = self._dds.duration(infinite=True)
         while not self._is_closed:
-            self._waiting.wait(forever)
-            for name, reader, condition, receive in list(self._readers):
-                if self._is_closed:
-                    return
-                for sample in reader.take(TAKEN_AT_ONCE, condition):
-                    # a sample without data tells that a writer is gone
-                    if sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN:
-                        self._give(name, receive, sample.message)
+            self._attempt(self._waiting.wait, forever)
+            for number in list(self._readers):
+                self._attempt(self._take, number)
+
+    def _attempt(self, act: Callable, argument) -> None:
+        """Do what DDS may fail at; the next attempt may succeed, and that of another reader."""
+        try:
+            act(argument)
+        except Exception:
+            if not self._is_closed:
+                self._log_once(None, "messages of DDS cannot be taken; they are waited for again")
+                time.sleep(PAUSE_S)
+
+    def _take(self, number: int) -> None:
+        """Give what a reader has received to its function, unless it was let go meanwhile."""
+        if self._is_closed or (found := self._readers.get(number)) is None:
+            return
+        name, reader, condition, receive = found
+        for sample in reader.take(TAKEN_AT_ONCE, condition):
+            # a sample without data tells that a writer is gone
+            is_message = sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN
+            if is_message and number in self._readers:
+                self._give(name, receive, sample.message)
 
     def _give(self, name: str, receive: Callable[[bytes], None], message: bytes) -> None:
         if self._is_closed:
@@ -441,6 +482,9 @@ class _Receiver:
         try:
             receive(message)
         except Exception:
-            if name not in self._failed:
-                self._failed.add(name)
-                logger.exception("a message of %r is lost: the function that receives it fails", name)
+            self._log_once(name, "a message of %r is lost: the function that receives it fails", name)
+
+    def _log_once(self, kind: str | None, *message) -> None:
+        if kind not in self._failed:
+            self._failed.add(kind)
+            logger.exception(*message)

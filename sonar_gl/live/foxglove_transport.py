@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 
 from sonar_gl.core.checks import check_kind, check_whole_number
@@ -58,6 +59,7 @@ class FoxgloveTransport(Transport):
         self._context = self._library.sdk.Context()
         self._channels, self._last = {}, {}  # topic -> channel; latched topic -> message and its time
         self._readers: list[tuple[Topic, Inbox]] = []
+        self._dropped = 0  # of subscriptions that have ended
         logging.getLogger(WRONG_REQUESTS).setLevel(
             logging.CRITICAL
         )  # viewers are told; nobody else can fill a log
@@ -89,7 +91,8 @@ class FoxgloveTransport(Transport):
     @property
     def dropped(self) -> int:
         """Number of received messages that were dropped, as more came than were read."""
-        return sum(inbox.dropped for _, inbox in self._readers)
+        with self._lock:
+            return self._dropped + sum(inbox.dropped for _, inbox in self._readers)
 
     def advertise(self, topic: Topic) -> None:
         """Make a topic known to viewers; an Error if the transport is closed."""
@@ -110,11 +113,12 @@ class FoxgloveTransport(Transport):
                 self._last[topic.name] = message, time_ns
         channel.log(message, log_time=time_ns)
 
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message that viewers publish on a topic, in a thread of its own.
 
         Messages of another type are ignored, and those in another encoding than CDR, of which the log tells. While
-        `receive` works, `topic.depth` messages wait, of which newer ones replace older ones.
+        `receive` works, `topic.depth` messages wait, of which newer ones replace older ones. Returns a function that
+        withdraws the subscription.
 
         Raises
         ------
@@ -123,7 +127,9 @@ class FoxgloveTransport(Transport):
         """
         with self._lock:
             self._check_open()
-            self._readers.append((topic, Inbox(topic.name, receive, topic.depth)))
+            reader = topic, Inbox(topic.name, receive, topic.depth)
+            self._readers.append(reader)
+        return partial(self._withdraw, reader)
 
     def close(self) -> None:
         """Disconnect the viewers, and end the server and its threads; may be called twice."""
@@ -134,6 +140,15 @@ class FoxgloveTransport(Transport):
             channel.close()
         for _, inbox in self._readers:
             inbox.close()
+
+    def _withdraw(self, reader: tuple[Topic, Inbox]) -> None:
+        """End a subscription, if it has not ended yet."""
+        with self._lock:
+            if reader not in self._readers:
+                return
+            self._readers.remove(reader)
+            self._dropped += reader[1].dropped
+        reader[1].close()
 
     def _check_open(self) -> None:
         if not self._is_open:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-JUMP_NS = (
-    10 * 10**9
-)  # a longer step is a jump of time, as when a bag begins; a shorter one is a loop that was held up
+# a longer step ahead is a jump of time, as when a bag begins; a shorter one is a loop that was held up
+JUMP_NS = 10 * 10**9
+# a longer step back is one, as when a short bag begins again; a shorter one may be messages that overtake each other
+BACK_NS = 10**9
 
 
 class Slot(NamedTuple):
@@ -54,9 +55,9 @@ class PingSchedule:
 
         Notes
         -----
-        Steps that go back by up to a period, as messages that overtake each other do, wait until their time comes
-        again. Larger ones, and those that go ahead by more than JUMP_NS, are a jump: the simulation was reset, or a
-        bag began again. The sonar then pings at once, and nothing counts as dropped.
+        Steps that go back by up to BACK_NS, and no more than a period before the last ping, wait until their time
+        comes again. Larger ones, and those that go ahead by more than JUMP_NS, are a jump: the simulation was reset,
+        or a bag began again. The sonar then pings at once, and nothing counts as dropped.
         """
         has_jumped = self._start_ns is not None and self._is_jump(time_ns)
         if self._start_ns is None or has_jumped:
@@ -72,4 +73,5 @@ class PingSchedule:
         return Slot(True, n_dropped, has_jumped)
 
     def _is_jump(self, time_ns: int) -> bool:
-        return time_ns > self._seen_ns + JUMP_NS or time_ns < self._last_ns - self._period_ns
+        ahead_ns = time_ns - self._seen_ns
+        return ahead_ns > JUMP_NS or ahead_ns < -BACK_NS or time_ns < self._last_ns - self._period_ns

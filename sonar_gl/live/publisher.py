@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 import warnings
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.live.message_inputs import BodiesInput, ClockInput, FrameInput, PoseInput, RefusedMessages
 from sonar_gl.live.ping_schedule import PingSchedule
 from sonar_gl.live.publisher_settings import POSE_SOURCES, TOPICS, PublisherSettings
+from sonar_gl.live.static_frames import publish_static
 from sonar_gl.live.transport import Topic, Transport
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -31,7 +31,7 @@ from sonar_gl.sonar.sonar import Sonar
 logger = logging.getLogger(__name__)
 
 TF_DEPTH = 100  # as in tf2_ros
-CLOCK_NS = 10_000_000  # at most 100 times a second; a loop may be quicker
+CLOCK_NS = 10_000_000  # 100 times a second, and at each ping; a loop may be quicker
 REPORT_S = 10.0  # of real time, between lines of the log
 
 
@@ -87,7 +87,7 @@ class _Order:
     time_ns : its stamp
     vehicle_pose : (4, 4) world_from_vehicle, or that of the sonar if the settings name no vehicle
     bodies : poses of those that have moved since the ping before
-    is_own : whether all poses are the caller's, who is told what is wrong with them
+    is_own : whether all that is placed there is placed by the caller, who is told what is wrong with the ping
     """
 
     time_ns: int
@@ -132,7 +132,7 @@ class Publisher:
         settings: PublisherSettings | None = None,
         in_background: bool = False,
     ):
-        self._executor = None
+        self._executor, self._withdrawals = None, []
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
@@ -159,8 +159,8 @@ class Publisher:
         self._n_pings = self._n_failed = 0
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
-        self._sending = threading.Lock()  # the loop sends the clock, and the simulation all else
-        self._is_placed, self._is_own, self._pose, self._moved = False, True, None, {}
+        self._is_placed, self._pose, self._moved = False, None, {}
+        self._is_own_pose, self._are_own_bodies = True, True
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")
         try:
@@ -215,7 +215,7 @@ class Publisher:
         """Have an input receive a topic; by best effort, which every publisher offers."""
         topic = self._topic(name, msgtype, reliable=reliable, **quality)
         for transport in self._transports:
-            transport.subscribe(topic, messages.receive)
+            self._withdrawals.append(transport.subscribe(topic, messages.receive))
 
     def clock(self, name: str = "/clock") -> ClockInput:
         """Return what follows the time of a topic, for the loop; the publisher must not publish this topic itself."""
@@ -269,16 +269,21 @@ class Publisher:
             raise closed_error("Publisher")
         if self._work is not None and self._work.done():
             self._finish()
-        self._tick(time_ns)
+        if not self._is_placed:
+            self._place_fixed(time_ns)
+            self._is_placed = True
         self._heed(pose, bodies)
         if self._pose is None:
+            self._tick(time_ns)
             self._report()
             return StepResult(waits_for_pose=True)
         slot = self._schedule.advance(time_ns, is_ready=self._work is None)
         self._n_dropped += slot.n_dropped
         self._n_jumps += slot.has_jumped
+        self._tick(time_ns, slot.is_due)
         if slot.is_due:
-            order = _Order(time_ns, self._pose, self._moved, self._is_own)
+            is_own = self._is_own_pose and self._are_own_bodies
+            order = _Order(time_ns, self._pose, self._moved, is_own)
             self._moved = {}
             self._work = self._executor.submit(self._ping, order)
             if not self._in_background:
@@ -291,29 +296,26 @@ class Publisher:
         work, self._work = self._work, None
         work.result()
 
-    def _tick(self, time_ns: int) -> None:
-        """Publish the clock, and in the first step the frames that do not move."""
-        if not self._is_placed:
-            self._place_fixed(time_ns)
-            self._is_placed = True
-        if "clock" not in self._topics:
+    def _tick(self, time_ns: int, is_due: bool = False) -> None:
+        """Publish the clock, also before a ping, whose stamp must not lie ahead of it."""
+        if "clock" not in self._topics or time_ns == self._clock_ns:
             return
-        if self._clock_ns is None or not self._clock_ns <= time_ns < self._clock_ns + CLOCK_NS:
+        if is_due or self._clock_ns is None or time_ns // CLOCK_NS != self._clock_ns // CLOCK_NS:
             self._clock_ns = time_ns
             self._send("clock", self._types.clock(time_ns), time_ns)
 
     def _heed(self, pose, bodies: dict | None) -> None:
         """Keep the poses of the caller, or those that came by messages."""
         if pose is not None:
-            self._pose, self._is_own = check_pose(pose), True
+            self._pose, self._is_own_pose = check_pose(pose), True
         elif self._pose_input is not None and (came := self._pose_input.latest()) is not None:
-            self._pose, self._is_own = came, False
+            self._pose, self._is_own_pose = came, False
         if bodies is not None:
             check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
             self._moved |= bodies
         if self._bodies_input is not None and (moved := self._bodies_input.take()):
             self._moved |= moved
-            self._is_own = False
+            self._are_own_bodies = False  # from now on, since they stay where they are
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
@@ -321,9 +323,9 @@ class Publisher:
         """Make a ping and publish it."""
         settings, time_ns = self.settings, order.time_ns
         pose = order.vehicle_pose @ settings.vehicle_from_sonar
+        if order.bodies:  # of messages only those that the scene has, so what is wrong is the caller's
+            self._simulator.place(order.bodies)
         try:
-            if order.bodies:
-                self._simulator.place(order.bodies)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # a device does not say that it sees nothing
                 ping = self._simulator.ping(
@@ -357,8 +359,9 @@ class Publisher:
         links = [(settings.frame, settings.beams_frame, turn)]
         if settings.vehicle is not None:
             links.insert(0, (settings.vehicle, settings.frame, settings.vehicle_from_sonar))
-        message = self._types.transforms([self._types.transform(time_ns, *link) for link in links])
-        self._send("tf_static", message, time_ns)
+        links = [self._types.transform(time_ns, *link) for link in links]
+        for transport in self._transports:
+            publish_static(transport, self._topics["tf_static"], links, time_ns)
 
     def _place(self, order: _Order) -> None:
         """Publish where the vehicle is, or the sonar."""
@@ -393,9 +396,9 @@ class Publisher:
 
     def _send(self, kind: str, message, time_ns: int) -> None:
         topic, data = self._topics[kind], self._types.encode(message)
-        with self._sending:
-            for transport in self._transports:
-                transport.publish(topic, data, time_ns)
+        # the loop sends the clock while the simulation sends a ping: transports may be used by several threads
+        for transport in self._transports:
+            transport.publish(topic, data, time_ns)
 
     # ---- reports and end -----------------------------------------------------------------------------
 
@@ -408,7 +411,8 @@ class Publisher:
         self._reported_s, self._reported = now_s, counts
         if self._pose is None:
             logger.warning("no pose of the sonar has come yet")
-        if (counts.dropped, counts.failed, counts.refused) > (before.dropped, before.failed, before.refused):
+        # the first of each kind of message that is refused is in the log already, and others may come for ever
+        if (counts.dropped, counts.failed) > (before.dropped, before.failed):
             logger.warning("%s", counts)
 
     def close(self) -> None:
@@ -416,6 +420,9 @@ class Publisher:
         executor, self._executor = self._executor, None
         if executor is None:
             return
+        for withdraw in self._withdrawals:
+            withdraw()
+        self._withdrawals.clear()
         simulator = getattr(self, "_simulator", None)
         if simulator is not None:
             executor.submit(simulator.close).result()  # after the ping that is made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +12,7 @@ from sonar_gl.batch.job import Mount, Table, job_error
 from sonar_gl.core.toml import read_toml
 
 TopicName = str | Literal[False]
+AFTER_FILE = r"#|,\s*\w+\s*="  # of a sonar: the name of a table, or changes of fields, as for `load_sonar`
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -106,7 +108,7 @@ OPTIONS = tuple(Ros2File.model_fields)[: list(Ros2File.model_fields).index("doma
 
 
 def read_ros2_file(path) -> Ros2File:
-    """Read the settings of a TOML file.
+    """Read the settings of a TOML file; the files that it names may lie beside it.
 
     Raises
     ------
@@ -119,10 +121,15 @@ def read_ros2_file(path) -> Ros2File:
         found = Ros2File.model_validate(data)
     except ValidationError as why:
         raise job_error(why, Ros2File, str(path), whole="the file") from None
-    # files are where this file is
-    here = {
-        key: str(path.resolve().parent / getattr(found, key).partition(",")[0])
-        for key in ("sonar", "poses")
-        if getattr(found, key) is not None
-    }
-    return found.model_copy(update={key: file for key, file in here.items() if Path(file).is_file()})
+    folder, here = path.resolve().parent, {}
+    if found.poses is not None:
+        here["poses"] = _beside(folder, found.poses)
+    if found.sonar is not None:
+        file = re.split(AFTER_FILE, found.sonar, maxsplit=1)[0]
+        here["sonar"] = _beside(folder, file) + found.sonar[len(file) :]
+    return found.model_copy(update=here)
+
+
+def _beside(folder: Path, name: str) -> str:
+    """Return the path of a file in a folder, or the text as it is if there is none."""
+    return str(folder / name) if (folder / name).is_file() else name

@@ -34,7 +34,7 @@ class Topic:
 
 
 class Transport(ABC):
-    """Carries messages in CDR, little endian, with its header of four bytes."""
+    """Carries messages in CDR, little endian, with its header of four bytes. Threads may share it."""
 
     @abstractmethod
     def advertise(self, topic: Topic) -> None:
@@ -42,14 +42,18 @@ class Transport(ABC):
 
     @abstractmethod
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
-        """Send a message without waiting for those who receive it.
+        """Send a message without waiting for those who receive it, nor for messages of other topics.
 
         time_ns : time of the message in nanoseconds, as in its header
         """
 
     @abstractmethod
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
-        """Call `receive` with each message of other programs on a topic, in a thread of the transport."""
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
+        """Call `receive` with each message of other programs on a topic, in a thread of the transport.
+
+        Returns a function that withdraws the subscription, which may be called twice, and after `close`. A call of
+        `receive` that has begun by then still ends.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -7,7 +7,9 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from types import SimpleNamespace
 
@@ -49,6 +51,7 @@ class _Sender:
     publisher: object
     gid: bytes
     number: int = 0  # of the last message
+    lock: threading.Lock = field(default_factory=threading.Lock)  # numbers arrive in their order
 
 
 class ZenohTransport(Transport):
@@ -73,6 +76,7 @@ class ZenohTransport(Transport):
     Notes
     -----
     Without a router on this machine there is a warning, and messages reach nobody until it is started.
+    A router on another machine is a warning, since whoever reaches it can read and send messages.
     What is published while nobody is connected is not sent later, but for the last messages of latched topics.
     """
 
@@ -83,9 +87,15 @@ class ZenohTransport(Transport):
         is_local = _is_local(connect)
         self._libraries, self._lock = _libraries(), threading.Lock()
         self._session = self._opened(connect, is_local)
-        self._senders, self._inboxes, self._numbers = {}, [], count(1)
+        self._senders, self._numbers, self._dropped = {}, count(1), 0
         # what zenoh has declared lasts as long as Python holds it
+        self._subscribed = {}  # inbox: subscriber and token
         self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
+        if not is_local:
+            warn_caller(
+                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
+                "poses"
+            )
         if not list(self._session.info.routers_zid()):
             warn_caller(
                 f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "
@@ -100,7 +110,8 @@ class ZenohTransport(Transport):
     @property
     def dropped(self) -> int:
         """Number of received messages that were dropped, as more came than were read."""
-        return sum(inbox.dropped for inbox in self._inboxes)
+        with self._lock:
+            return self._dropped + sum(inbox.dropped for inbox in self._subscribed)
 
     def advertise(self, topic: Topic) -> None:
         """Make a topic known to other programs.
@@ -110,9 +121,7 @@ class ZenohTransport(Transport):
         Error
             if ROS does not allow its name or its type, or the transport is closed.
         """
-        with self._lock:
-            if topic.name not in self._senders:
-                self._senders[topic.name] = self._declare_sender(topic)
+        self._sender(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
         """Send a message without waiting; where the network is too slow, it is dropped, as rmw_zenoh does.
@@ -126,9 +135,8 @@ class ZenohTransport(Transport):
         -----
         `time_ns` is not sent: rmw_zenoh attaches the time of sending, by the computer's clock.
         """
-        self.advertise(topic)
-        with self._lock:
-            sender = self._senders[topic.name]
+        sender = self._sender(topic)
+        with sender.lock:
             sender.number += 1
             attached = attachment(sender.number, time.time_ns(), sender.gid)
             try:
@@ -136,10 +144,11 @@ class ZenohTransport(Transport):
             except self._libraries.zenoh.ZError:
                 raise closed_error("ZenohTransport") from None
 
-    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> None:
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other programs on a topic, in a thread of its own.
 
-        While it works, `topic.depth` messages wait, of which newer ones replace older ones.
+        While it works, `topic.depth` messages wait, of which newer ones replace older ones. Returns a function that
+        withdraws the subscription.
 
         Raises
         ------
@@ -161,17 +170,27 @@ class ZenohTransport(Transport):
                 subscriber = ext.declare_advanced_subscriber(
                     self._session, key, handler, allowed_origin=zenoh.Locality.REMOTE, **latched
                 )
-                self._declared += [subscriber, self._declare_token(SUBSCRIPTION, topic)[1]]
-                self._inboxes.append(inbox)
+                self._subscribed[inbox] = subscriber, self._declare_token(SUBSCRIPTION, topic)[1]
         except zenoh.ZError:
             inbox.close()
             raise closed_error("ZenohTransport") from None
+        return partial(self._withdraw, inbox)
 
     def close(self) -> None:
         """Withdraw the topics, and end the session and its threads; may be called twice."""
         self._session.close()  # before the inboxes, so that no more messages come
-        for inbox in self._inboxes:
+        for inbox in list(self._subscribed):
             inbox.close()
+
+    def _withdraw(self, inbox: Inbox) -> None:
+        """End the subscription of an inbox, if it has not ended yet."""
+        with self._lock:
+            declared = self._subscribed.pop(inbox, ())
+            self._dropped += inbox.dropped if declared else 0
+        for one in declared:
+            with suppress(self._libraries.zenoh.ZError):  # of a session that is closed
+                one.undeclare()
+        inbox.close()
 
     def _opened(self, connect: str, is_local: bool):
         """Return a session of zenoh, or raise an Error."""
@@ -200,6 +219,13 @@ class ZenohTransport(Transport):
             raise MachineError(
                 f"a zenoh router must answer at {connect} (got {wait}; start it there, or give its address)"
             ) from None
+
+    def _sender(self, topic: Topic) -> _Sender:
+        """Return what sends the messages of a topic, declared on first use."""
+        with self._lock:
+            if topic.name not in self._senders:
+                self._senders[topic.name] = self._declare_sender(topic)
+            return self._senders[topic.name]
 
     def _declare_sender(self, topic: Topic) -> _Sender:
         """Return a publisher of a topic that other programs know of."""

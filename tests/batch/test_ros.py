@@ -115,6 +115,17 @@ def error_of(call, *arguments, **named):
 
 
 @READERS
+def test_the_sound_speed_is_the_one_that_ranges_are_calculated_with(tmp_path, read):
+    """Of a sonar set to another speed than its water has, which shows echoes at other ranges than their own."""
+    acoustics = Acoustics(water=Water(sound_speed_m_s=1450.0), sonar_sound_speed_m_s=1500.0)
+    ping, types = make_ping(acoustics=acoustics), message_types()
+    projected = only(read(write(tmp_path, record(ping=ping))), "/p900_45/projected_image")
+    raw = types.raw_ping(types.header(0, "beams"), ping, "port")
+    assert (projected.ping_info.sound_speed, raw.ping_info.sound_speed) == (1500.0, 1500.0)
+    assert raw.sample_rate == 1500.0 / (2 * ping.bin_size_m)
+
+
+@READERS
 def test_every_field_of_a_ping(tmp_path, read):
     messages = read(write(tmp_path, record()))
     assert {t for _, t, _ in messages} == {1_250_000_000}

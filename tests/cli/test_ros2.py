@@ -145,6 +145,17 @@ def test_time_and_poses_come_from_other_programs(transports, monkeypatch):
     np.testing.assert_array_equal([translation.x, translation.y, translation.z], at[:3, 3])
 
 
+def test_it_says_that_no_clock_comes(transports, monkeypatch, caplog):
+    monkeypatch.setattr("sonar_gl.cli.ros2.CLOCK_REPORT_S", 0.35)
+    found = run("pylon", *FAST, "--clock", "ros", "--duration", "0.9")
+    assert found.exit_code == 0 and "0 pings published" in found.output
+    # one each 0.35 s, of which two end within 0.9 s; one where the machine is busy
+    assert set(caplog.messages) >= {
+        "no /clock has come yet; a simulator publishes it, or ros2 bag play --clock"
+    }
+    assert sum("no /clock" in message for message in caplog.messages) <= 2
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
@@ -193,6 +204,27 @@ def test_mistakes_in_the_file_are_told_with_its_name_and_key(text, why, transpor
     found = run("pylon", "--config", str(path))
     assert found.exit_code == 2 and f"error: {path}: {why}" in found.output
     assert not transports
+
+
+@pytest.mark.parametrize("name", ["mine.toml", "a,b.toml"])
+@pytest.mark.parametrize("rest", ["", "#front", ",bandwidth_hz=30e3", "#front, bandwidth_hz = 30e3"])
+def test_the_files_of_a_file_lie_beside_it(tmp_path, monkeypatch, name, rest):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    path, sonar, poses = (tmp_path / "there" / file for file in ("topics.toml", name, "dive,1.csv"))
+    path.write_text(f'sonar = "{name}{rest}"\nposes = "dive,1.csv"\n')
+    sonar.write_text("")
+    poses.write_text("")
+    found = read_ros2_file(path)
+    assert (found.sonar, found.poses) == (f"{sonar}{rest}", str(poses))
+
+
+@pytest.mark.parametrize("sonar", ["p900-45", "p900-45,bandwidth_hz=30e3", "other.toml#front"])
+def test_what_does_not_lie_beside_the_file_stays(tmp_path, sonar):
+    path = tmp_path / "topics.toml"
+    path.write_text(f'sonar = "{sonar}"\nposes = "none,1.csv"\n')
+    assert (read_ros2_file(path).sonar, read_ros2_file(path).poses) == (sonar, "none,1.csv")
 
 
 def test_an_empty_file_changes_nothing(tmp_path):

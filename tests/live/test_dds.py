@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import Policy
+from cyclonedds.core import DDSException, Policy, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.sub import DataReader
 from rosbags.serde.errors import SerdeError
 
 from sonar_gl.batch.ros_messages import message_types
@@ -38,6 +39,8 @@ from tests.support.ros_topics import (
     projected_image,
     topic_of,
 )
+from tools import soak_live
+from tools.soak_live import Memory, Received, Soak, soak
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_S = 60.0  # a machine that tests run on may be slow
@@ -289,6 +292,57 @@ def test_own_messages_do_not_come_back(open_transport, name):
     assert (own, others) == ([received(header_bytes(2))], [received(header_bytes(1))])
 
 
+@pytest.mark.parametrize("owner, method", [(DataReader, "take"), (WaitSet, "wait")])
+def test_a_failure_of_dds_does_not_end_the_messages(open_transport, name, monkeypatch, caplog, owner, method):
+    works, calls = getattr(owner, method), []
+
+    def fail_once(self, *arguments, **more):
+        found = works(self, *arguments, **more)
+        if not calls:
+            calls.append(found)
+            raise DDSException(DDSException.DDS_RETCODE_ERROR)
+        return found
+
+    monkeypatch.setattr(owner, method, fail_once)
+    topic, arrived, other = topic_of(name), [], open_transport()
+    other.subscribe(topic, arrived.append)
+    with published_meanwhile(open_transport(), topic):
+        wait_for(lambda: arrived)
+    (record,) = caplog.records
+    assert record.getMessage() == "messages of DDS cannot be taken; they are waited for again"
+
+
+def test_a_subscription_is_withdrawn(open_transport, participant, name):
+    topic, ended, kept, transport = topic_of(name), [], [], open_transport()
+    withdraw = transport.subscribe(topic, ended.append)
+    transport.subscribe(topic, kept.append)
+    writing = dds_entities.writer(participant, f"rt{name}", topic.msgtype)
+    wait_for(lambda: len(writing.get_matched_subscriptions()) == 2)
+    withdraw()
+    withdraw()
+    wait_for(lambda: len(writing.get_matched_subscriptions()) == 1)
+    writing.write(dds_types.Header(dds_types.Time(1, 2), "a"))
+    wait_for(lambda: kept)
+    assert ended == []
+    transport.close()
+    withdraw()
+
+
+def test_three_seconds_at_twenty_hertz_lose_nothing():
+    found = soak("dds", 3.0, 20.0)
+    received = found.received
+    assert 10 < found.sent <= 60  # less where the machine is busy: what is late is left out
+    assert (received.count, received.damaged, received.disordered) == (found.sent, 0, 0)
+
+
+def test_a_soak_in_which_nothing_arrives_is_reported(monkeypatch, capsys):
+    nothing = Received(0, 0, 0, None, np.zeros(0), Memory(1.0).growth())
+    monkeypatch.setattr("tools.soak_live.soak", lambda *_: Soak(9, 100, nothing, 0.0, 0.0))
+    monkeypatch.setattr(sys, "argv", ["soak_live", "--transport", "dds"])
+    soak_live.main()
+    assert "9 sent, 0 received, 9 lost\n0 damaged, 0 out of order\npublish: " in capsys.readouterr().out
+
+
 # ---- quality of service -----------------------------------------------------------------------------
 
 
@@ -365,6 +419,23 @@ def test_late_subscribers_receive_the_last_latched_message(open_transport, parti
         [received(header_bytes(9))],
         [received(header_bytes(2)), received(header_bytes(9))],
     ]
+
+
+def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_transport, name):
+    """As of /tf_static, which each node with fixed frames writes."""
+    topic, arrived = topic_of(name, latched=True, depth=100), []
+    for number in range(4):
+        open_transport().publish(topic, header_bytes(number), 0)
+    late = open_transport()
+    holds, is_free = threading.Event(), threading.Event()
+    late.subscribe(topic_of(f"{name}_held"), lambda _: (holds.set(), is_free.wait(WAIT_S)))
+    with published_meanwhile(open_transport(), topic_of(f"{name}_held")):
+        assert holds.wait(WAIT_S)
+    late.subscribe(topic, arrived.append)  # whose messages wait for the thread that is held
+    time.sleep(1.0)  # until they are there
+    is_free.set()
+    wait_for(lambda: len(arrived) >= 4)
+    assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]
 
 
 def test_late_nodes_of_another_vendor_receive_the_last_latched_message(

@@ -6,6 +6,7 @@ import random
 import re
 import socket
 import struct
+import threading
 import warnings
 from contextlib import ExitStack
 from pathlib import Path
@@ -138,6 +139,21 @@ def test_messages_of_viewers_arrive(transport, viewers, caplog):
     assert received == [b"0 of 1", b"1 of 1", b"2 of 1", b"3 of 1", b"4 of 1", b"last"] and not other
     ours = [record.getMessage() for record in caplog.records if record.name.startswith("sonar_gl")]
     assert ours == ["messages of a viewer on '/pose' are ignored: they must be in cdr, not in 'json'"]
+
+
+def test_a_subscription_is_withdrawn(transport, viewers):
+    topic, ended, kept = pose_topic(), [], []
+    before = set(threading.enumerate())
+    withdraw = transport.subscribe(topic, ended.append)
+    (thread,) = (one for one in set(threading.enumerate()) - before if one.name == "inbox /pose")
+    transport.subscribe(topic, kept.append)
+    withdraw()
+    withdraw()
+    viewer = viewers()
+    viewer.advertise(1, "/pose", "geometry_msgs/msg/PoseStamped")
+    viewer.publish(1, b"a")
+    wait_until(lambda: kept)
+    assert ended == [] and not thread.is_alive() and transport.dropped == 0
 
 
 @pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sonar_gl.live.ping_schedule import JUMP_NS, PingSchedule
+from sonar_gl.live.ping_schedule import BACK_NS, JUMP_NS, PingSchedule
 
 MILLISECOND = 10**6
 
@@ -46,6 +46,13 @@ def test_a_jump_of_time_begins_anew():
     ahead_ms = 100 + JUMP_NS / MILLISECOND
     assert steps(schedule, [ahead_ms])[0] == (True, 99, False)  # as far as a loop may be held up
     assert steps(schedule, [2 * ahead_ms + 1])[0] == (True, 0, True)
+
+
+def test_a_bag_that_is_shorter_than_a_period_and_begins_again_is_a_jump():
+    schedule = PingSchedule(0.1)
+    assert steps(schedule, [500, 2500]) == [(True, 0, False), (False, 0, False)]
+    assert steps(schedule, [500, 2500]) == [(True, 0, True), (False, 0, False)]
+    assert steps(schedule, [2500 - BACK_NS / MILLISECOND]) == [(False, 0, False)]  # as messages may come late
 
 
 def test_times_that_overtake_each_other_are_no_jump():

@@ -4,6 +4,7 @@ import logging
 import math
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from trimesh.transformations import quaternion_matrix
 
 import sonar_gl as sg
 from sonar_gl.batch.ros_messages import BEAMS, message_types
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.gl.memory import CONTEXT_LOST, check_driver
 from sonar_gl.live import PoseSource, Publisher, PublisherSettings
 from sonar_gl.live.publisher import CLOCK_NS, StepResult
 from sonar_gl.live.publisher_settings import TOPICS
@@ -204,6 +206,24 @@ def test_frames_lead_from_the_beams_to_the_world(sent, decode):
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 1, 0], atol=1e-12)
 
 
+def test_publishers_that_share_a_transport_keep_each_others_fixed_frames(scene, loopback):
+    """A late subscriber gets the last message alone."""
+    other, topics = LoopbackTransport(), {kind: None for kind in TOPICS if kind != "tf"}
+    with (
+        publisher_of(scene, loopback, name="front", topics=topics) as front,
+        publisher_of(scene, loopback, other, name="side", topics=topics) as side,
+    ):
+        front.step(0.0)
+        side.step(1.0)
+
+    def links(transport):
+        link = transport.messages("/tf_static")[-1].transforms
+        return {one.child_frame_id: (one.header.frame_id, one.header.stamp.sec) for one in link}
+
+    assert links(other) == {"side_beams": ("side", 1)}
+    assert links(loopback) == {"front_beams": ("front", 0), "side_beams": ("side", 1)}
+
+
 @DECODERS
 def test_clock(sent, decode):
     clock = decoded(sent, "/clock", decode).clock
@@ -261,7 +281,9 @@ def test_the_sonar_keeps_its_own_rate_in_a_faster_loop(scene, loopback):
     stamps = [message.header.stamp for message in loopback.messages("/sonar/projected_image")]
     assert [stamp.sec * 1000 + stamp.nanosec / 1e6 for stamp in stamps] == pinged_ms
     clock = [message.clock for message in loopback.messages("/clock")]
-    assert [c.sec * 10**9 + c.nanosec for c in clock] == list(range(0, 10**9 + 1, CLOCK_NS))
+    # in steps of its own, and at each ping
+    expected_ns = {*range(0, 10**9 + 1, CLOCK_NS), *(ms * 10**6 for ms in pinged_ms)}
+    assert [c.sec * 10**9 + c.nanosec for c in clock] == sorted(expected_ns)
 
 
 def test_pings_that_come_too_late_are_dropped_counted_and_reported(scene, loopback, caplog):
@@ -282,6 +304,17 @@ def test_losses_are_reported_while_it_runs(scene, loopback, caplog, monkeypatch)
         assert caplog.messages == ["2 pings published, 2 dropped as they came too late"]
         publisher.step(0.31)
         assert len(caplog.messages) == 1
+
+
+def test_messages_that_are_ignored_are_logged_once(scene, loopback, caplog, monkeypatch):
+    monkeypatch.setattr("sonar_gl.live.publisher.REPORT_S", 0.0)
+    with publisher_of(scene, loopback, bodies_from="/bodies", rate_hz=10.0) as publisher:
+        for k in range(3):
+            loopback.inject("/bodies", transforms(("world", "link", AT)))
+            publisher.step(k / 10)
+        assert publisher.counts.refused == 3
+    (message,) = caplog.messages
+    assert "child frames must be names of bodies (got 'link')" in message
 
 
 def test_time_that_jumps_back_begins_anew(scene, loopback):
@@ -310,12 +343,13 @@ class HeldTransport(LoopbackTransport):
 
 def test_in_the_background_a_slow_ping_holds_no_step_up(scene):
     transport = HeldTransport()
-    topics = {"clock": None, "tf": None}
-    with publisher_of(scene, transport, rate_hz=10.0, in_background=True, topics=topics) as publisher:
+    with publisher_of(scene, transport, rate_hz=10.0, in_background=True) as publisher:
         assert publisher.step(0.0).has_pinged
         assert transport.holds.wait(WAIT_S)
         results = [publisher.step(k / 100) for k in range(1, 36)]  # each returns, though nothing is sent
         assert not any(result.has_pinged or result.n_dropped for result in results)
+        clock = [message.clock.nanosec for message in transport.messages("/clock")]
+        assert clock == list(range(0, 360_000_000, CLOCK_NS))
         transport.is_free.set()
         while not (result := publisher.step(0.36)).has_pinged:  # until the thread is done
             pass
@@ -402,6 +436,52 @@ def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_rais
                 publisher.step(0.2, AT)
         publisher.step(0.3)
         assert publisher.counts.pings == 1
+
+
+def test_a_ping_that_fails_where_messages_moved_bodies_is_counted_though_the_pose_is_the_callers(
+    scene, loopback, monkeypatch
+):
+    def ping(simulator, *_, **__):
+        raise Error("no ping with the ball there")
+
+    with publisher_of(scene, loopback, bodies_from="/bodies", rate_hz=10.0) as publisher:
+        publisher.step(0.0, AT)
+        monkeypatch.setattr(sg.Simulator, "ping", ping)
+        loopback.inject("/bodies", transforms(("world", "ball", AT)))
+        assert not publisher.step(0.05, AT).has_pinged  # between two pings the body moves,
+        assert publisher.step(0.1, AT).has_pinged and publisher.step(0.2, AT).has_pinged  # and stays there
+        assert (publisher.counts.pings, publisher.counts.failed) == (1, 2)
+        with pytest.raises(Error, match="bodies must be bodies of the scene"):
+            publisher.step(0.3, AT, {"boat": AT})
+
+
+def test_a_lost_context_ends_it_whoevers_poses_they_are(scene, loopback, monkeypatch):
+    """Nothing comes of the pings that follow."""
+
+    class Lost:
+        def take_errors(self):
+            return {CONTEXT_LOST}
+
+    def ping(simulator, *_, **__):
+        check_driver(SimpleNamespace(extra=SimpleNamespace(gl=Lost()), extensions=set()))
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    with publisher_of(scene, loopback, pose_from=PoseSource("pose", "/pose")) as publisher:
+        loopback.inject("/pose", pose_stamped(AT))
+        with pytest.raises(MachineError, match="must keep the sonar's OpenGL context"):
+            publisher.step(0.0)
+
+
+def test_a_closed_publisher_receives_nothing(scene, loopback):
+    settings = {"pose_from": PoseSource("tf", "rov"), "bodies_from": "/bodies", "topics": {"clock": None}}
+    with publisher_of(scene, loopback, **settings) as publisher:
+        clock = publisher.clock()
+        for name in ("/tf", "/tf_static", "/bodies", "/clock"):
+            loopback.inject(name, b"nonsense")
+        assert publisher.counts.refused == 4
+    for name in ("/tf", "/tf_static", "/bodies", "/clock"):
+        loopback.inject(name, b"nonsense")
+    assert publisher.counts.refused == 4 and clock.wait(0.0) is None
 
 
 # ---- mistakes --------------------------------------------------------------------------------------

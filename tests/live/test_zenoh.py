@@ -267,6 +267,26 @@ def test_a_topic_that_is_not_latched_keeps_nothing_for_late_programs(port, route
     assert set(received) == {b"later"}
 
 
+def test_a_topic_does_not_wait_for_another_one(router, transports, monkeypatch):
+    """As /clock for a ping that the network takes in slowly."""
+    transport, holds, is_free = transports(), threading.Event(), threading.Event()
+
+    def held(number, *arguments):
+        if threading.current_thread() is not threading.main_thread():
+            holds.set()
+            assert is_free.wait(60.0)
+        return attachment(number, *arguments)
+
+    monkeypatch.setattr("sonar_gl.live.zenoh_transport.attachment", held)
+    slow = threading.Thread(target=transport.publish, args=(image_topic(), b"slow", 0))
+    slow.start()
+    assert holds.wait(60.0)
+    transport.publish(topic_of("/clock", "rosgraph_msgs/msg/Clock"), b"quick", 0)
+    assert slow.is_alive()
+    is_free.set()
+    slow.join()
+
+
 # ---- messages of other programs -----------------------------------------------------------------------
 
 
@@ -291,6 +311,24 @@ def test_messages_of_other_programs_arrive_and_ones_own_do_not(peer, router, tra
     received.clear()
     wait_until(lambda: publish_once(transport, topic, b"mine") and b"mine" in own)
     assert not received
+
+
+def test_a_subscription_is_withdrawn(peer, router, transports):
+    topic, ended, kept, transport = topic_of("/odom", "nav_msgs/msg/Odometry"), [], [], transports()
+    before = set(threading.enumerate())
+    withdraw = transport.subscribe(topic, ended.append)
+    (thread,) = (one for one in set(threading.enumerate()) - before if one.name == "inbox /odom")
+    transport.subscribe(topic, kept.append)
+    wait_until(lambda: len(tokens_of(router)) == 3)
+    withdraw()
+    withdraw()
+    wait_until(lambda: len(tokens_of(router)) == 2)
+    publisher = peer.declare_publisher(f"0/odom/nav_msgs::msg::dds_::Odometry_/{topic.type_hash}")
+    wait_until(lambda: publisher.put(b"probe") or kept)
+    assert ended == [] and not thread.is_alive() and transport.dropped == 0
+    other = transport.subscribe(topic, ended.append)
+    transport.close()
+    other()
 
 
 def test_a_reader_that_raises_does_not_end_the_messages(peer, router, transports, caplog):
@@ -409,6 +447,16 @@ def test_there_is_no_warning_with_a_router(router, transports):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         transports()
+
+
+def test_a_router_of_another_machine_is_warned_of(router, transports, port):
+    with pytest.warns(UserWarning) as noticed:
+        transports(host="0.0.0.0")
+    assert [str(one.message) for one in noticed] == [
+        f"zenoh leaves this machine by the router at tcp/0.0.0.0:{port}: who reaches it can read these topics and send "
+        "poses"
+    ]
+    assert noticed[0].filename == __file__  # of the caller's stack
 
 
 def test_a_router_of_another_machine_must_answer(port, transports):

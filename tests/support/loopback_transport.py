@@ -32,6 +32,7 @@ class LoopbackTransport(Transport):
     def subscribe(self, topic, receive):
         self.topics[topic.name] = topic
         self._receivers[topic.name].append(receive)
+        return lambda: self._receivers[topic.name].remove(receive)
 
     def close(self):
         self.is_closed = True

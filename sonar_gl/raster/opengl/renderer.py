@@ -9,7 +9,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from sonar_gl.core.errors import Error, SampleLimitError
+from sonar_gl.core.errors import Error, MachineError, SampleLimitError
 from sonar_gl.gl import egl
 from sonar_gl.gl.context import is_software
 from sonar_gl.gl.enums import CLIP_DISTANCE0
@@ -160,7 +160,7 @@ class RenderTarget:
         else:
             self._copy(out, attachment)
         if attachment == 0 and np.isnan(out[0]):
-            raise Error(egl.LOST)
+            raise MachineError(egl.LOST)
         return out.reshape(self.height, self.width, components)
 
     def _copy(self, out, attachment: int) -> None:
