@@ -73,7 +73,7 @@ class LiveView:
         return self._page.url
 
     def wait(self, duration_s: float | None = None) -> None:
-        """Wait until Ctrl-C, or so many seconds; raise what `on_ping` has raised."""
+        """Wait until Ctrl-C, the end of the session, or so many seconds; raise what `on_ping` has raised."""
         left_s = np.inf if duration_s is None else duration_s
         try:
             while left_s > 0:
@@ -81,7 +81,8 @@ class LiveView:
                     break
                 # in short steps, since Ctrl-C does not end a long wait on all systems
                 step_s = min(WAIT_S, left_s)
-                self.session.wait_closed(step_s)
+                if self.session.wait_closed(step_s):
+                    break
                 left_s -= step_s
         except KeyboardInterrupt:
             pass
