@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -53,19 +54,19 @@ class LiveView:
     ):
         self.session = session
         self._listener: Listener | None = None
-        try:
-            self._page = ViewerPage(session, host, port)
+        with ExitStack() as opened:
+            opened.callback(session.close)
+            try:
+                self._page = ViewerPage(session, host, port)
+            except OSError as why:
+                raise Error(
+                    f"the page must be able to listen at {host}:{port} (got {why.strerror or why}; is another program "
+                    "using the port?)"
+                ) from None
+            opened.callback(self._page.close)
             if on_ping is not None:
                 self._listener = session.listen(lambda frame: on_ping(frame.ping))
-        except OSError as why:
-            session.close()
-            raise Error(
-                f"the page must be able to listen at {host}:{port} (got {why.strerror or why}; is another program "
-                "using the port?)"
-            ) from None
-        except BaseException:
-            session.close()
-            raise
+            opened.pop_all()
 
     @property
     def url(self) -> str:

@@ -93,6 +93,14 @@ def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_pa
     assert line.endswith("--pose '0.123457 0.2 -5 0 0.2 0.1'")
 
 
+def test_a_preset_whose_name_begins_like_the_users_has_its_own_counts(scene):
+    own = replace(load_sonar("aris-1200"), counts=sg.Counts(low_db=-33.0))
+    source = SceneSource("pylon", sonar="aris-1200", loaded=own)
+    with LiveSession(scene, COARSE.changed(sonar="aris-1200-lf"), START, source=source) as session:
+        words = shlex.split(session.output.command_line())
+    assert words[words.index("--sonar") + 1] == "aris-1200-lf" and "--counts" not in words
+
+
 def test_command_lines_say_what_they_leave_out(session):
     session.move_body("box", sg.pose(3, 0, -9))
     session.change(form="polar")
@@ -321,6 +329,18 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert done.output.startswith("pings 0..2: scene pylon, 0 to 2 s\n")
     beams, bins = session.frame.ping.intensity.shape
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
+
+
+def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session, tmp_path):
+    job = session.output.add_pose_to_job()
+    session.output.add_pose_to_job()
+    job.unlink()
+    session.set_pose(sg.pose(1, 2, 3))
+    for number in (1, 2):
+        session.output.add_pose_to_job(session.next_frame())
+        assert len(read_poses(job.with_name("poses_view_2.csv"))[1]) == number
+    assert len(read_poses(job.with_name("poses_view.csv"))[1]) == 2
+    assert '"poses_view_2.csv"' in job.read_text() and '"poses_view.csv"' not in job.read_text()
 
 
 def test_a_users_job_keeps_its_text_and_comments(scene, tmp_path):
