@@ -14,7 +14,7 @@ from sonar_gl.live.motion import KEYS
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
-from sonar_gl.live.view.origin import is_foreign
+from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
 from sonar_gl.sonar.sonar import Sonar
@@ -128,8 +128,8 @@ def test_a_choice_that_the_page_does_not_offer_is_refused():
         ("http://[", "localhost:8080", "127.0.0.1", True),
     ],
 )
-def test_foreign_requests_are_known(origin, host, listens_at, expected):
-    assert is_foreign(origin, host, listens_at) is expected
+def test_requests_of_other_sites_are_known(origin, host, listens_at, expected):
+    assert is_other_site(origin, host, listens_at) is expected
 
 
 class Notes:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from sonar_gl.live.hosts import LOCAL
 
 
-def is_foreign(origin: str | None, host: str | None, listens_at: str) -> bool:
+def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool:
     """Return whether a request comes from a web site other than the page itself.
 
     Parameters
@@ -19,9 +19,9 @@ def is_foreign(origin: str | None, host: str | None, listens_at: str) -> bool:
     host : header `Host`: how the browser named this machine
     listens_at : address that the page listens at
 
-    >>> is_foreign("http://localhost:8080", "localhost:8080", "127.0.0.1")
+    >>> is_other_site("http://localhost:8080", "localhost:8080", "127.0.0.1")
     False
-    >>> is_foreign("https://example.org", "127.0.0.1:8080", "127.0.0.1")
+    >>> is_other_site("https://example.org", "127.0.0.1:8080", "127.0.0.1")
     True
     """
     try:
@@ -37,7 +37,7 @@ def is_foreign(origin: str | None, host: str | None, listens_at: str) -> bool:
 
 @contextmanager
 def own_page_alone(listens_at: str):
-    """Have servers of viser that are made meanwhile refuse foreign requests, for which viser has no option."""
+    """Have servers of viser that are made meanwhile refuse requests of other sites, for which viser has no option."""
     from websockets.asyncio import server  # of viser, which takes `serve` from this module
 
     serve = server.serve
@@ -46,7 +46,7 @@ def own_page_alone(listens_at: str):
         def check(connection, request):
             headers = request.headers
             origins, hosts = headers.get_all("Origin"), headers.get_all("Host")
-            if max(len(origins), len(hosts)) > 1 or is_foreign(
+            if max(len(origins), len(hosts)) > 1 or is_other_site(
                 next(iter(origins), None), next(iter(hosts), None), listens_at
             ):
                 return connection.respond(HTTPStatus.FORBIDDEN, "only its own page may reach this server\n")
