@@ -164,6 +164,6 @@ def render_line(
 
 def _counts_of(text: str, source: SceneSource):
     """Return the law of counts of the sonar that a text of `sonar_text` names."""
-    if source.loaded is not None and text.startswith(source.sonar):
+    if source.loaded is not None and (text + ",").startswith(source.sonar + ","):
         return source.loaded.counts
     return presets()[text.partition(",")[0]].counts

@@ -12,6 +12,7 @@ from sonar_gl.core.checks import check_kind, check_whole_number
 from sonar_gl.core.errors import MachineError, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.live.hosts import LOCAL
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.transport import Topic, Transport
 
@@ -19,7 +20,6 @@ logger = logging.getLogger(__name__)
 
 PORT = 8765  # that viewers propose
 ENCODING, SCHEMA_ENCODING = "cdr", "ros2msg"
-LOCAL = "127.0.0.1", "localhost", "::1"
 WRONG_REQUESTS = (
     "foxglove.websocket.connected_client"  # logger of the SDK: an error for each wrong request of a viewer
 )

@@ -59,7 +59,7 @@ class LiveState:
     settings : LiveSettings of the next ping
     problem : a sentence about why the last ping failed, or the last settings were not taken; "" if all is well
     is_following : whether the sonar follows the trajectory; False once it was moved otherwise
-    is_playing : whether the trajectory goes on
+    is_playing : whether the trajectory goes on; False at its end
     position_s : seconds since the trajectory's first pose
     duration_s : of the trajectory, seconds; 0 without one
     rate_hz : as of the last frame

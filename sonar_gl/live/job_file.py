@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +41,11 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
     Error
         if one of the files cannot be read or written, or the job's poses are not tables.
     """
-    job, csv = read_toml(path, "the job file"), path.with_name(f"{path.stem}_view.csv")
+    job = read_toml(path, "the job file")
     tables = job.get("poses", [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise Error(f"{path}: poses must be tables, as in [[poses]] (got {type(tables).__name__})")
+    csv = _pose_file(path, [table.get("file") for table in tables])
     rows, names_csv = [], any(table.get("file") == csv.name for table in tables)
     if csv.exists():
         times_s, poses = read_poses(csv)
@@ -66,6 +68,12 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
                 f"{path}: poses must be tables [[poses]], so that another can follow (got poses = [...] in one line)"
             ) from None
         write_poses(csv, rows)  # before the job names it
+
+
+def _pose_file(path: Path, named: list) -> Path:
+    """Return the file of poses beside a job: the one that it names, or else one that no other job has left there."""
+    names = (f"{path.stem}_view{'' if number == 1 else f'_{number}'}.csv" for number in count(1))
+    return next(csv for csv in map(path.with_name, names) if csv.name in named or not csv.exists())
 
 
 def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:

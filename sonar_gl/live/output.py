@@ -55,6 +55,7 @@ class LiveOutput:
         self._lock = Lock()
         self._recording: Recording | None = None
         self._listener: Listener | None = None
+        self._n_missed = 0
 
     @property
     def folder(self) -> Path:
@@ -74,13 +75,13 @@ class LiveOutput:
     @property
     def n_missed(self) -> int:
         """Number of pings that the last recording missed, since files were written too slowly."""
-        return 0 if self._listener is None else self._listener.missed
+        return self._n_missed if self._listener is None else self._listener.missed
 
     @property
     def problem(self) -> str:
         """A sentence about why the recording ended, such as a full disk; "" if all is well."""
         failure = None if self._listener is None else self._listener.failure
-        return "" if failure is None else str(failure)
+        return "" if failure is None else str(failure) or type(failure).__name__
 
     def start_recording(self) -> Path:
         """Record all pings from now on: each as NPZ, all as an MP4, and the poses as CSV; return their folder.
@@ -111,6 +112,7 @@ class LiveOutput:
         if listener is None:
             return []
         listener.close(None)
+        self._n_missed = listener.missed
         return recording.close()
 
     def save_picture(self, frame: LiveFrame | None = None) -> Path:

@@ -36,7 +36,7 @@ class Recording:
         self.folder, self.n_pings, self.files = folder, 0, []
         self._rows, self._began_s = [], None
         self._pictures: Queue = Queue(WAITING_PICTURES)
-        self._film_problem = ""
+        self._film_problem, self._has_all_pictures = "", False
         self._film = Thread(target=self._write_film, name="sonar_gl film", daemon=True)
 
     def __call__(self, frame: LiveFrame) -> None:
@@ -45,10 +45,11 @@ class Recording:
             raise Error(self._film_problem)
         if self._began_s is None:
             self._began_s = frame.clock_s
-            self._film.start()
         time_s = frame.clock_s - self._began_s
         path = self.folder / f"ping_{self.n_pings:06d}.npz"
         save_npz(path, frame.ping)
+        if not self.files:  # a film needs a picture
+            self._film.start()
         self.files.append(path)
         self.n_pings += 1
         self._rows.append([round(time_s, 6), *rounded_pose_numbers(frame.pose)])
@@ -56,7 +57,7 @@ class Recording:
 
     def close(self) -> list[Path]:
         """Finish the files; return their paths. Raises Error if some could not be written."""
-        if self._began_s is None:
+        if not self.files:
             return []
         path = self.folder / "poses.csv"
         self._pictures.put(None)
@@ -73,8 +74,9 @@ class Recording:
             save_animation(self.folder / "film.mp4", self._frames(), FPS)
         except Exception as why:
             self._film_problem = str(why)
-            while self._pictures.get() is not None:  # so that nobody waits
-                pass
+            # nobody shall wait for room in the queue; after its end no more comes, and `get` would wait for ever
+            while not self._has_all_pictures:
+                self._has_all_pictures = self._pictures.get() is None
 
     def _frames(self) -> Iterator[np.ndarray]:
         """Yield each picture as often as it stood on the screen, at least once."""
@@ -83,13 +85,14 @@ class Recording:
             time_s, picture = item
             size = size or picture.shape[:2]
             if last is not None:
-                repeats = min(round(time_s * FPS) - n_yielded, round(LONGEST_S * FPS))
-                for _ in range(repeats):
+                due = round(time_s * FPS)
+                for _ in range(min(due - n_yielded, round(LONGEST_S * FPS))):
                     yield last
-                n_yielded += max(repeats, 0)
+                n_yielded = max(n_yielded, due)  # as if all had been yielded: a pause is cut out
             last = fitted(picture, size)
             yield last
             n_yielded += 1
+        self._has_all_pictures = True
 
 
 def fitted(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -58,7 +58,8 @@ class LiveSession:
     scene : Scene, which stays as it is
     settings : LiveSettings
     pose : (4, 4) world_from_sonar at the start; None for that of the track, or else of the scene
-    track : PoseTrack that the sonar follows at first; None for none
+    track : PoseTrack that the sonar follows at first; None for none. Its time runs from the first frame that a listener
+        gets, or from `play`
     folder : of the files that `output` writes, made when the first is written
     source : SceneSource, how a command line names the scene; None if it cannot
     job : path of a job file to which poses are added; None for one in the folder
@@ -97,6 +98,7 @@ class LiveSession:
         self._settings_problem = self._ping_problem = ""
         self._pose, self._is_following, self._is_playing = check_pose(pose), track is not None, True
         self._position_s, self._position_at_s = 0.0, time.monotonic()
+        self._runs = False  # the trajectory's time: from the first frame that somebody gets
         self._moved = {}
         self._highlight = ""
         self._listeners: list[Listener] = []
@@ -141,14 +143,15 @@ class LiveSession:
 
     def state(self) -> LiveState:
         """Return what the session does now."""
+        duration_s = 0.0 if self.track is None else self.track.duration_s
         with self._changed:
             return LiveState(
                 settings=self._settings,
                 problem=self._settings_problem or self._ping_problem,
                 is_following=self._is_following,
-                is_playing=self._is_following and self._is_playing,
+                is_playing=self._is_following and self._is_playing and self._position_now() < duration_s,
                 position_s=self._position_now(),
-                duration_s=0.0 if self.track is None else self.track.duration_s,
+                duration_s=duration_s,
                 rate_hz=0.0 if self._frame is None else self._frame.rate_hz,
             )
 
@@ -381,12 +384,13 @@ class LiveSession:
             if plays and self._position_s >= self.track.duration_s:
                 self._position_s = 0.0
             self._is_following, self._is_playing = True, plays
+            self._runs = self._runs or plays
             self._changed.notify_all()
 
     def _position_now(self) -> float:
         if self.track is None:
             return 0.0
-        goes_on = self._is_following and self._is_playing
+        goes_on = self._is_following and self._is_playing and self._runs
         gone_s = time.monotonic() - self._position_at_s if goes_on else 0.0
         return min(self._position_s + gone_s, self.track.duration_s)
 
@@ -480,6 +484,9 @@ class LiveSession:
         with self._changed:
             self._frame, self._ping_problem, self._good_settings = frame, "", frame.settings
             listeners = list(self._listeners)
+            if listeners and not self._runs:
+                self._hold_position()
+                self._runs = True
         for listener in listeners:
             listener.tell(frame)
         return True

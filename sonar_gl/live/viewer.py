@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -53,19 +54,19 @@ class LiveView:
     ):
         self.session = session
         self._listener: Listener | None = None
-        try:
-            self._page = ViewerPage(session, host, port)
+        with ExitStack() as opened:
+            opened.callback(session.close)
+            try:
+                self._page = ViewerPage(session, host, port)
+            except OSError as why:
+                raise Error(
+                    f"the page must be able to listen at {host}:{port} (got {why.strerror or why}; is another program "
+                    "using the port?)"
+                ) from None
+            opened.callback(self._page.close)
             if on_ping is not None:
                 self._listener = session.listen(lambda frame: on_ping(frame.ping))
-        except OSError as why:
-            session.close()
-            raise Error(
-                f"the page must be able to listen at {host}:{port} (got {why.strerror or why}; is another program "
-                "using the port?)"
-            ) from None
-        except BaseException:
-            session.close()
-            raise
+            opened.pop_all()
 
     @property
     def url(self) -> str:
@@ -73,7 +74,7 @@ class LiveView:
         return self._page.url
 
     def wait(self, duration_s: float | None = None) -> None:
-        """Wait until Ctrl-C, or so many seconds; raise what `on_ping` has raised."""
+        """Wait until Ctrl-C, the end of the session, or so many seconds; raise what `on_ping` has raised."""
         left_s = np.inf if duration_s is None else duration_s
         try:
             while left_s > 0:
@@ -81,7 +82,8 @@ class LiveView:
                     break
                 # in short steps, since Ctrl-C does not end a long wait on all systems
                 step_s = min(WAIT_S, left_s)
-                self.session.wait_closed(step_s)
+                if self.session.wait_closed(step_s):
+                    break
                 left_s -= step_s
         except KeyboardInterrupt:
             pass

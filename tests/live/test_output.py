@@ -2,8 +2,11 @@
 
 import os
 import shlex
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
+from queue import Queue
 
 import cv2
 import numpy as np
@@ -15,7 +18,7 @@ from sonar_gl.cli import main as cli
 from sonar_gl.core.poses import read_poses
 from sonar_gl.live import recording as recording_module
 from sonar_gl.live.command_line import SceneSource, rounded_pose_numbers
-from sonar_gl.live.recording import FPS, Recording, fitted
+from sonar_gl.live.recording import FPS, LONGEST_S, Recording, fitted
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.sonar.sonar import load_sonar
@@ -88,6 +91,14 @@ def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_pa
         "--range 10.0 "
     )
     assert line.endswith("--pose '0.123457 0.2 -5 0 0.2 0.1'")
+
+
+def test_a_preset_whose_name_begins_like_the_users_has_its_own_counts(scene):
+    own = replace(load_sonar("aris-1200"), counts=sg.Counts(low_db=-33.0))
+    source = SceneSource("pylon", sonar="aris-1200", loaded=own)
+    with LiveSession(scene, COARSE.changed(sonar="aris-1200-lf"), START, source=source) as session:
+        words = shlex.split(session.output.command_line())
+    assert words[words.index("--sonar") + 1] == "aris-1200-lf" and "--counts" not in words
 
 
 def test_command_lines_say_what_they_leave_out(session):
@@ -229,6 +240,56 @@ def test_a_film_that_cannot_be_written_ends_the_recording(session, monkeypatch):
         session.output.stop_recording()
 
 
+def finished(recording):
+    """Close a recording, in a thread, since a mistake would have it wait for ever; return its files or its Error."""
+    results = Queue()
+
+    def close():
+        try:
+            results.put(recording.close())
+        except sg.Error as why:
+            results.put(why)
+
+    threading.Thread(target=close, daemon=True).start()
+    return results.get(timeout=WAIT_S)
+
+
+def test_a_recording_whose_first_ping_cannot_be_saved_ends(session, tmp_path, monkeypatch):
+    def full(path, _ping):
+        raise sg.Error(f"cannot write {str(path)!r}: No space left on device")
+
+    monkeypatch.setattr(recording_module, "save_npz", full)
+    recording = Recording(tmp_path)
+    with pytest.raises(sg.Error, match="No space left"):
+        recording(session.frame)
+    assert finished(recording) == []
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_film_that_fails_after_its_last_picture_ends_the_recording(session, tmp_path, monkeypatch):
+    def full(_path, frames, _fps):
+        raise sg.Error(f"only 0 of {len(list(frames))} frames could be written as MP4 (is the disk full?)")
+
+    monkeypatch.setattr(recording_module, "save_animation", full)
+    recording = Recording(tmp_path)
+    recording(session.frame)
+    assert str(finished(recording)) == "only 0 of 1 frames could be written as MP4 (is the disk full?)"
+    assert sorted(os.listdir(tmp_path)) == ["ping_000000.npz", "poses.csv"]
+
+
+def test_a_pause_is_cut_out_of_the_film_once(session, tmp_path, monkeypatch):
+    counts = []
+    monkeypatch.setattr(
+        recording_module, "save_animation", lambda path, frames, fps: counts.append(len(list(frames)))
+    )
+    recording = Recording(tmp_path)
+    for clock_s in (0.0, 60.0, 60.1, 60.2):
+        recording(replace(session.frame, clock_s=clock_s))
+    finished(recording)
+    # the first picture, and 10 s of it in place of a minute; 2 steps of 0.1 s; the last picture
+    assert counts == [1 + round(LONGEST_S * FPS) + 2 * round(0.1 * FPS) + 1]
+
+
 def test_an_empty_recording_has_no_files(tmp_path):
     assert Recording(tmp_path).close() == []
 
@@ -268,6 +329,18 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert done.output.startswith("pings 0..2: scene pylon, 0 to 2 s\n")
     beams, bins = session.frame.ping.intensity.shape
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
+
+
+def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session, tmp_path):
+    job = session.output.add_pose_to_job()
+    session.output.add_pose_to_job()
+    job.unlink()
+    session.set_pose(sg.pose(1, 2, 3))
+    for number in (1, 2):
+        session.output.add_pose_to_job(session.next_frame())
+        assert len(read_poses(job.with_name("poses_view_2.csv"))[1]) == number
+    assert len(read_poses(job.with_name("poses_view.csv"))[1]) == 2
+    assert '"poses_view_2.csv"' in job.read_text() and '"poses_view.csv"' not in job.read_text()
 
 
 def test_a_users_job_keeps_its_text_and_comments(scene, tmp_path):

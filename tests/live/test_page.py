@@ -2,6 +2,8 @@
 
 import math
 import re
+import sys
+import threading
 import time
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,6 +14,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.live import page as page_module
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.session import LiveSession
@@ -259,6 +262,9 @@ def test_the_command_line_can_be_copied(viewer):
     field = viewer.tab.locator("textarea:visible").first
     field.wait_for(timeout=1000 * WAIT_S)
     assert field.input_value() == viewer.session.output.command_line()
+    viewer.tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    viewer.tab.get_by_role("button", name="Copy", exact=True).click()
+    wait_for(lambda: viewer.tab.evaluate("navigator.clipboard.readText()") == field.input_value())
     viewer.tab.get_by_role("button", name="Close", exact=True).click()
     wait_for(lambda: not field.is_visible())
 
@@ -341,3 +347,26 @@ def test_a_host_that_is_not_of_this_machine_is_an_error(session):
     for host in ("192.0.2.1", "no such host", ""):  # the first is for documentation
         with pytest.raises(Error, match="host must be an address of this machine"):
             ViewerPage(session, host=host, port=0)
+
+
+def test_a_page_that_cannot_be_made_stops_its_server(session, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("no panel")
+
+    before = set(threading.enumerate())
+    monkeypatch.setattr(page_module, "ControlPanel", fail)
+    with pytest.raises(RuntimeError, match="no panel"):
+        ViewerPage(session, port=0)
+    wait_for(lambda: set(threading.enumerate()) <= before)
+
+
+def test_a_page_prints_nothing_and_leaves_the_output_as_it_is(session, capsys):
+    output = sys.stdout
+    with ViewerPage(session, port=0):
+        assert sys.stdout is output
+    assert capsys.readouterr().out == ""
+
+
+def test_the_address_of_ipv6_has_brackets(session):
+    with ViewerPage(session, host="::1", port=0) as page:
+        assert re.fullmatch(r"http://\[::1\]:\d+", page.url)

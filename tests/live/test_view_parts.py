@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sonar_gl.live.motion import KEYS
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
+from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
 from sonar_gl.sonar.sonar import Sonar
@@ -112,6 +114,24 @@ def test_a_choice_that_the_page_does_not_offer_is_refused():
             chosen(text, {"a": 1}, "sonar")
 
 
+@pytest.mark.parametrize(
+    "origin, host, listens_at, expected",
+    [
+        (None, "127.0.0.1:8080", "127.0.0.1", False),
+        ("http://[::1]:8080", "[::1]:8080", "::1", False),
+        ("http://robot:8080", "robot:8080", "0.0.0.0", False),  # any name of this machine
+        ("http://example.org", "robot:8080", "0.0.0.0", True),
+        ("http://example.org:8080", "example.org:8080", "127.0.0.1", True),  # a name that means 127.0.0.1
+        (None, "example.org:8080", "127.0.0.1", True),
+        (None, None, "127.0.0.1", True),
+        ("null", "localhost:8080", "127.0.0.1", True),
+        ("http://[", "localhost:8080", "127.0.0.1", True),
+    ],
+)
+def test_requests_of_other_sites_are_known(origin, host, listens_at, expected):
+    assert is_other_site(origin, host, listens_at) is expected
+
+
 class Notes:
     """A browser that keeps what it is told."""
 
@@ -133,4 +153,37 @@ def test_actions_go_on_after_one_that_fails():
         actions.ask(browser, action)
     actions.do(0.0)
     assert browser.texts == ["the range must be more"]  # once, though it failed twice
-    assert done == ["told", "told", "moved", "told"]
+    assert done == ["moved", "told"]  # told once, after all
+
+
+def test_of_a_slider_that_is_dragged_the_newest_value_alone_is_set():
+    done, slider = [], object()
+    actions = Actions(lambda: done.append("told"))
+    for value in range(5):
+        actions.ask(None, lambda value=value: done.append(value), slider)
+        actions.ask(None, lambda: done.append("button"))
+    assert actions.waits(slider)
+    actions.do(0.0)
+    assert done == [*["button"] * 4, 4, "button", "told"]
+    assert not actions.waits(slider)
+
+
+def test_actions_that_come_meanwhile_do_not_hold_up_the_page():
+    done = []
+    actions = Actions(lambda: None)
+
+    def again():
+        done.append("done")
+        actions.ask(None, again)
+
+    again()
+    actions.do(0.0)
+    assert done == ["done"] * 2
+
+
+def test_a_page_that_is_woken_does_not_wait():
+    actions = Actions(lambda: None)
+    actions.ask(None, None)
+    start_s = time.monotonic()
+    actions.do(60.0)
+    assert time.monotonic() - start_s < 30.0  # a machine that tests run on may be slow

@@ -77,6 +77,15 @@ def test_an_exception_of_the_callback_ends_a_blocking_view(pages):
     assert pages[0].is_closed
 
 
+def test_a_view_waits_no_longer_once_its_session_is_closed():
+    with sg.view("pylon", block=False, tolerance=0.2) as opened:
+        waiting = threading.Thread(target=opened.wait, daemon=True)
+        waiting.start()
+        opened.session.close()
+        waiting.join(60)
+        assert not waiting.is_alive()
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [

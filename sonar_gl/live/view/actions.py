@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
-from queue import Empty, SimpleQueue
+from collections.abc import Callable, Hashable
+from threading import Condition
 
 from sonar_gl.core.errors import Error
 
@@ -20,16 +20,35 @@ class Actions:
 
     Parameters
     ----------
-    on_done : called after each action, whether it failed or not
+    on_done : called after each batch of actions, whether they failed or not
     """
 
     def __init__(self, on_done: Callable[[], None]):
-        self._queue, self._on_done = SimpleQueue(), on_done
+        self._on_done = on_done
+        self._changed = Condition()  # guards the two that follow
+        self._waiting: dict[Hashable, tuple] = {}
+        self._is_woken = False
         self._told, self._told_s = "", 0.0
 
-    def ask(self, client, action: Callable[[], None] | None) -> None:
-        """Have an action done for a browser (a viser.ClientHandle, or None); an action None only wakes the thread."""
-        self._queue.put((client, action))
+    def ask(self, client, action: Callable[[], None] | None, key: Hashable = None) -> None:
+        """Have an action done for a browser (a viser.ClientHandle, or None); an action None only wakes the thread.
+
+        Of the actions of one key that wait, as of a slider that is dragged, the newest alone is done; None is no key.
+        The key of a control is its `id`, since viser's handles have no hash.
+        """
+        with self._changed:
+            if action is None:
+                self._is_woken = True
+            else:
+                key = object() if key is None else key
+                self._waiting.pop(key, None)  # the newest goes to the end
+                self._waiting[key] = client, action
+            self._changed.notify()
+
+    def waits(self, key: Hashable) -> bool:
+        """Return whether an action of a key waits: what a control shows is then newer than what the session has."""
+        with self._changed:
+            return key in self._waiting
 
     def connect(self, handle, action: Callable) -> None:
         """Have an action of a control's value done when somebody changes it in a browser."""
@@ -38,7 +57,7 @@ class Actions:
         async def _(event):
             if event.client is not None:  # else the page has set it
                 value = handle.value
-                self.ask(event.client, lambda: action(value))
+                self.ask(event.client, lambda: action(value), id(handle))
 
     def connect_button(self, handle, action: Callable) -> None:
         """Have an action of the browser (a viser.ClientHandle) done when a button is clicked there."""
@@ -49,18 +68,16 @@ class Actions:
                 self.ask(event.client, lambda: action(event.client))
 
     def do(self, timeout_s: float) -> None:
-        """Do all actions that were asked for; wait for the first of them, at most so long."""
-        try:
-            item = self._queue.get(timeout=timeout_s)
-            while True:
-                self._do(*item)
-                item = self._queue.get_nowait()
-        except Empty:
-            return
+        """Do the actions that wait now; wait for the first of them, at most so long."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._is_woken, timeout_s)
+            batch, self._waiting, self._is_woken = self._waiting, {}, False
+        for client, action in batch.values():
+            self._do(client, action)
+        if batch:
+            self._on_done()
 
     def _do(self, client, action) -> None:
-        if action is None:
-            return
         try:
             action()
         except Error as why:
@@ -69,8 +86,6 @@ class Actions:
             text = f"{type(why).__name__}: {why}"
             if self._complain(client, text):
                 logger.exception("an action of the page failed")
-        finally:
-            self._on_done()
 
     def _complain(self, client, text: str) -> bool:
         """Say in a browser why an action failed, and return True; not twice, as at each move of a pointer."""

@@ -8,19 +8,22 @@ from threading import Thread
 
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
+from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
 from sonar_gl.noise.settings import Noise
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar import Sonar, presets
 
 KEYS, CAMERA, TRAJECTORY = "keys and gizmo", "browser's camera", "trajectory"
 NO_BODY = "none"
 COLORMAPS = (*ANCHORS, "jet", "viridis")
 NOISES = ("none", "demarco2015", "physical")
 OTHER = "other"
+COPY = "Copy"  # page.js has the same
+OWN = " (given)"  # follows the name of a sonar that a preset has, too
 MAX_RANGE_M = 150.0
 PANEL_WIDTH = 330  # pixels of the page
 
@@ -70,10 +73,11 @@ class ControlPanel:
         self._gui, self._session, self._actions = server.gui, session, actions
         self._shown: list[tuple] = []  # handles, and what settings have each show
         self._terms: dict[str, object] = {}
+        self._pricing: Thread | None = None
         self.steps = Steps()
         settings = session.settings
-        own = {} if settings.sonar in presets().values() else {settings.sonar.name: settings.sonar}
-        self._sonars = {**own, **presets()}
+        self._sonars = dict(presets())
+        self._name_of_sonar(session.scene.sonar or settings.sonar)
         self._add_motion(on_mover)
         self._add_sonar(settings)
         self._add_display(settings, on_picture)
@@ -90,7 +94,7 @@ class ControlPanel:
         settings = self._session.settings
         for handle, shown in self._shown:
             value = shown(settings)
-            if handle.value != value:
+            if handle.value != value and not self._actions.waits(id(handle)):
                 handle.value = value
         is_recording = self._session.output.is_recording
         label = "Stop recording" if is_recording else "Record"
@@ -99,12 +103,24 @@ class ControlPanel:
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
-        if self._mover.value != mover:
+        if self._mover.value != mover and not self._actions.waits(id(self._mover)):
             self._mover.value = mover
 
     def show_body(self, name: str) -> None:
         """Show which body is selected; "" for none."""
-        self._body.value = name or NO_BODY
+        if self._body.value != (name or NO_BODY) and not self._actions.waits(id(self._body)):
+            self._body.value = name or NO_BODY
+
+    def _name_of_sonar(self, sonar: Sonar) -> str:
+        """Return the name by which the page offers a sonar, which may differ from a preset of its own name."""
+        for name, one in self._sonars.items():
+            if one == sonar:
+                return name
+        name = sonar.name
+        while name in self._sonars:
+            name += OWN
+        self._sonars[name] = sonar
+        return name
 
     # ---- parts --------------------------------------------------------------------------------------------
 
@@ -133,17 +149,19 @@ class ControlPanel:
                 self._actions.ask(
                     event.client,
                     lambda: on_mover(event.client, chosen(value, movers, "what moves the sonar")),
+                    id(self._mover),
                 )
 
-        self._actions.connect(speed, self._set_speed)
+        self._connect(speed, lambda _settings: self.steps.speed_m_s, self._set_speed)
 
     def _set_speed(self, value) -> None:
-        self.steps = replace(self.steps, speed_m_s=min(max(float(value), 0.0), 100.0))
+        self.steps = replace(self.steps, speed_m_s=check_number("speed", value, 0.0, 100.0, "give m/s"))
 
     def _add_sonar(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Sonar"):
-            sonar = gui.add_dropdown("sonar", tuple(self._sonars), initial_value=settings.sonar.name)
+            shown = self._name_of_sonar(settings.sonar)
+            sonar = gui.add_dropdown("sonar", tuple(self._sonars), initial_value=shown)
             range_m = gui.add_slider("range, m", 1.0, MAX_RANGE_M, 0.5, _shown_range(settings))
             tolerance = gui.add_slider(
                 "tolerance, %", 0.5, 20.0, 0.5, _shown_tolerance(settings),
@@ -153,7 +171,7 @@ class ControlPanel:
             engine = gui.add_dropdown("engine", ENGINES, initial_value=settings.engine or "auto")
         self._connect(
             sonar,
-            lambda settings: settings.sonar.name,
+            lambda settings: self._shown_sonar(sonar, settings.sonar),
             lambda name: session.change(sonar=chosen(name, self._sonars, "sonar")),
         )
         self._connect(range_m, _shown_range, lambda value: session.change(range_m=float(value)))
@@ -164,6 +182,13 @@ class ControlPanel:
             lambda settings: settings.engine or "auto",
             lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
         )
+
+    def _shown_sonar(self, dropdown, sonar: Sonar) -> str:
+        """Return what the dropdown shows for a sonar; it offers all that a session has had."""
+        name = self._name_of_sonar(sonar)
+        if name not in dropdown.options:
+            dropdown.options = tuple(self._sonars)
+        return name
 
     def _add_display(self, settings: LiveSettings, on_picture) -> None:
         gui, session = self._gui, self._session
@@ -229,6 +254,8 @@ class ControlPanel:
 
     def _find_prices(self, client) -> None:
         """Have the terms priced in a thread, since that takes seconds."""
+        if self._pricing is not None and self._pricing.is_alive():
+            raise Error("terms are being priced already (wait until they are)")
 
         def find():
             try:
@@ -240,7 +267,13 @@ class ControlPanel:
                 self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
 
         self._price.disabled = True
-        Thread(target=find, name="sonar_gl prices", daemon=True).start()
+        self._pricing = Thread(target=find, name="sonar_gl prices", daemon=True)
+        self._pricing.start()
+
+    def close(self) -> None:
+        """Wait until the terms that are being priced are."""
+        if self._pricing is not None:
+            self._pricing.join()
 
     def _show_prices(self, prices: list[Price]) -> None:
         for one in prices:
@@ -297,16 +330,19 @@ class ControlPanel:
 
     def _switch_recording(self, client) -> None:
         output = self._session.output
-        if output.is_recording:
-            paths = output.stop_recording()
-            tell(client, "Recorded", ", ".join(str(path) for path in paths))
-        else:
+        if not output.is_recording:
             tell(client, "Recording", f"into {output.start_recording()}")
+        elif paths := output.stop_recording():
+            missed = f"; {output.n_missed} came too quickly to be written" if output.n_missed else ""
+            tell(client, "Recorded", f"{output.n_recorded} pings into {paths[0].parent}{missed}")
+        else:
+            tell(client, "Recorded", "no ping")
 
     def _show_command_line(self, client) -> None:
         text = self._session.output.command_line()
         with client.gui.add_modal("The same picture by a command") as modal:
             client.gui.add_text("command", text, multiline=True)
+            client.gui.add_button(COPY)
             close = client.gui.add_button("Close")
 
         @close.on_click

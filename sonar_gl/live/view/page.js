@@ -2,13 +2,14 @@
 //
 // viser's images have no pointer events, and its keys always fly the camera. This script writes a state as JSON into a
 // text field of the page, which viser sends as if it had been typed. The state is complete each time, since of several
-// changes within 50 ms viser sends the last alone. `sonar_gl.live.view.pointer` reads it.
+// changes within 50 ms viser sends the last alone. `sonar_gl.live.view.browser_state` reads it.
 (() => {
   const FIELD = "page state"; // label of the text field
   const KEYS = {
     KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e",
     ArrowUp: "arrowup", ArrowDown: "arrowdown", ArrowLeft: "arrowleft", ArrowRight: "arrowright",
   };
+  const COPY = "Copy"; // label of the button beside a text
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
   const POINTER_MS = 50;
   const FRAMES_MS = 2000; // between two reports of the slowest frame
@@ -77,6 +78,16 @@
     state.clicks += 1;
     state.clicked = place(event, image);
     send();
+  }, true);
+
+  // a browser lets a page write to the clipboard on a click alone, and only a page of this machine or of HTTPS
+  document.addEventListener("click", (event) => {
+    const button = event.target instanceof Element ? event.target.closest("button") : null;
+    if (button?.textContent !== COPY) return;
+    const text = button.closest("[role=dialog]")?.querySelector("textarea");
+    if (!text) return;
+    text.select(); // else Ctrl-C copies it
+    navigator.clipboard?.writeText(text.value);
   }, true);
 
   document.addEventListener("dragstart", (event) => {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from html import escape
 
 import numpy as np
@@ -17,7 +16,6 @@ from sonar_gl.live.view.browser_state import FIELD, script_html
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL_WIDTH = 430  # pixels of the page
 HIGHLIGHT_SHARE = 0.55  # brightness that pixels outside a highlighted body keep
-NUMBERS_S = 0.2  # between two changes of the numbers, which nobody could read faster
 ROW = "display:flex;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
 NOTHING = "–"
 
@@ -34,7 +32,6 @@ class PingPanel:
 
     def __init__(self, server, session: LiveSession, actions: Actions):
         self._session, self._actions = session, actions
-        self._numbers_at_s = 0.0
         panel = server.gui.add_panel()
         with panel.add_tab("Ping"):
             self._image = server.gui.add_image(
@@ -50,24 +47,23 @@ class PingPanel:
         panel.set_width(PANEL_WIDTH)
         self.read(None)
 
-    def show(self, frame: LiveFrame, state: LiveState) -> None:
-        """Show a frame: its picture, and the numbers of the session."""
+    def show(self, frame: LiveFrame) -> None:
+        """Show the picture of a frame."""
         picture = frame.picture
         if frame.highlight is not None and frame.highlight.any():
             dim = (picture * HIGHLIGHT_SHARE).astype(np.uint8)
             picture = np.where(frame.highlight[..., None], picture | 32, dim)
         self._image.image = picture
-        now_s = time.monotonic()
-        if now_s - self._numbers_at_s < NUMBERS_S:
-            return
-        self._numbers_at_s = now_s
+
+    def show_numbers(self, frame: LiveFrame, state: LiveState) -> None:
+        """Show the numbers of a frame, and what the session does now, such as that its pings fail."""
         self._numbers.content = _numbers_html(frame, state)
         if self._session.track is not None:
             self._show_time(state)
 
     def _show_time(self, state: LiveState) -> None:
         position_s = min(round(state.position_s, 1), self._position.max)
-        if self._position.value != position_s:
+        if self._position.value != position_s and not self._actions.waits(id(self._position)):
             self._position.value = position_s
         label = "Pause" if state.is_playing else "Play"
         if self._play.label != label:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
 
+from sonar_gl.core.checks import shown
+from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -33,9 +35,14 @@ SONAR_FROM_CAMERA = np.array(
 
 
 def pose_of(wxyz, position) -> np.ndarray:
-    """Return the (4, 4) pose of a node."""
-    out = quaternion_matrix(np.asarray(wxyz, float))
-    out[:3, 3] = position
+    """Return the (4, 4) pose of a node; Error if a browser has sent numbers that are none."""
+    try:
+        out = quaternion_matrix(np.reshape(np.asarray(wxyz, float), 4))
+        out[:3, 3] = np.reshape(np.asarray(position, float), 3)
+    except (TypeError, ValueError):
+        raise Error(
+            f"a pose must be a quaternion of 4 and a position of 3 numbers (got {shown(wxyz)} and {shown(position)})"
+        ) from None
     return out
 
 
@@ -74,6 +81,7 @@ class SceneNodes:
         self._server, self._session, self._actions = server, session, actions
         self._on_place = on_place
         self._pose, self._device, self._plane, self._selected = None, None, None, ""
+        self._picture_extent = None  # what the node of the picture depends on
         self._is_dragging = self._is_dragging_body = False
         scene = server.scene
         blend = np.linspace(0, 1, 64)[:, None, None]
@@ -87,10 +95,12 @@ class SceneNodes:
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
         self._middles = {mesh.name: _middle(mesh) for mesh in meshes}
-        self._poses = {}
+        self._home = {mesh.name: mesh.pose for mesh in meshes}
+        self._poses = dict(self._home)
         self._sonar = scene.add_frame("/sonar", show_axes=False)
         self._outline = self._arcs = self._housing = self._picture = self._surface = None
         self._gizmo = scene.add_transform_controls("/move_sonar", scale=1.0, depth_test=False)
+        put(self._gizmo, session.pose)
         self._body_gizmo = scene.add_transform_controls(
             "/move_body", scale=1.0, depth_test=False, visible=False
         )
@@ -111,13 +121,14 @@ class SceneNodes:
         if self._pose is None or not np.array_equal(self._pose, frame.pose):
             put(self._sonar, frame.pose)
             self._pose = frame.pose
-        if not self._is_dragging:
+        if not (self._is_dragging or self._actions.waits(id(self._gizmo))):
             _put_if_moved(self._gizmo, pose)
-        for name, world_from_body in frame.bodies.items():
-            if name in self._bodies and world_from_body is not self._poses.get(name):
-                self._bodies[name].visible = world_from_body is not None
+        for name, node in self._bodies.items():
+            world_from_body = frame.bodies.get(name, self._home[name])
+            if world_from_body is not self._poses[name]:
+                node.visible = world_from_body is not None
                 if world_from_body is not None:
-                    put(self._bodies[name], world_from_body)
+                    put(node, world_from_body)
                 self._poses[name] = world_from_body
                 if name == self._selected and not self._is_dragging_body:
                     self._follow_body()
@@ -136,13 +147,11 @@ class SceneNodes:
         # dark water lets the scene through, echoes do not
         alpha = np.where(inside, np.maximum(120, colors.max(2)), 0).astype(np.uint8)
         image = np.dstack([colors, alpha])
-        if (
-            self._picture is None
-            or self._plane is None
-            or (plane.width_m, plane.height_m) != self._plane_size()
-        ):
-            self._plane = plane
-            self._add_picture(frame, image)
+        sonar_from_picture = frame.settings.device.sonar_from_head @ plane.head_from_picture
+        extent = plane.width_m, plane.height_m, *sonar_from_picture.ravel()
+        if self._picture is None or extent != self._picture_extent:
+            self._plane, self._picture_extent = plane, extent
+            self._add_picture(sonar_from_picture, image)
         else:
             self._picture.image = image
             self._picture.visible = True
@@ -228,8 +237,7 @@ class SceneNodes:
         )
         self._gizmo.scale = self._body_gizmo.scale = 0.1 * far_m
 
-    def _add_picture(self, frame: LiveFrame, image: np.ndarray) -> None:
-        pose = frame.settings.device.sonar_from_head @ self._plane.head_from_picture
+    def _add_picture(self, sonar_from_picture: np.ndarray, image: np.ndarray) -> None:
         self._picture = self._server.scene.add_image(
             "/sonar/picture",
             image,
@@ -239,14 +247,11 @@ class SceneNodes:
             cast_shadow=False,
             receive_shadow=False,
         )
-        put(self._picture, pose)
+        put(self._picture, sonar_from_picture)
 
         @self._picture.on_click
         async def _(event):
             self._actions.ask(event.client, lambda: self._click_picture(event))
-
-    def _plane_size(self) -> tuple[float, float]:
-        return self._plane.width_m, self._plane.height_m
 
     def _click_picture(self, event) -> None:
         head = self._device.head_pose(self._pose)
@@ -257,18 +262,23 @@ class SceneNodes:
             self._on_place(place)
 
     def _connect_gizmos(self) -> None:
-        @self._gizmo.on_update
-        async def _(event):
-            pose = pose_of(self._gizmo.wxyz, self._gizmo.position)
-            self._is_dragging = event.phase != "end"
-            self._actions.ask(event.client, lambda: self._session.set_pose(pose))
+        gizmo, body_gizmo = self._gizmo, self._body_gizmo
 
-        @self._body_gizmo.on_update
+        @gizmo.on_update
+        async def _(event):
+            self._is_dragging = event.phase != "end"
+            place = gizmo.wxyz, gizmo.position
+            self._actions.ask(event.client, lambda: self._session.set_pose(pose_of(*place)), id(gizmo))
+
+        @body_gizmo.on_update
         async def _(event):
             self._is_dragging_body = event.phase != "end"
-            name = self._selected
-            pose = pose_of(self._body_gizmo.wxyz, self._body_gizmo.position) @ np.linalg.inv(self._center)
-            self._actions.ask(event.client, lambda: self._session.move_body(name, pose))
+            name, center, place = self._selected, self._center, (body_gizmo.wxyz, body_gizmo.position)
+            self._actions.ask(
+                event.client,
+                lambda: self._session.move_body(name, pose_of(*place) @ np.linalg.inv(center)),
+                (id(body_gizmo), name),
+            )
 
     def _follow_body(self) -> None:
         """Put the gizmo of the selected body where that is now."""
@@ -312,5 +322,13 @@ def _round_step(about_m: float) -> float:
 
 
 def _put_if_moved(node, pose: np.ndarray) -> None:
-    if not np.allclose(pose_of(node.wxyz, node.position), pose, atol=1e-6):
+    if not _stands_at(node, pose):
         put(node, pose)
+
+
+def _stands_at(node, pose: np.ndarray) -> bool:
+    """Return whether a node is at a pose; False, too, for numbers of a browser that are no pose."""
+    try:
+        return bool(np.allclose(pose_of(node.wxyz, node.position), pose, atol=1e-6))
+    except Error:
+        return False

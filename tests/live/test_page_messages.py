@@ -1,0 +1,341 @@
+"""The web page of a live session, told by messages as a browser sends them."""
+
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import sonar_gl as sg
+from sonar_gl.live import recording as recording_module
+from sonar_gl.live import session as session_module
+from sonar_gl.live.page import ViewerPage
+from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.live.session import LiveSession
+from sonar_gl.live.settings import LiveSettings
+from tests.support.viser_client import connected, wait_for
+
+viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
+
+SONAR = replace(sg.load_sonar("p900-45").with_range(22.0), n_beams=16, n_bins=32, keeps_n_bins=True)
+SETTINGS = LiveSettings(SONAR, acoustics=sg.Acoustics.ideal(), noise="none", height=60, engine="cpu")
+ELSEWHERE = (1.0, 0.0, 0.0, 0.0), (3.0, 1.0, -4.0)
+IN_THE_PICTURE = [0.5, 0.4]
+STRAIGHT = PoseTrack([sg.pose(0, 0, -5), sg.pose(4, 0, -5)], [0.0, 0.4])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return sg.load_scene("pylon")
+
+
+@pytest.fixture
+def session(scene, tmp_path):
+    with LiveSession(scene, SETTINGS, folder=tmp_path / "out") as one:
+        yield one
+
+
+@pytest.fixture
+def page(session):
+    with ViewerPage(session, port=0) as one:
+        yield one
+
+
+@pytest.fixture
+def browser(page):
+    with connected(page.url) as one, telling(one):
+        yield one
+
+
+@contextmanager
+def telling(client):
+    """Repeat a browser's state four times a second, as page.js does."""
+    is_over = threading.Event()
+
+    def tell():
+        while not is_over.wait(0.25):
+            client.tell()
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+
+
+def position(session):
+    return session.pose[:3, 3].tolist()
+
+
+def body_node(session, name):
+    """Name of the node that shows a body."""
+    return f"/bodies/{[body.name for body in session.scene.bodies].index(name)}"
+
+
+def numbers(browser):
+    """The HTML with the numbers of the session."""
+    texts = [one["content"] for one in browser.values.values() if "ping rate" in str(one.get("content"))]
+    return texts[0] if texts else ""
+
+
+# ---- what drags and clicks do -------------------------------------------------------------------------------
+
+
+def test_a_body_is_dragged_and_put_back(session, browser):
+    node, home = body_node(session, "box"), session.bodies()["box"][:3, 3].tolist()
+    browser.change("selected", "box")
+    wait_for(lambda: session.highlighted == "box")
+    browser.drag("/move_body", *ELSEWHERE)
+    moved = wait_for(lambda: browser.nodes[node]["position"] != home and browser.nodes[node]["position"])
+    assert moved == pytest.approx(session.bodies()["box"][:3, 3])
+    browser.press("Put all back")
+    wait_for(lambda: browser.nodes[node]["position"] == home)
+    assert session.bodies()["box"][:3, 3].tolist() == home
+
+
+def test_a_body_that_is_taken_away_is_not_drawn(session, browser):
+    node = body_node(session, "box")
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    session.move_body("box", None)
+    wait_for(lambda: browser.nodes[node].get("visible") is False)
+    session.reset_bodies()
+    wait_for(lambda: browser.nodes[node]["visible"])
+
+
+def test_a_click_in_3d_marks_a_surface_and_reads_nothing_again(session, page, browser):
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    # down through the fan at the pylon, 15.5 m ahead and 3.7 m to starboard
+    x, y = session.bodies()["pylon_square"][:2, 3].tolist()
+    browser.send(
+        type="SceneNodeClickMessage",
+        name="/sonar/picture",
+        instance_index=None,
+        ray_origin=(x - 1.5, y, 40.0),
+        ray_direction=(0.0, 0.0, -1.0),
+        screen_pos=(0.5, 0.5),
+        modifier=None,
+    )
+    surface = wait_for(lambda: page.marked)
+    names = [body.name for body in session.scene.bodies]
+    assert 1 + names.index("pylon_square") in set(surface.body_id.tolist())
+    wait_for(lambda: "/surface" in browser.nodes)
+    assert "pylon_square" not in read_out(browser)
+
+
+def read_out(browser):
+    """The HTML with what is under the pointer."""
+    return next(
+        one["content"] for one in browser.values.values() if "under pointer" in str(one.get("content"))
+    )
+
+
+def test_clicks_before_a_connection_that_was_lost_are_not_done_again(session, page, browser):
+    browser.tell(clicks=3, clicked=IN_THE_PICTURE)
+    browser.change("speed, m/s", 2.0)  # is done later
+    with connected(page.url) as second:
+        second.tell(clicks=3, clicked=IN_THE_PICTURE)
+        wait_for(lambda: second.shown("speed, m/s") == 2.0)
+        second.tell(keys=["w"])
+        start = position(session)
+        wait_for(lambda: position(session) != start)
+    assert page.marked is None
+
+
+# ---- what the page reads ------------------------------------------------------------------------------------
+
+
+def test_the_pointer_is_read_once_and_no_more_once_its_browser_is_gone(session, page, monkeypatch):
+    reads = []
+    at = session.at
+    monkeypatch.setattr(session, "at", lambda *place: reads.append(place) or at(*place))
+    with connected(page.url) as browser:
+        for step in range(200):
+            browser.tell(pointer=[0.5, 0.3 + 0.001 * step])
+        wait_for(lambda: reads)
+        wait_for(lambda: "dB" in read_out(browser))
+    wait_for(lambda: not page.server.get_clients())
+    time.sleep(0.6)  # two read-outs and more
+    n_reads = len(reads)
+    assert n_reads < 20  # of 200 places: it takes the newest
+    time.sleep(0.6)
+    assert len(reads) == n_reads
+
+
+# ---- who may ask --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://example.org"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Host": "example.org:8080", "Origin": "http://example.org:8080"},  # a name that means 127.0.0.1
+    ],
+)
+def test_other_web_sites_are_refused(page, headers):
+    from websockets.exceptions import InvalidStatus
+
+    with pytest.raises(InvalidStatus, match="403"), connected(page.url, **headers):
+        pass
+    assert page.server.get_clients() == {}
+
+
+def test_the_page_itself_and_programs_are_served(page):
+    for headers in ({"Origin": page.url}, {}):
+        with connected(page.url, **headers) as browser:
+            wait_for(lambda browser=browser: "Record" in browser.uuids)
+
+
+# ---- what fails ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:.*does not match annotation")  # by viser
+@pytest.mark.parametrize("place", [([1.0, 0.0], [0.0, 0.0, 0.0]), ([1.0, 0.0, 0.0, 0.0], [0.0]), ([], [])])
+def test_numbers_that_are_no_pose_are_refused(session, browser, place):
+    start = position(session)
+    browser.drag("/move_sonar", *place)
+    wait_for(lambda: "a pose must be a quaternion of 4 and a position of 3 numbers" in "".join(browser.notes))
+    assert position(session) == start
+    browser.drag("/move_sonar", *ELSEWHERE)
+    wait_for(lambda: position(session) == list(ELSEWHERE[1]))
+    browser.change("range, m", 15.0)
+    wait_for(lambda: session.settings.range_m == 15.0)  # all messages of the drag are done
+    session.set_pose(sg.pose(1, 0, -5))
+    for node in ("/sonar", "/move_sonar"):
+        wait_for(lambda node=node: browser.nodes[node].get("position") == [1.0, 0.0, -5.0])
+
+
+def test_a_speed_that_is_no_number_is_refused(session, browser):
+    browser.change("speed, m/s", float("nan"))
+    wait_for(lambda: browser.notes == ["speed must lie in 0..100 (got nan; give m/s)"])
+    start = position(session)
+    browser.tell(keys=["w"])
+    wait_for(lambda: position(session) != start)
+    assert browser.shown("speed, m/s") == 1.0
+
+
+def test_a_part_of_the_page_that_fails_stops_no_other(session, browser, monkeypatch, caplog):
+    def fail(*_):
+        raise RuntimeError("keys are broken")
+
+    monkeypatch.setattr(session, "move", fail)
+    browser.tell(keys=["w"])
+    wait_for(lambda: "keys are broken" in caplog.text)
+    browser.change("range, m", 15.0)
+    wait_for(lambda: session.frame.settings.range_m == 15.0)
+    browser.drag("/move_sonar", *ELSEWHERE)
+    wait_for(lambda: browser.nodes["/sonar"].get("position") == list(ELSEWHERE[1]))
+    assert caplog.text.count("Traceback") == 1
+
+
+def test_a_recording_that_fails_is_reported_to_all(session, page, browser, monkeypatch):
+    def full(path, _ping):
+        raise sg.Error(f"cannot write {str(path)!r}: No space left on device")
+
+    with connected(page.url) as second:
+        wait_for(lambda: len(page.server.get_clients()) == 2)
+        monkeypatch.setattr(recording_module, "save_npz", full)
+        browser.press("Record")
+        for one in (browser, second):
+            wait_for(lambda one=one: any("No space left" in note for note in one.notes))
+    assert not session.output.is_recording and session.output.problem == ""
+    record = browser.uuids["Record"]
+    wait_for(lambda: browser.values[record]["label"] == "Record")
+
+
+def test_a_recording_that_ends_names_its_folder_once(session, browser):
+    browser.press("Record")
+    wait_for(lambda: session.output.n_recorded >= 3)
+    browser.press("Record")
+    wait_for(lambda: len(browser.notes) == 2)
+    folder = session.output.folder / "pylon_0001"
+    assert browser.notes[1] == f"{session.output.n_recorded} pings into {folder}"
+
+
+def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypatch):
+    wait_for(lambda: session.frame.number > 0)
+
+    def fail(*_):
+        raise sg.Error("the ping must succeed (got none)")
+
+    monkeypatch.setattr(session_module, "picture_of", fail)
+    wait_for(lambda: "the ping must succeed (got none)" in numbers(browser))
+    monkeypatch.undo()
+    wait_for(lambda: "the ping must succeed (got none)" not in numbers(browser))
+
+
+# ---- trajectories -------------------------------------------------------------------------------------------
+
+
+def test_a_trajectory_starts_with_the_first_browser_and_ends(scene):
+    with LiveSession(scene, SETTINGS, track=STRAIGHT) as session, ViewerPage(session, port=0) as page:
+        time.sleep(2 * STRAIGHT.duration_s)
+        assert session.state().position_s == 0.0 and session.state().is_playing
+        with connected(page.url) as browser, telling(browser):
+            wait_for(lambda: session.state().position_s > 0.0)
+            play = browser.uuid("Pause")
+            wait_for(lambda: browser.values[play]["label"] == "Play")  # at the end
+            assert not session.state().is_playing and position(session) == [4.0, 0.0, -5.0]
+            assert browser.shown("moved by") == "trajectory"
+            assert browser.shown("time, s") == 0.4
+            browser.drag("/move_sonar", *ELSEWHERE)
+            wait_for(lambda: browser.shown("moved by") == "keys and gizmo")
+            assert position(session) == list(ELSEWHERE[1])
+            browser.change("time, s", 0.2)
+            wait_for(lambda: browser.shown("moved by") == "trajectory")
+            wait_for(lambda: position(session) == [4.0, 0.0, -5.0])  # it plays on
+            browser.press("Pause")
+            wait_for(lambda: session.state().is_playing or position(session)[0] < 4.0)  # from the beginning
+
+
+# ---- settings -----------------------------------------------------------------------------------------------
+
+
+def test_terms_are_switched_and_priced(session, browser):
+    browser.change("absorption", True)
+    wait_for(lambda: session.settings.is_on("absorption"))
+    wait_for(lambda: session.frame.settings.is_on("absorption"))
+    browser.change("absorption", False)
+    wait_for(lambda: not session.settings.is_on("absorption"))
+    term = browser.uuids["absorption"]
+    browser.press("Price the terms")
+    browser.press("Price the terms")
+    wait_for(lambda: "%" in browser.values[term]["label"])
+    assert browser.notes == [] or browser.notes == ["terms are being priced already (wait until they are)"]
+
+
+def test_the_polar_form_has_no_picture_in_3d(session, browser):
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    browser.change("form", "polar")
+    wait_for(lambda: session.frame.settings.form == "polar")
+    assert session.frame.picture.shape[:2] == (60, 60)
+    wait_for(lambda: browser.nodes["/sonar/picture"].get("visible") is False)
+    browser.change("form", "fan")
+    wait_for(lambda: browser.nodes["/sonar/picture"].get("visible"))
+
+
+def test_a_slider_that_is_dragged_is_not_put_back(session, browser):
+    for value in np.arange(10.0, 20.5, 0.5):
+        browser.change("range, m", float(value))
+    wait_for(lambda: session.frame.settings.range_m == 20.0)
+    assert browser.shown("range, m") in (22.0, 20.0)  # as it was, or what the user set: no value in between
+
+
+def test_the_picture_is_that_of_the_last_frame(session, browser):
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    before = session.frame.picture.astype(int)
+    image = next(one for one in browser.values.values() if "_data" in one)
+
+    def distance(picture):
+        shown = cv2.imdecode(np.frombuffer(image["_data"], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        return abs(shown.astype(int) - picture).mean() if shown.shape == picture.shape else np.inf
+
+    browser.change("range, m", 12.0)
+    wait_for(lambda: session.frame.settings.range_m == 12.0)
+    wait_for(lambda: distance(session.frame.picture.astype(int)) < distance(before))
