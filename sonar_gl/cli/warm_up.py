@@ -46,6 +46,8 @@ from sonar_gl.sonar.sonar import Sonar
 
 REPORT_S = 3.0  # between two reports
 SONAR = Sonar("warm_up", 900e3, 16, 48, 30.0, 20.0, 2.0, 0.5, 8.5)
+# its beams overlap so widely that its side lobes have wide columns, and that place-locked speckle is interpolated
+WIDE_BEAMS = replace(SONAR, beam_width_deg=20.0)
 POSE = pose(z=-1.0, pitch=0.02)  # sees the surface and the floor
 VELOCITY = 0.5, 0.0, 0.0, 0.0, 0.0, 0.1  # m/s, rad/s
 NOISES = (
@@ -190,8 +192,7 @@ def _work_without_opengl():
     ping = _labelled_ping()
     for noise in NOISES:
         add_noise(ping, noise, 0)
-    # beams that overlap so widely that place-locked speckle is interpolated
-    add_noise(replace(ping, sonar=replace(SONAR, beam_width_deg=20.0)), Noise.physical(), 0)
+    add_noise(replace(ping, sonar=WIDE_BEAMS), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)
     # a batch leaves out dark cells, in an array of its own, which is not read-only
@@ -212,6 +213,8 @@ def _receive():
             simulator.ping(POSE, labels=True, background=["floor"])
             for _ in simulator.pings([POSE] * 6):
                 pass
+    with Simulator(_scene(), WIDE_BEAMS, Acoustics.physical(), FAST) as simulator:
+        simulator.ping(POSE)
     with Simulator(_scene(), SONAR, Acoustics.ideal(), FAST) as simulator:
         demarco_image(simulator, POSE, height=40)
 

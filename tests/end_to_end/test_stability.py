@@ -40,6 +40,7 @@ def test_many_pings_do_not_leak():
         assert soak.gl_objects(simulator) == objects
 
 
+@pytest.mark.timeout(400)
 def test_a_sequence_whose_samples_change_stays_within_its_memory():
     """600 pings with labels and noise, in a process of their own; some of their samplings are very fine.
 
