@@ -78,7 +78,7 @@ def test_labels_of_echoes_through_side_lobes():
 
 
 @pytest.mark.parametrize("reducer", ["footprint", "point"])
-@pytest.mark.parametrize("name", ["pylon", "ocean_floor"])
+@pytest.mark.parametrize("name", ["pylon", pytest.param("ocean_floor", marks=pytest.mark.slow)])
 def test_labels_change_no_bit_of_the_picture(name, reducer):
     """The sums of all bodies in the pass for labels are those of a ping without labels."""
     scene, sonar = sg.load_scene(name), replace(sg.load_sonar("p900-45"), n_bins=400)

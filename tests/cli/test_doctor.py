@@ -339,6 +339,7 @@ def test_no_devices_and_an_egl_that_cannot_list_them(monkeypatch, names, ok, tol
         gl.create_context(99)
 
 
+@pytest.mark.slow
 def test_commands_take_a_device(several, monkeypatch, tmp_path):
     monkeypatch.setenv("SONAR_GL_DEVICE", "2")
     ping = ("pylon", "--range", "8", "--bins", "40", "--tolerance", "0.2")
