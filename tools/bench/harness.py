@@ -147,6 +147,16 @@ def print_table(rows: list[Mapping], indent: int = 2):
         print(" " * indent + "  ".join(cells).rstrip())
 
 
+def print_scenes(found: dict):
+    """Print a row for each of found["scenes"], a dict of figures by the names of scenes, and then found["aims"]."""
+    rows = [
+        {"scene": name, **{what: f"{value:.3g}" for what, value in figures.items()}}
+        for name, figures in found["scenes"].items()
+    ]
+    print_table(rows)
+    print_aims(found["aims"])
+
+
 def markdown(rows: list[Mapping]) -> str:
     """Return rows as a table of a Markdown page."""
     columns = list(rows[0])

@@ -85,10 +85,4 @@ def run(options) -> dict:
 
 def report(found: dict):
     """Print a row for each scene, and the aims."""
-    harness.print_table(
-        [
-            {"scene": name, **{what: f"{value:.3g}" for what, value in one.items()}}
-            for name, one in found["scenes"].items()
-        ]
-    )
-    harness.print_aims(found["aims"])
+    harness.print_scenes(found)
