@@ -31,7 +31,6 @@ import sonar_gl as sg
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.place_locked_speckle import CELL_M
 from sonar_gl.noise.speckle import aperture_width
 from tools.count_statistics import (
     correlation,
@@ -159,9 +158,6 @@ PATCH_DB = 4.0
 FLOOR_REFLECTIVITY = 0.1
 SELF_NOISE_DB = -59.3  # by the far field of the real pings
 DRIFT_M = 0.0005  # of the sonar to starboard, from ping to ping, by the correlation of the real ones
-MIDDLE_M = (
-    CELL_M / 2
-)  # x and y of the sonar: off the middle of its cell, place-locked speckle is too fine in azimuth
 TOLERANCE = 0.02
 
 
@@ -198,7 +194,7 @@ def floor(setup: Setup, patches: bool) -> sg.Body:
     columns, rows = FLOOR_CELLS
     size_m = np.array(FLOOR) * setup.range_max_m
     x, y = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(-0.5, 0.5, rows + 1))
-    at = np.stack([x * size_m[0] + MIDDLE_M, y * size_m[1] + MIDDLE_M, 0 * x], axis=-1).reshape(-1, 3)
+    at = np.stack([x * size_m[0], y * size_m[1], 0 * x], axis=-1).reshape(-1, 3)
     corner = np.add.outer(np.arange(rows) * (columns + 1), np.arange(columns)).ravel()
     right, above = corner + 1, corner + columns + 1
     faces = np.stack([corner, right, above + 1, corner, above + 1, above], axis=-1).reshape(-1, 3)
@@ -216,7 +212,7 @@ def floor(setup: Setup, patches: bool) -> sg.Body:
 def pose_at(setup: Setup, drift_m: float = 0.0) -> np.ndarray:
     """Return the pose of the sonar over the floor, somewhat to starboard."""
     angles = setup.roll_rad, setup.pitch_rad, 0.0
-    return sg.pose(MIDDLE_M, MIDDLE_M - drift_m, setup.height_m, *angles)
+    return sg.pose(0.0, -drift_m, setup.height_m, *angles)
 
 
 def make_echoes(setup: Setup, poses: list[np.ndarray], patches: bool) -> list[sg.Ping]:

@@ -310,7 +310,7 @@ class Sensor:
         if request.labels:
             unnamed = tuple(f"body {number}" for number in range(len(names) + 1, highest + 1))
             origin = replace(origin, bodies=names + unnamed)
-        return assemble(self._instrument, received, origin)
+        return assemble(self._instrument, received, origin, self._thread)
 
     def _current_host(self) -> HostContext:
         """Return the host whose context is current; raise an `Error` if it is another one than before."""

@@ -14,6 +14,7 @@ from sonar_gl.beamform.labels import Labels, without_faint
 from sonar_gl.beamform.volume import sum_volume, water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
@@ -33,7 +34,7 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
     with run.drawing():
         received = sample(run, setup)
         report = run.report(received)
-    return finish(run.instrument, received, report)
+    return finish(run, received, report)
 
 
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
@@ -173,19 +174,24 @@ def shadowed_background(drawn: DrawnPing) -> tuple | None:
     return drawn.setup.background, drawn.background.sectors
 
 
-def finish(instrument: Instrument, received: ReceivedPing, report: PingReport) -> Ping:
+def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
     """Assemble a ping of a scene; warn if it has no echo."""
     if report.no_echo is not None:
         warn_caller(report.no_echo)
-    return assemble(instrument, received, report.origin, report.error_estimate)
+    return assemble(run.instrument, received, report.origin, run.world.thread, report.error_estimate)
 
 
 def assemble(
-    instrument: Instrument, received: ReceivedPing, origin: SampleOrigin, error_estimate: float | None = None
+    instrument: Instrument,
+    received: ReceivedPing,
+    origin: SampleOrigin,
+    thread: SecondThread,
+    error_estimate: float | None = None,
 ) -> Ping:
     """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
 
-    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`).
+    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
+    noise.
     """
     setup = received.drawn.setup
     echo = received.direct.with_more(received.multipath).with_more(received.volume)
@@ -227,7 +233,9 @@ def assemble(
         **labels,
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
-    return ping if request.noise is None else add_noise(ping, request.noise, request.seed, request.number)
+    if request.noise is None:
+        return ping
+    return add_noise(ping, request.noise, request.seed, request.number, thread)
 
 
 def with_cross_talk(ping: Ping) -> Ping:

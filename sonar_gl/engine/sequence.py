@@ -273,7 +273,7 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
         if report is None:
             yield _without_echo(run, one.drawn.setup)
         else:
-            yield finish(run.instrument, one, report)
+            yield finish(run, one, report)
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:
@@ -281,7 +281,7 @@ def _sampled(run: Run, setup: PingSetup) -> Ping:
     with run.drawing():
         received = sample(run, setup)
         report = run.report(received)
-    return finish(run.instrument, received, report)
+    return finish(run, received, report)
 
 
 def _without_echo(run: Run, setup: PingSetup) -> Ping:
@@ -290,4 +290,4 @@ def _without_echo(run: Run, setup: PingSetup) -> Ping:
         (drawn,) = draw(run, [setup], run.sampler.resolution)
         received = receive(drawn)
         report = run.report(received)
-    return finish(run.instrument, received, report)
+    return finish(run, received, report)

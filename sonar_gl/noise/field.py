@@ -10,12 +10,13 @@ import numpy as np
 from sonar_gl.acoustics.beam_pattern import taper_series
 from sonar_gl.acoustics.pulse import field_weights
 from sonar_gl.core.errors import Error
+from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.k_distribution import multiply_by_texture
 from sonar_gl.noise.place_locked_speckle import WaveCache, place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference, receiver_levels_db
 from sonar_gl.noise.settings import Noise
-from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle
+from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle, replace_by_look
 from sonar_gl.ping import Ping
 
 SOUND_SPEED_M_S = 1500.0  # in a ping of unknown acoustics
@@ -69,11 +70,14 @@ class FieldNoise:
         sonar beams are independent; without acoustics bins are, and there is no TVG
     noise : Noise
     seed, ping_number : of `random_streams.stream`
+    thread : makes the field of the receiver's noise beside that of the speckle; None makes one after the other
     """
 
-    def __init__(self, ping: Ping, noise: Noise, seed: int, ping_number: int):
+    def __init__(
+        self, ping: Ping, noise: Noise, seed: int, ping_number: int, thread: SecondThread | None = None
+    ):
         self._ping, self._noise, self._seed, self._ping_number = ping, noise, seed, ping_number
-        self._streams = {}
+        self._thread, self._streams = thread, {}
 
     def apply(self, intensity: np.ndarray) -> None:
         """Apply the terms to echoes (B, K) float32, in place.
@@ -136,18 +140,27 @@ class FieldNoise:
             self._multiply_by_speckle(intensity, "speckle", look)
             return
         total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
+        if coherent is not None:
+            total[:, 0] = coherent
         if is_one_field:
             add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
-        elif noise.speckle:
-            np.multiply(np.sqrt(intensity)[:, None], self._place_locked_field("speckle", look), out=total)
-        else:
+        elif not noise.speckle:
             np.sqrt(intensity, out=total[:, 0])
-        if coherent is not None:
-            total[:, 0] += coherent
-        if power is not None and not is_one_field:
-            add_field(total, np.sqrt(power)[None], self._correlation, self._stream("receiver"))
-        np.square(total, out=total)
-        np.add(total[:, 0], total[:, 1], out=intensity)
+        correlation, receiver = self._correlation, self._stream("receiver")
+
+        def make_half(half: int) -> np.ndarray | None:
+            if half and power is not None and not is_one_field:
+                add_field(total, np.sqrt(power)[None], correlation, receiver)
+            is_place_locked = not half and noise.speckle and not is_one_field
+            return self._place_locked_field("speckle", look) if is_place_locked else None
+
+        thread = self._thread
+        field, _ = (make_half(0), make_half(1)) if thread is None else thread.run_halves(make_half)
+        if field is None:
+            np.square(total, out=total)
+            np.add(total[:, 0], total[:, 1], out=intensity)
+        else:
+            replace_by_look(field, total, intensity)
 
     def _multiply_by_speckle(self, intensity, term: str, look: int = 0) -> None:
         """Multiply the intensity, in place, by |g|² of the term's field."""

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.random_streams import check_seed, stream
@@ -14,7 +15,9 @@ from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 
 
-def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) -> Ping:
+def add_noise(
+    ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0, thread: SecondThread | None = None
+) -> Ping:
     """Return the ping with noise, and with a record of it in `meta`.
 
     Parameters
@@ -24,6 +27,7 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
         beams or bins are independent
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
+    thread : does a part of the work beside the caller, with the same bytes
 
     Returns
     -------
@@ -46,7 +50,7 @@ def add_noise(ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0) 
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
     if field_terms:
-        FieldNoise(ping, noise, seed, ping_number).apply(out)
+        FieldNoise(ping, noise, seed, ping_number, thread).apply(out)
     if ringing is not None:
         out += ringing.astype(np.float32)
     if noise.gaussian:

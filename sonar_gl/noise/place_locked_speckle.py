@@ -17,7 +17,9 @@ from sonar_gl.core.worker import held
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
 
-CELL_M = 0.5  # side of the square cells of the sea, each with independent waves
+# Side of the square cells of the sea, each with independent waves. Their middles lie at whole multiples of it, since
+# sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
+CELL_M = 0.5
 FADE_M = 0.1  # width of the cross-fade between two cells
 CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
@@ -45,11 +47,11 @@ class Cell(NamedTuple):
 
 def _cells_at(position_m: float) -> list[Cell]:
     """Return the cell at a position along one axis, or two of them within the cross-fade."""
-    u = position_m / CELL_M - 0.5
+    u = position_m / CELL_M
     cell = int(np.floor(u))
     share = min(max((u - cell - 0.5) * CELL_M / FADE_M + 0.5, 0.0), 1.0)
     both = ((cell, np.cos(share * np.pi / 2)), (cell + 1, np.sin(share * np.pi / 2)))
-    return [Cell(c, position_m - (c + 0.5) * CELL_M, float(w)) for c, w in both if w > 1e-6]
+    return [Cell(c, position_m - c * CELL_M, float(w)) for c, w in both if w > 1e-6]
 
 
 def _shift_weights(

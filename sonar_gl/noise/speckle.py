@@ -195,6 +195,22 @@ def _add(first, odd, even, scale, total):
                 imaginary[k] += weight[k] * (even[b, k + n] - odd[b, k + n])
 
 
+@compiled
+def replace_by_look(field, total, intensity):
+    """Replace echoes E, (B, K) float32, by one look |√E g + t|², in place.
+
+    Parameters
+    ----------
+    field, total : g and t, (B, 2, K) float32, real and imaginary parts
+    """
+    for b in range(uint64(len(intensity))):
+        row, x, y, p, q = intensity[b], field[b, 0], field[b, 1], total[b, 0], total[b, 1]
+        for k in range(uint64(len(row))):
+            amplitude = np.sqrt(row[k])
+            real, imaginary = amplitude * x[k] + p[k], amplitude * y[k] + q[k]
+            row[k] = real * real + imaginary * imaginary
+
+
 def add_field(
     total: np.ndarray,
     amplitude: np.ndarray,
