@@ -397,7 +397,7 @@ def test_it_listens_at_127_0_0_1_only(router, transports):
     assert address == LOOPBACK
     before = listening_ports()
     transports(host="0.0.0.0")  # this machine, by an address that does not say so: it is a client
-    assert listening_ports() == before
+    assert listening_ports() <= before  # servers of tests before this may end meanwhile
 
 
 # ---- routers that come and go -------------------------------------------------------------------------
@@ -478,7 +478,7 @@ def test_a_closed_transport_leaves_nothing(router, transports):
     transport.close()
     transport.close()
     wait_until(lambda: not tokens_of(router))
-    assert listening_ports() == before_ports
+    assert listening_ports() <= before_ports  # servers of tests before this may end meanwhile
     # threads of zenoh that called into Python stay known to it under names of their own
     assert not [one for one in set(threading.enumerate()) - before if one.name.startswith("inbox")]
     for use in (
