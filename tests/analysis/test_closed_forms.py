@@ -125,7 +125,12 @@ def test_point_bins_leave_rings_where_footprints_do_not():
     "echo, mesh, beams",
     [
         # finer than a tenth of a bin: the sagitta of 1 m over 720 sides is 1e-5 m
-        ("sphere", lambda: trimesh.creation.uv_sphere(1.0, count=[360, 720]), (0.25, 3.25, 7.75, 9.25)),
+        pytest.param(
+            "sphere",
+            lambda: trimesh.creation.uv_sphere(1.0, count=[360, 720]),
+            (0.25, 3.25, 7.75, 9.25),
+            marks=pytest.mark.slow,
+        ),
         ("cylinder", lambda: trimesh.creation.cylinder(0.5, 20.0, sections=1440), (0.25, 2.25, 5.25)),
     ],
 )
@@ -218,6 +223,7 @@ def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     assert np.abs(10 * np.log10(measured[bright] / exact[bright])).max() < 1.0
 
 
+@pytest.mark.slow
 def test_the_reference_has_the_first_bottom_return():
     scene, pose, exact = floor_before_a_line_array(RING, 2.0, 0.0)
     truth = sg.reference_ping(scene, RING, pose, LINE_ARRAY, error=0.1).intensity[RING.n_beams // 2]

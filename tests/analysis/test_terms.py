@@ -132,6 +132,7 @@ def test_differences_are_those_of_pings_by_hand():
     assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_mirror_that_coarse_samples_hardly_meet_counts():
     """Two faces of the pylons and the water's surface reflect 1.2 % of the echo; samples for 5 % lose one of them.
 
@@ -176,6 +177,7 @@ def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, 0.0, False)
 
 
+@pytest.mark.slow
 def test_absorption_acts_through_the_noise_that_the_tvg_amplifies():
     """A right TVG cancels absorption in the echo; a TVG of fixed absorption does not."""
     scene = room()

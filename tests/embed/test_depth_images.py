@@ -323,7 +323,7 @@ def test_pixels_without_depth_are_empty(missing):
     assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=0.02)
 
 
-@pytest.mark.parametrize("columns", [400, 800, 1600])
+@pytest.mark.parametrize("columns", [400, *(pytest.param(n, marks=pytest.mark.slow) for n in (800, 1600))])
 def test_a_thin_rod_has_the_echo_of_its_closed_form(columns):
     """The rod is 3 cm thick at 8 m, 0.21 degrees: two, four and eight pixels wide."""
     sonar = sonar_of(n_beams=20)

@@ -46,7 +46,7 @@ def check_same(tilted: sg.Ping, level: sg.Ping, pose) -> None:
     assert tilted.intensity.any() and tilted.meta["sonar"]["tilt_deg"] == 10.0
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
     settings = {"noise": NOISE, "labels": True, "background": ["floor"]}
     with (
