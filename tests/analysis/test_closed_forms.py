@@ -79,9 +79,17 @@ PLANES = {
 }
 
 
-# apart, overlapping, contiguous and narrow
-@pytest.mark.parametrize("beams, fov, width", [(9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)])
-@pytest.mark.parametrize("name", PLANES)
+BEAMS = (9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)  # apart, overlapping, contiguous and narrow
+
+
+@pytest.mark.parametrize(
+    "name, beams, fov, width",
+    [  # each plane in one kind of beams, each kind before several planes
+        pytest.param(name, *kind, marks=() if number % 3 == turn else pytest.mark.slow)
+        for number, name in enumerate(PLANES)
+        for turn, kind in enumerate(BEAMS)
+    ],
+)
 def test_planes(name, beams, fov, width):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
@@ -205,7 +213,7 @@ def first_bottom_return(it, height, exact):
 
 @pytest.mark.parametrize("taper", ["uniform", "hamming"])
 @pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -10.0])
-@pytest.mark.parametrize("height", [1.0, 5.0])
+@pytest.mark.parametrize("height", [pytest.param(1.0, marks=pytest.mark.slow), 5.0])
 def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     """Each bin of the ring within 1 dB, by a tolerance; the closed form has no limit of elevation or level."""
     it = replace(RING, elevation_taper=taper)

@@ -58,6 +58,7 @@ def image_of(ping, acoustics, noise, speckle):
     return ping.intensity + power * acoustics.tvg(SONAR.range_m, SONAR)
 
 
+@pytest.mark.slow
 def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
     scene = room()
     full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)

@@ -73,6 +73,7 @@ def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
         np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.slow
 def test_the_planner_chooses_the_samples_of_the_tilted_head():
     poses = [pose @ TILT for pose in POSES]
     with sg.Simulator(scene(), TILTED) as tilted, sg.Simulator(scene(), LEVEL) as level:
@@ -83,6 +84,7 @@ def test_the_planner_chooses_the_samples_of_the_tilted_head():
     np.testing.assert_array_equal(one.intensity, other.intensity)
 
 
+@pytest.mark.slow
 def test_the_reference_is_that_of_the_tilted_head():
     bodies = sg.Scene(scene().bodies)
     settings = {"acoustics": sg.Acoustics.physical(bubbles=False), "error": 0.3, "max_rays": 1_000_000}

@@ -218,9 +218,9 @@ def transforms(n):
     ("msgtype", "message"),
     [
         (PROJECTED, projected_image(3, n_beams=32, n_bins=65)),
-        (PROJECTED, projected_image(4, n_beams=1, n_bins=1)),
+        pytest.param(PROJECTED, projected_image(4, n_beams=1, n_bins=1), marks=pytest.mark.slow),
         ("tf2_msgs/msg/TFMessage", transforms(5)),
-        ("tf2_msgs/msg/TFMessage", transforms(0)),
+        pytest.param("tf2_msgs/msg/TFMessage", transforms(0), marks=pytest.mark.slow),
         ("std_msgs/msg/Header", header(12, "Fächer, in UTF-8")),
     ],
     ids=["projected", "one_bin", "transforms", "no_transform", "text"],
