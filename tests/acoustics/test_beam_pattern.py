@@ -194,7 +194,10 @@ def room():
     "settings",
     [
         {"elevation_pattern": "line_array", "transmit_width_deg": 25.0},
-        {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+        pytest.param(
+            {"elevation_pattern": "gaussian", "beam_pattern": "box", "transmit_width_deg": 25.0},
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             {"receive_taper": "taylor", "steered": "straight", "azimuth_fov_deg": 130.0},
             marks=pytest.mark.slow,

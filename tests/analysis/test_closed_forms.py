@@ -79,9 +79,17 @@ PLANES = {
 }
 
 
-# apart, overlapping, contiguous and narrow
-@pytest.mark.parametrize("beams, fov, width", [(9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)])
-@pytest.mark.parametrize("name", PLANES)
+BEAMS = (9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)  # apart, overlapping, contiguous and narrow
+
+
+@pytest.mark.parametrize(
+    "name, beams, fov, width",
+    [  # each plane in one kind of beams, each kind before several planes
+        pytest.param(name, *kind, marks=() if number % 3 == turn else pytest.mark.slow)
+        for number, name in enumerate(PLANES)
+        for turn, kind in enumerate(BEAMS)
+    ],
+)
 def test_planes(name, beams, fov, width):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
@@ -125,7 +133,12 @@ def test_point_bins_leave_rings_where_footprints_do_not():
     "echo, mesh, beams",
     [
         # finer than a tenth of a bin: the sagitta of 1 m over 720 sides is 1e-5 m
-        ("sphere", lambda: trimesh.creation.uv_sphere(1.0, count=[360, 720]), (0.25, 3.25, 7.75, 9.25)),
+        pytest.param(
+            "sphere",
+            lambda: trimesh.creation.uv_sphere(1.0, count=[360, 720]),
+            (0.25, 3.25, 7.75, 9.25),
+            marks=pytest.mark.slow,
+        ),
         ("cylinder", lambda: trimesh.creation.cylinder(0.5, 20.0, sections=1440), (0.25, 2.25, 5.25)),
     ],
 )
@@ -200,7 +213,7 @@ def first_bottom_return(it, height, exact):
 
 @pytest.mark.parametrize("taper", ["uniform", "hamming"])
 @pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -10.0])
-@pytest.mark.parametrize("height", [1.0, 5.0])
+@pytest.mark.parametrize("height", [pytest.param(1.0, marks=pytest.mark.slow), 5.0])
 def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     """Each bin of the ring within 1 dB, by a tolerance; the closed form has no limit of elevation or level."""
     it = replace(RING, elevation_taper=taper)
@@ -218,6 +231,7 @@ def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     assert np.abs(10 * np.log10(measured[bright] / exact[bright])).max() < 1.0
 
 
+@pytest.mark.slow
 def test_the_reference_has_the_first_bottom_return():
     scene, pose, exact = floor_before_a_line_array(RING, 2.0, 0.0)
     truth = sg.reference_ping(scene, RING, pose, LINE_ARRAY, error=0.1).intensity[RING.n_beams // 2]

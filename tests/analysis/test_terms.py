@@ -58,6 +58,7 @@ def image_of(ping, acoustics, noise, speckle):
     return ping.intensity + power * acoustics.tvg(SONAR.range_m, SONAR)
 
 
+@pytest.mark.slow
 def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
     scene = room()
     full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
@@ -132,6 +133,7 @@ def test_differences_are_those_of_pings_by_hand():
     assert found["speckle"].changes == pytest.approx(2 / np.e, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_mirror_that_coarse_samples_hardly_meet_counts():
     """Two faces of the pylons and the water's surface reflect 1.2 % of the echo; samples for 5 % lose one of them.
 
@@ -176,6 +178,7 @@ def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, 0.0, False)
 
 
+@pytest.mark.slow
 def test_absorption_acts_through_the_noise_that_the_tvg_amplifies():
     """A right TVG cancels absorption in the echo; a TVG of fixed absorption does not."""
     scene = room()

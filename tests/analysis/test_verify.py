@@ -259,6 +259,7 @@ def test_without_embree_the_error_says_what_to_install(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_that_rays_are_being_cast():
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "sonar_gl", "verify", "tank.sdf", "--sonar", "small.toml",

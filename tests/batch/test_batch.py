@@ -140,6 +140,7 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+@pytest.mark.slow
 def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     write_job(tmp_path)
     text = (tmp_path / "job.toml").read_text()
@@ -509,6 +510,7 @@ surface_z_m = 0.2
 """
 
 
+@pytest.mark.slow
 def test_a_job_leaves_bodies_out_and_sets_the_surface(tmp_path):
     path = write_plain_job(tmp_path, 2, 2, "[arrays]\nmantissa_bits = 23\n")
     text = path.read_text().replace('[noise]\npreset = "physical"', 'multipath = "incoherent"')

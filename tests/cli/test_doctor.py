@@ -33,6 +33,13 @@ def well():
     return {finding.what: finding for finding in examine()}
 
 
+@pytest.fixture
+def nothing_to_compile(monkeypatch):
+    """To compile everything, or to find that it is, takes seconds; `well` has done it."""
+    done = warm_up.Compilation(300, 0, 0.0)
+    monkeypatch.setattr(warm_up, "compile_everything", lambda *_: done)
+
+
 def test_all_is_well_where_these_tests_run(well):
     assert not [finding for finding in well.values() if finding.ok is False]
     assert all(finding.detail for finding in well.values())
@@ -121,7 +128,7 @@ def no_egl(monkeypatch):
     egl.library.cache_clear()
 
 
-def test_no_opengl_leaves_pings_to_the_cpu(monkeypatch, no_egl):
+def test_no_opengl_leaves_pings_to_the_cpu(monkeypatch, no_egl, nothing_to_compile):
     monkeypatch.setattr(doctor, "PACKAGES", ())
     monkeypatch.setenv("SONAR_GL_ENGINE", "auto")
     result = CliRunner().invoke(cli.main, ["doctor"])
@@ -157,7 +164,7 @@ def test_command_is_quiet_about_cures_when_all_is_well(monkeypatch, well):
     assert "driver draws wrongly" not in result.output
 
 
-def test_missing_folder_is_told(monkeypatch):
+def test_missing_folder_is_told(monkeypatch, nothing_to_compile):
     def none(*_):
         raise Error("the folder is nowhere")
 
@@ -181,7 +188,7 @@ def test_what_is_compiled_once_is_read_from_disk(well):
     assert warm_up.compile_everything().n_compiled == 0
 
 
-def test_cache_that_cannot_be_kept_is_told(monkeypatch, well):
+def test_cache_that_cannot_be_kept_is_told(monkeypatch, nothing_to_compile):
     monkeypatch.setattr(system_checks.os, "access", lambda *_: False)
     ok, detail, cure = system_checks.check_compiled_functions()
     assert ok is None and "; cannot be kept in " in detail and "NUMBA_CACHE_DIR" in cure
@@ -312,7 +319,7 @@ def test_a_device_that_does_not_work_names_those_that_do(several):
     )
 
 
-def test_doctor_lists_devices_and_which_is_used(several, monkeypatch):
+def test_doctor_lists_devices_and_which_is_used(several, monkeypatch, nothing_to_compile):
     monkeypatch.setenv("SONAR_GL_DEVICE", "1")
     ok, detail, _ = system_checks.check_egl()
     assert ok and detail == (

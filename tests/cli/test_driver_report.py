@@ -63,7 +63,7 @@ def test_a_report_that_cannot_be_written(monkeypatch, tmp_path):
     assert result.exit_code == 2 and "does not exist" in result.output
 
 
-@pytest.mark.parametrize("units", [8, 256])
+@pytest.mark.parametrize("units", [8, pytest.param(256, marks=pytest.mark.slow)])
 def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path, opengl_engine):
     """Of some thousand samples one has nearly the greatest noise, and a difference of two nearly twice that.
 

@@ -195,6 +195,7 @@ def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
     assert plan("--tolerance", 0.0015)["met"] is False  # and status 1
 
 
+@pytest.mark.slow
 def test_where_half_of_it_is_out_of_reach_the_table_says_so(monkeypatch):
     fine = "--tolerance", 0.004
     monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", plan(*fine)["level"])

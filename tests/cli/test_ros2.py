@@ -236,6 +236,7 @@ def test_an_empty_file_changes_nothing(tmp_path):
 WAIT_S = 120.0  # a machine that tests run on may be slow, and compile kernels first
 
 
+@pytest.mark.slow
 def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
     """As with a simulator beside it: this process sends /clock and odometry, the command publishes pings."""
     pytest.importorskip("cyclonedds")

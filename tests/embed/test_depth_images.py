@@ -154,7 +154,7 @@ def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoust
     assert (ping.pose == pose).all()
 
 
-@pytest.mark.parametrize("with_normals", [True, False])
+@pytest.mark.parametrize("with_normals", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_error_falls_with_the_resolution(truth, with_normals):
     sonar, errors = sonar_of(), []
     for columns in (120, 240, 480, 960):
@@ -323,7 +323,7 @@ def test_pixels_without_depth_are_empty(missing):
     assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=0.02)
 
 
-@pytest.mark.parametrize("columns", [400, 800, 1600])
+@pytest.mark.parametrize("columns", [400, *(pytest.param(n, marks=pytest.mark.slow) for n in (800, 1600))])
 def test_a_thin_rod_has_the_echo_of_its_closed_form(columns):
     """The rod is 3 cm thick at 8 m, 0.21 degrees: two, four and eight pixels wide."""
     sonar = sonar_of(n_beams=20)
@@ -698,6 +698,7 @@ def ping_in_fork(parent_intensity, depth, camera, sensor):
     return reply
 
 
+@pytest.mark.slow
 def test_many_camera_rigs_do_not_leak_threads():
     """A sensor caches the last few rigs: their number bounds the threads, and closing ends all threads."""
     sonar = sonar_of()

@@ -80,8 +80,17 @@ def draw(host, sensor, pose=POSE, lobes=True):
             host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes)
 
 
-@pytest.mark.parametrize("profile", ["ideal", "physical"])
-@pytest.mark.parametrize("fov_deg", [60.0, 130.0, 360.0])
+@pytest.mark.parametrize(
+    ("profile", "fov_deg"),
+    [
+        ("ideal", 60.0),
+        ("physical", 130.0),
+        ("physical", 360.0),
+        pytest.param("physical", 60.0, marks=pytest.mark.slow),
+        pytest.param("ideal", 130.0, marks=pytest.mark.slow),
+        pytest.param("ideal", 360.0, marks=pytest.mark.slow),
+    ],
+)
 def test_host_drawn_sectors_give_the_simulator_s_ping(profile, fov_deg):
     scene, acoustics = scene_of(), getattr(sg.Acoustics, profile)()
     sonar = sg.Sonar("wide", 900e3, 128, 256, fov_deg, 20.0, 1.0, 0.5, 20.0)
@@ -245,7 +254,7 @@ def test_textures_of_the_sectors_give_the_simulator_s_ping(holds, limit):
 
 
 @pytest.mark.parametrize("normals", [True, False])
-@pytest.mark.parametrize("aside_rad", [0.0, 0.2])
+@pytest.mark.parametrize("aside_rad", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_textures_of_other_projections_give_nearly_the_same_ping(normals, aside_rad):
     scene = plain_scene()
     host, true = gl_host.Program(scene), simulate(scene, sampling=sg.Sampling(16, 400))

@@ -98,6 +98,7 @@ def peak_levels_db(noise, scene, quiet=None) -> tuple[np.ndarray, float]:
     return 10 * np.log10(np.array(pings, np.float64)), 1 - whole.coherent[at] / whole.intensity[at]
 
 
+@pytest.mark.slow
 def test_a_plate_face_on_is_steady():
     """Noise 30 dB below the plate: √2N of the amplitude, 0.19 dB; all of it speckled would vary by 5.6 dB.
 
@@ -114,7 +115,9 @@ def test_a_plate_face_on_is_steady():
     assert levels_db.std() == pytest.approx(10 / np.log(10) * np.sqrt(2e-3), rel=SIGMAS * 0.05)
 
 
-@pytest.mark.parametrize(("diffuse", "below_db"), [(None, None), (0.002, 0.5)])
+@pytest.mark.parametrize(
+    ("diffuse", "below_db"), [pytest.param(None, None, marks=pytest.mark.slow), (0.002, 0.5)]
+)
 def test_a_plate_speckles_as_its_roughness_tells(diffuse, below_db):
     """With new speckle in each ping: √(2 D/C) of the amplitude, D the diffuse part. Steel's is 19 dB below its lobe."""
     plate = (

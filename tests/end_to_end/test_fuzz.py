@@ -167,7 +167,7 @@ def test_any_tolerance(sonar, thing, pose, tolerance):
 any_value = st.one_of(odd_numbers, st.integers(-5, 10**6), st.text(max_size=5), st.none(), st.booleans())
 
 
-@settings(FUZZ, max_examples=200)
+@FUZZ
 @given(
     columns=any_value, rows=any_value, reducer=st.one_of(st.sampled_from(["point", "footprint"]), any_value)
 )

@@ -130,6 +130,7 @@ def floor_and_plate():
     return sg.Scene(bodies, sg.pose(z=HEIGHT))
 
 
+@pytest.mark.slow
 def test_slices_are_exact_on_a_plate_and_in_its_shadow():
     scene, top = floor_and_plate(), math.radians(SMALL.elevation_fov_deg) / 2
     want = box_beams(

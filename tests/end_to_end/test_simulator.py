@@ -573,6 +573,7 @@ print(make_in_fork())
 """
 
 
+@pytest.mark.slow
 def test_a_process_forked_after_a_context_was_made_makes_no_other(opengl_engine):
     """It would hang: the driver's threads are the parent's. One forked before makes its own."""
     run = subprocess.run(

@@ -46,7 +46,7 @@ def check_same(tilted: sg.Ping, level: sg.Ping, pose) -> None:
     assert tilted.intensity.any() and tilted.meta["sonar"]["tilt_deg"] == 10.0
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
     settings = {"noise": NOISE, "labels": True, "background": ["floor"]}
     with (
@@ -73,6 +73,7 @@ def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
         np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.slow
 def test_the_planner_chooses_the_samples_of_the_tilted_head():
     poses = [pose @ TILT for pose in POSES]
     with sg.Simulator(scene(), TILTED) as tilted, sg.Simulator(scene(), LEVEL) as level:
@@ -83,6 +84,7 @@ def test_the_planner_chooses_the_samples_of_the_tilted_head():
     np.testing.assert_array_equal(one.intensity, other.intensity)
 
 
+@pytest.mark.slow
 def test_the_reference_is_that_of_the_tilted_head():
     bodies = sg.Scene(scene().bodies)
     settings = {"acoustics": sg.Acoustics.physical(bubbles=False), "error": 0.3, "max_rays": 1_000_000}

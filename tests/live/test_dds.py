@@ -218,9 +218,9 @@ def transforms(n):
     ("msgtype", "message"),
     [
         (PROJECTED, projected_image(3, n_beams=32, n_bins=65)),
-        (PROJECTED, projected_image(4, n_beams=1, n_bins=1)),
+        pytest.param(PROJECTED, projected_image(4, n_beams=1, n_bins=1), marks=pytest.mark.slow),
         ("tf2_msgs/msg/TFMessage", transforms(5)),
-        ("tf2_msgs/msg/TFMessage", transforms(0)),
+        pytest.param("tf2_msgs/msg/TFMessage", transforms(0), marks=pytest.mark.slow),
         ("std_msgs/msg/Header", header(12, "Fächer, in UTF-8")),
     ],
     ids=["projected", "one_bin", "transforms", "no_transform", "text"],
@@ -234,24 +234,25 @@ def test_every_field_arrives_in_another_process(open_transport, domain, name, ms
     assert fields == plain(message)
 
 
+@pytest.mark.parametrize("count", [16, pytest.param(50, marks=pytest.mark.slow)])
 def test_whole_pings_arrive_at_another_vendor_byte_for_byte(
-    open_transport, domain, name, fast_dds_peer, tmp_path
+    open_transport, domain, name, fast_dds_peer, tmp_path, count
 ):
     topic, transport, path = topic_of(name, PROJECTED, depth=100), open_transport(), tmp_path / "messages"
     pings = [projected_image(number) for number in range(4)]
     sent = [message_types().encode(ping) for ping in pings]
-    arguments = "read", domain, f"rt{name}", dds_name(PROJECTED), int(WAIT_S), path, 50
+    arguments = "read", domain, f"rt{name}", dds_name(PROJECTED), int(WAIT_S), path, count
     with process(fast_dds_peer, *map(str, arguments)) as peer:
         number = 0
         while peer.poll() is None:
             transport.publish(topic, sent[number % len(sent)], 0)
             number += 1
             time.sleep(0.05)
-        assert peer.stdout.read() == "50\n"
+        assert peer.stdout.read() == f"{count}\n"
     arrived = messages_of(path)
     # the reader was there from some message on, and lost none since
     first = arrived.index(received(sent[0]))
-    assert arrived[first:] == [received(sent[number % len(sent)]) for number in range(50 - first)]
+    assert arrived[first:] == [received(sent[number % len(sent)]) for number in range(count - first)]
     assert [plain(decode(topic, message)) for message in arrived[first : first + 4]] == [
         plain(p) for p in pings
     ]
@@ -328,6 +329,7 @@ def test_a_subscription_is_withdrawn(open_transport, participant, name):
     withdraw()
 
 
+@pytest.mark.slow
 def test_three_seconds_at_twenty_hertz_lose_nothing():
     found = soak("dds", 3.0, 20.0)
     received = found.received
@@ -486,6 +488,7 @@ def test_a_writer_that_dies_and_returns_is_read_again(open_transport, domain, na
     assert arrived == [header_bytes(1), header_bytes(2)] * 2
 
 
+@pytest.mark.slow
 def test_a_reader_that_stalls_stalls_nobody(open_transport, domain, name):
     """A stopped program confirms nothing, and gets the last messages when it goes on."""
     topic, transport = topic_of(name, PROJECTED, depth=20), open_transport()

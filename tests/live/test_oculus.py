@@ -234,12 +234,13 @@ def test_result_of_odd_sizes_fits_its_header():
     assert np.frombuffer(message, "<i2", 2, 122).tolist() == [-573, 573]
 
 
-def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connection):
-    """100 000 packets: random bytes, headers of any length, fire messages of random numbers."""
+@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connection, count):
+    """Packets of random bytes, headers of any length, fire messages of random numbers."""
     rng = random.Random(0)
     result_of(connection, fire_bytes(range_m=2.0))
     sent = 0
-    while sent < 100_000:
+    while sent < count:
         with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
             kind = rng.randrange(3)
             try:

@@ -317,6 +317,7 @@ def test_closing_a_session_finishes_its_recording(scene, tmp_path):
 # ---- job files -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     pytest.importorskip("pydantic", reason="batches need the extra batch")
     session.change(water=sg.Water(temperature_c=4.0), noise="physical,looks=2")

@@ -193,6 +193,7 @@ def test_a_click_marks_the_surface_of_the_bin(viewer):
     assert distances.max() - distances.min() < 3 * bin_m  # a bin, and a footprint on either side
 
 
+@pytest.mark.slow
 def test_a_selected_body_stands_out(viewer):
     select = control(viewer.tab, "selected")
     viewer.tab.get_by_text("Bodies", exact=True).click()
@@ -224,6 +225,7 @@ def on_canvas(viewer, point):
     )
 
 
+@pytest.mark.slow
 def test_the_gizmo_drags_the_sonar(viewer):
     session, mouse = viewer.session, viewer.tab.mouse
     start = session.pose
@@ -243,6 +245,7 @@ def test_the_gizmo_drags_the_sonar(viewer):
     )  # along its axis; messages have float32
 
 
+@pytest.mark.slow
 def test_files_are_written_into_the_folder(viewer):
     tab, folder = viewer.tab, viewer.folder
     tab.get_by_role("button", name="Record", exact=True).click()
@@ -257,6 +260,7 @@ def test_files_are_written_into_the_folder(viewer):
     tab.get_by_text("Pose added").wait_for(timeout=1000 * WAIT_S)
 
 
+@pytest.mark.slow
 def test_the_command_line_can_be_copied(viewer):
     viewer.tab.get_by_role("button", name="Command line").click()
     field = viewer.tab.locator("textarea:visible").first
@@ -282,6 +286,7 @@ def test_what_fails_is_told_and_the_page_goes_on(viewer):
     new_pictures(viewer.tab)
 
 
+@pytest.mark.slow
 def test_a_browser_that_closes_stops_no_other(viewer):
     second = viewer.browser.new_page(viewport=SIZE)
     second.add_init_script(COUNT_PICTURES)
@@ -293,6 +298,7 @@ def test_a_browser_that_closes_stops_no_other(viewer):
     new_pictures(viewer.tab)
 
 
+@pytest.mark.slow
 def test_the_camera_carries_the_sonar(viewer):
     session, tab = viewer.session, viewer.tab
     mover = control(tab, "moved by")

@@ -397,14 +397,14 @@ def test_it_listens_at_127_0_0_1_only(router, transports):
     assert address == LOOPBACK
     before = listening_ports()
     transports(host="0.0.0.0")  # this machine, by an address that does not say so: it is a client
-    assert listening_ports() == before
+    assert listening_ports() <= before  # servers of tests before this may end meanwhile
 
 
 # ---- routers that come and go -------------------------------------------------------------------------
 
 
 # by 0.0.0.0 the transport reaches this machine as if it were another one: it is a client, and all goes by the router
-@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+@pytest.mark.parametrize("host", ["127.0.0.1", pytest.param("0.0.0.0", marks=pytest.mark.slow)])
 def test_a_router_that_disappears_and_returns(port, transports, host):
     topic, received, fixed = image_topic(), [], []
     latched = topic_of("/tf_static", "tf2_msgs/msg/TFMessage", latched=True, depth=1)
@@ -478,7 +478,7 @@ def test_a_closed_transport_leaves_nothing(router, transports):
     transport.close()
     transport.close()
     wait_until(lambda: not tokens_of(router))
-    assert listening_ports() == before_ports
+    assert listening_ports() <= before_ports  # servers of tests before this may end meanwhile
     # threads of zenoh that called into Python stay known to it under names of their own
     assert not [one for one in set(threading.enumerate()) - before if one.name.startswith("inbox")]
     for use in (
@@ -490,12 +490,22 @@ def test_a_closed_transport_leaves_nothing(router, transports):
             use()
 
 
+def test_two_seconds_at_twenty_hertz_lose_nothing():
+    check_soak(soak("zenoh", 2.0, 20.0), 5, 40)
+
+
+@pytest.mark.slow
 def test_ten_seconds_at_twenty_hertz_lose_nothing_and_keep_nothing():
     found = soak("zenoh", 10.0, 20.0)
-    received = found.received
-    assert 100 < found.sent <= 200  # less where the machine is busy: what is late is left out
-    assert (received.count, found.lost) == (found.sent, 0)
-    assert (received.damaged, received.disordered, received.dropped) == (0, 0, 0)
+    check_soak(found, 100, 200)
     # Half of what memory would grow by if each message stayed. In ten seconds buffers still fill: an eighth was seen.
     half = 0.5 * found.message_bytes * 20.0 * 60.0
-    assert found.growth < half and received.growth < half
+    assert found.growth < half and found.received.growth < half
+
+
+def check_soak(found, least, most):
+    """All that was sent has arrived whole and in order."""
+    received = found.received
+    assert least < found.sent <= most  # less where the machine is busy: what is late is left out
+    assert (received.count, found.lost) == (found.sent, 0)
+    assert (received.damaged, received.disordered, received.dropped) == (0, 0, 0)

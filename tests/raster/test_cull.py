@@ -369,6 +369,7 @@ def old_hills():
     return terrain(np.random.default_rng(0), 60.0, 6.0, 30)
 
 
+@pytest.mark.slow
 def test_a_driver_of_opengl_3_3_gives_the_same_ping(tmp_path, opengl_engine):
     """Mesa offers version 3.3 in a separate process."""
     bodies = small_scene(old_hills())

@@ -111,6 +111,7 @@ def both_engines(scene, sonar, pose, sampling=SAMPLING):
     return [draw_sectors(scene, sonar, pose, engine, sampling) for engine in ("cpu", "opengl")]
 
 
+@pytest.mark.slow
 def test_random_worlds():
     """Every second world is rolled."""
     found = []

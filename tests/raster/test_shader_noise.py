@@ -32,7 +32,8 @@ def labelled_ping(name, sampling, folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name, sampling", [("pylon", sg.Sampling(0.6, 68)), ("diver", sg.Sampling(1.2, 136))]
+    "name, sampling",
+    [("pylon", sg.Sampling(0.6, 68)), pytest.param("diver", sg.Sampling(1.2, 136), marks=pytest.mark.slow)],
 )
 def test_noise_of_8_units_in_the_last_place_leaves_echo_and_labels(tmp_path, monkeypatch, name, sampling):
     folders = data_folder("shaders"), noisy_shaders(tmp_path, ULPS)

@@ -42,7 +42,9 @@ def check_same(in_window, in_full, n_outside):
     assert (~same).sum() <= 1 + 0.002 * (in_full[:, 0] > 0).sum()
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize(
+    "seed", [*range(10), *(pytest.param(n, marks=pytest.mark.slow) for n in range(10, 30))]
+)
 def test_a_window_has_the_samples_of_the_full_sector(seed):
     scene, sonar, pose = random_world(seed)
     *hits, _ = draw_window(scene, sonar, pose, sg.Sampling(1, 100))

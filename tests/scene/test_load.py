@@ -311,6 +311,7 @@ def test_bodies_of_files_make_a_trimesh_when_mesh_is_first_read():
     np.testing.assert_allclose(body.surface.vertices, vertices + np.array([1.0, 0.0, 0.0]))
 
 
+@pytest.mark.slow
 def test_a_command_loads_neither_trimesh_nor_scipys_algebra(tmp_path):
     """They would add half a second and 60 MB to `sonar-gl render pylon`."""
     code = f"""
