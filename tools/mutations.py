@@ -431,8 +431,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/body out of the fan",
-        "(np.abs(elevation) - half_angle < math.radians(sonar.elevation_fov_deg) / 2)",
-        "(np.abs(elevation) + half_angle < math.radians(sonar.elevation_fov_deg) / 2)",
+        "(np.abs(elevation) - half_angle < reception.max_elevation_rad)",
+        "(np.abs(elevation) + half_angle < reception.max_elevation_rad)",
         ADAPTIVE,
         (
             (

@@ -19,7 +19,7 @@ from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import BodyCounts, BodyExtents, count_bodies, is_unobstructed
+from sonar_gl.engine.visibility import BodyCounts, BodyExtents, Reception, count_bodies, is_unobstructed
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
     ERROR_RATE,
@@ -186,13 +186,12 @@ class ErrorModel:
         if whole <= 0:
             steps = 0.0  # nothing to judge by, and coarser samples would tell no more
         # A body's own echo: by the samples that met it, and by how the two lattices differ. The echo of a body that
-        # few met is not known: it counts if it could be strong, unless it is hidden.
-        angle = self._extents.solid_angle(state, pose, self._true_range_sonar, self._reach_rad)
-        strength = angle * self._extents.reflectivity
+        # few met is not known: it counts if it could be strong where it lies, unless it is hidden.
         counts = echo > MIN_ECHO_SHARE * total
-        for body in np.flatnonzero(
-            ~counts & (hits < MIN_BODY_SAMPLES) & (strength * self._gain.max() > MIN_ECHO_SHARE * total)
-        ):
+        could_count = (
+            self._extents.greatest_echo(state, pose, self._reception(tried)) > MIN_ECHO_SHARE * total
+        )
+        for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
             one = bodies[body - 1], state.poses[body - 1]
             counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar)
         factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
@@ -208,6 +207,16 @@ class ErrorModel:
         stage, worst = tried.stage, worst if counts.any() else 0
         plan = Plan(stage.sampling, level, error, worst_error, worst, steps <= 0, stage.fan.n_samples)
         return Judgement(plan, steps)
+
+    def _reception(self, tried: TriedView) -> Reception:
+        beamformer = tried.stage.beamformer
+        return Reception(
+            self._true_range_sonar,
+            self._reach_rad,
+            beamformer.fan.max_elevation_rad,
+            self._gain,
+            beamformer.elevation_table,
+        )
 
 
 def _share_of_difference(coarser: float, rate: float) -> float:

@@ -19,6 +19,38 @@ VERTICES = 64  # of a body, about, are compared with the samples
 IN_FRONT = 1.01  # 1/x over that of the sample there: a vertex at the foot of a body is as near as the floor
 
 
+class Reception(NamedTuple):
+    """How strongly a sonar receives an echo, by its range and its elevation.
+
+    Attributes
+    ----------
+    sonar : with true ranges
+    reach_rad : how far beyond their axes the outermost beams receive
+    max_elevation_rad : beyond which nothing is received, side lobes included
+    gain : (K,) of the bins
+    elevation_table : of `Beamformer`
+    """
+
+    sonar: Sonar
+    reach_rad: float
+    max_elevation_rad: float
+    gain: np.ndarray
+    elevation_table: np.ndarray
+
+    def greatest_gain(self, nearest_m, farthest_m) -> np.ndarray:
+        """Return the greatest gain between ranges, (n,) metres, of which a part lies in the bins."""
+        bins = (np.stack([nearest_m, farthest_m]) - self.sonar.range_min_m) / self.sonar.bin_size_m
+        return _greatest(self.gain, *np.floor(bins))
+
+    def greatest_pattern(self, low_sine, high_sine) -> np.ndarray:
+        """Return the greatest two-way elevation pattern between sines of elevation, (n,)."""
+        if not len(self.elevation_table):
+            return np.ones(len(low_sine))
+        per_sine = (len(self.elevation_table) - 1) / 2
+        low, high = per_sine + per_sine * low_sine, per_sine + per_sine * high_sine
+        return _greatest(self.elevation_table, np.floor(low), np.ceil(high))
+
+
 class BodyCounts(NamedTuple):
     """What each body contributes to a ping, by number, 0 for none: (bodies + 1,) float64 arrays.
 
@@ -99,12 +131,28 @@ def is_unobstructed(samples: Sequence[SectorSamples], body, body_pose, pose, son
     return False
 
 
-def _bounds(surface) -> np.ndarray:
-    """Return (2, 3) least and largest coordinates of the vertices that faces use."""
+def _greatest(values, first, last) -> np.ndarray:
+    """Return the greatest of some values within each span of places, (n,), both ends included."""
+    first, last = (np.clip(places, 0, len(values) - 1).astype(np.int64) for places in (first, last))
+    ends = np.stack([first, last + 1], axis=1).ravel()
+    # a span may end with the last value: `reduceat` takes no end beyond it
+    return np.maximum.reduceat(np.append(values, values[-1]), ends)[::2]
+
+
+class _Sphere(NamedTuple):
+    """A sphere about a surface, in the frame of its body."""
+
+    centre: np.ndarray
+    radius_m: float
+
+
+def _sphere_about(surface) -> _Sphere:
+    """Return a sphere about the vertices that faces use, around the middle of their box."""
     used = np.zeros(len(surface.vertices), bool)
     used[np.asarray(surface.faces)] = True
     vertices = np.asarray(surface.vertices, np.float64)[used]
-    return np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return _Sphere(centre, float(np.linalg.norm(vertices - centre, axis=1).max()))
 
 
 def _area_m2(surface) -> float:
@@ -128,9 +176,9 @@ class BodyExtents:
     def __init__(self, bodies, specular: bool = False):
         self.n_bodies = len(bodies)
         surfaces = [body.surface for body in bodies]
-        bounds = np.array([_bounds(surface) for surface in surfaces]).reshape(-1, 2, 3)
-        self._centres = bounds.mean(axis=1)
-        self._radii_m = np.linalg.norm(np.ptp(bounds, axis=1), axis=1) / 2
+        spheres = [_sphere_about(surface) for surface in surfaces]
+        self._centres = np.array([sphere.centre for sphere in spheres]).reshape(-1, 3)
+        self._radii_m = np.array([sphere.radius_m for sphere in spheres])
         lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
         self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
         self.reflectivity[1:] += lobes
@@ -140,31 +188,35 @@ class BodyExtents:
             [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces],
         )
 
-    def solid_angle(self, state: SceneState, pose, sonar: Sonar, reach_rad: float) -> np.ndarray:
-        """Return (bodies + 1,) steradians that each body may fill; 0 where its sphere lies outside the fan.
+    def greatest_echo(self, state: SceneState, pose, reception: Reception) -> np.ndarray:
+        """Return (bodies + 1,) the most that each body may add to `BodyCounts.echo`; 0 where its sphere is not in view.
 
-        Parameters
-        ----------
-        sonar : with true ranges
-        reach_rad : how far beyond their axes the outermost beams receive
+        The largest gain and elevation pattern within its sphere weigh all of the solid angle that it may fill.
         """
         out = np.zeros(self.n_bodies + 1)
         if not self.n_bodies:
             return out
+        sonar = reception.sonar
         centres = np.einsum("nij,nj->ni", state.poses[:, :3, :3], self._centres) + state.poses[:, :3, 3]
         x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
         distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
-        half_angle = np.arcsin(np.minimum(self._radii_m / distance, 1.0))
+        sine = np.minimum(self._radii_m / distance, 1.0)  # of half the angle that the sphere fills
+        half_angle = np.where(sine < 1.0, np.arcsin(sine), np.pi)  # the sonar inside it: all directions
         elevation = np.arcsin(z / distance)
-        half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reach_rad
-        beside = half_angle / np.maximum(np.cos(elevation), 1e-9)
+        low, high = elevation - half_angle, elevation + half_angle
+        half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+        cosine = np.cos(elevation)
+        beside = np.where(sine < cosine, np.arcsin(np.minimum(sine / np.maximum(cosine, 1e-9), 1.0)), np.pi)
+        nearest, farthest = distance - self._radii_m, distance + self._radii_m
         inside = (
             state.present
-            & (distance - self._radii_m < sonar.range_max_m)
-            & (distance + self._radii_m > sonar.range_min_m)
-            & (np.abs(elevation) - half_angle < math.radians(sonar.elevation_fov_deg) / 2)
+            & (nearest < sonar.range_max_m)
+            & (farthest > sonar.range_min_m)
+            & (np.abs(elevation) - half_angle < reception.max_elevation_rad)
             & (np.abs(np.arctan2(y, x)) - beside < half_azimuth)
         )
-        nearest = np.maximum(distance - self._radii_m, distance / 2)
-        out[1:] = np.where(inside, np.minimum(self._area_m2 / nearest**2, 4 * np.pi), 0.0)
+        angle = np.minimum(self._area_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
+        sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))
+        weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
+        out[1:] = np.where(inside, angle * weight, 0.0) * self.reflectivity[1:]
         return out

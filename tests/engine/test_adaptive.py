@@ -12,11 +12,13 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.engine import error_model
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
-from sonar_gl.engine.visibility import BodyExtents, count_bodies
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import SectorSamples
-from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at
+from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 
 SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
@@ -24,6 +26,11 @@ IDEAL = sg.Acoustics.ideal()
 
 def ball(x=8.0, radius=1.0, name="ball", **more):
     return sg.Body(name, trimesh.creation.icosphere(4, radius), sg.pose(x), **more)
+
+
+def make_alone(simulator, pose):
+    """Return a ping whose samples are chosen from it alone, whatever was made before."""
+    return make_ping(simulator.run, PingRequest(pose, alone=True))
 
 
 def level(simulator):
@@ -254,8 +261,8 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
-    """The sphere about a ball of 1 m at 10 m fills 5.7 degrees to each side, and that about its box 10."""
-    radius = math.sqrt(3.0)  # of the sphere about its box
+    """The sphere about a ball of 1 m at 10 m fills 5.7 degrees to each side."""
+    radius = 1.0
     half = math.degrees(math.asin(radius / 10))
     state = SceneState(np.eye(4)[None], np.ones(1, bool))
 
@@ -264,10 +271,11 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
         place = range_m * np.array(
             [math.cos(phi) * math.cos(psi), math.cos(phi) * math.sin(psi), math.sin(phi)]
         )
-        ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(*place))
-        extents = BodyExtents([ball])
+        ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(*place), 1.0)
         placed = replace(state, poses=ball.pose[None])
-        return extents.solid_angle(placed, np.eye(4), SONAR, math.radians(reach_deg))[1]
+        top_rad = math.radians(SONAR.elevation_fov_deg) / 2
+        even = Reception(SONAR, math.radians(reach_deg), top_rad, np.ones(SONAR.n_bins), np.zeros(0))
+        return BodyExtents([ball]).greatest_echo(placed, np.eye(4), even)[1]
 
     for inside, beyond in (
         ({"elevation_deg": side * (10 + half - 0.1)}, {"elevation_deg": side * (10 + half + 0.1)}),
@@ -280,6 +288,70 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
     ):
         assert angle(**inside) > 0 and angle(**beyond) == 0
     assert angle() >= 2 * math.pi * (1 - math.cos(math.asin(0.1)))  # at least what the ball itself fills
+
+
+class TestSideLobes:
+    """A ball of 5 cm at 8 m, above the main lobe in elevation of a sonar of 20 degrees."""
+
+    SONAR, PHYSICAL = sg.load_sonar("p900-45"), sg.Acoustics.physical()
+
+    def ball(self, elevation_deg, azimuth_deg=0.0):
+        phi, psi = math.radians(elevation_deg), math.radians(azimuth_deg)
+        place = 8 * np.array([math.cos(phi) * math.cos(psi), math.cos(phi) * math.sin(psi), math.sin(phi)])
+        return sg.Body("ball", trimesh.creation.icosphere(3, 0.025), sg.pose(*place))
+
+    def poses(self, n):
+        rng = np.random.default_rng(0)
+        return [sg.pose(*rng.uniform(-0.3, 0.3, 3), *np.radians(rng.uniform(-3, 3, 3))) for _ in range(n)]
+
+    def test_a_ball_alone_is_found_and_keeps_the_tolerance(self):
+        """The first samples miss it from the last two poses of six: no echo, and an estimate of 0."""
+        scene, missed = sg.Scene([self.ball(40)]), []
+        for pose in self.poses(6):
+            for alone in False, True:
+                with sg.Simulator(scene, self.SONAR, self.PHYSICAL, tolerance=0.02) as simulator:
+                    ping = make_alone(simulator, pose) if alone else simulator.ping(pose)
+                    assert 0 < ping.error_estimate <= 0.02
+            sampling, guess = ping.meta["sampling"], sampling_at(self.SONAR, typical_level(0.02))
+            finer = sg.Sampling(2 * sampling["columns_per_beam"], 2 * sampling["rows"])
+            with sg.Simulator(scene, self.SONAR, self.PHYSICAL, finer) as simulator:
+                assert ping_error(ping, simulator.ping(pose)) <= 0.02
+            settings = scene, self.SONAR, self.PHYSICAL, guess
+            with sg.Simulator(*settings) as simulator, warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that nothing came back
+                missed.append(not simulator.ping(pose).intensity.any())
+        assert any(missed)
+
+    @pytest.mark.parametrize("elevation_deg", [24, 40])
+    def test_a_ball_over_a_floor_asks_for_no_samples_that_its_echo_does_not_need(self, elevation_deg):
+        """Its echo is about 1e-4 of the floor's; without the elevation pattern it could be a thousandth and more."""
+        floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -14))
+        levels = []
+        for bodies in [floor], [floor, self.ball(elevation_deg)]:
+            with sg.Simulator(sg.Scene(bodies), self.SONAR, self.PHYSICAL) as simulator:
+                levels.append([simulator.plan([pose]).level for pose in self.poses(4)])
+        assert levels[0] == levels[1]
+
+    @pytest.mark.parametrize("azimuth_deg", [0, 20])
+    @pytest.mark.parametrize("elevation_deg", [0, 8, -15, 24, -45, 40, 60, 80])
+    def test_the_bound_of_a_body_is_above_its_echo_and_close(self, elevation_deg, azimuth_deg):
+        ball, pose = self.ball(elevation_deg, azimuth_deg), np.eye(4)
+        with sg.Simulator(
+            sg.Scene([ball]), self.SONAR, self.PHYSICAL, sampling_at(self.SONAR, 28)
+        ) as simulator:
+            run = simulator.run
+            stage, gain = run.sampler.resolution.stage, run.instrument.gain
+            with run.drawing():
+                (view,) = stage.draw([pose], [None], with_bodies=True)
+                fan, table = stage.fan, stage.beamformer.elevation_table
+                counts = count_bodies(view.sectors, 1, fan.sonar, gain, table)
+        reach_rad = self.PHYSICAL.receive_support_rad(self.SONAR)
+        reception = Reception(fan.sonar, reach_rad, fan.max_elevation_rad, gain, table)
+        placed = SceneState(ball.pose[None], np.ones(1, bool))
+        bound = BodyExtents([ball], specular=True).greatest_echo(placed, pose, reception)
+        assert counts.samples[1] > 20
+        # a Lambert ball returns 2/3 of its silhouette; the rest is the pattern's change within 0.4 degrees
+        assert 1.4 < bound[1] / counts.echo[1] < 2.0
 
 
 class TestPlan:
