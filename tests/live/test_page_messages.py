@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.analysis import terms as terms_module
 from sonar_gl.live import recording as recording_module
 from sonar_gl.live import session as session_module
 from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
-from tests.support.viser_client import connected, wait_for
+from sonar_gl.live.viewer import LiveView
+from tests.support.viser_client import WAIT_S, connected, wait_for
 
 viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
 
@@ -308,6 +310,28 @@ def test_terms_are_switched_and_priced(session, browser):
     browser.press("Price the terms")
     wait_for(lambda: "%" in browser.values[term]["label"])
     assert browser.notes == [] or browser.notes == ["terms are being priced already (wait until they are)"]
+
+
+def test_a_view_that_is_closed_ends_the_pricing_of_terms_and_leaves_no_thread(scene, tmp_path, monkeypatch):
+    # so many turns take minutes: only an end at the next ping is in time
+    monkeypatch.setattr(terms_module, "TURNS", 2000)
+    before = {}
+    for prices in (False, True):  # the first view starts threads that all share and that stay
+        opened = LiveView(LiveSession(scene, SETTINGS, folder=tmp_path), "127.0.0.1", 0)
+        with connected(opened.url) as client, telling(client):
+            wait_for(lambda: opened.session.frame.number > 1)
+            if prices:
+                client.press("Price the terms")
+                wait_for(lambda: "sonar_gl prices" in {one.name for one in threading.enumerate()})
+                pings = opened.session.frame.number
+                wait_for(lambda: opened.session.frame.number > pings + 3)
+            began_s = time.monotonic()
+            opened.close()
+            assert time.monotonic() - began_s < WAIT_S / 2
+            assert client.values[client.uuid("absorption")]["label"] == "absorption"  # it has no price
+        wait_for(lambda: not any(one.name.startswith("sonar_gl") for one in threading.enumerate()))
+        before = before or set(threading.enumerate())
+    wait_for(lambda: set(threading.enumerate()) <= before)
 
 
 def test_the_polar_form_has_no_picture_in_3d(session, browser):
