@@ -143,20 +143,22 @@ def test_the_fan_and_its_picture_tilt_with_the_head(session, page, browser):
     session.change(sonar=replace(session.settings.sonar, tilt_deg=30.0))
     # float32 at 22 m
     wait_for(lambda: np.allclose(placed(browser.nodes["/sonar/picture"]), turn @ flat, atol=1e-5))
-    assert browser.counts["/sonar/outline"] > outlines  # it is drawn anew; what it is then, test_view_parts.py says
+    # it is drawn anew; what it is then, test_view_parts.py says
+    assert browser.counts["/sonar/outline"] > outlines
 
-    # a ray straight down meets the picture, which is the upper face of the fan, where the strongest echo lies
+    # a ray from above and ahead meets the picture, the upper face of the fan, where the strongest echo lies
     ping = session.next_frame().ping
     beam, bin = np.unravel_index(ping.intensity.argmax(), ping.intensity.shape)
     azimuth_rad, range_m = float(ping.azimuth_rad[beam]), float(ping.range_m[bin])
     face = sg.pose(pitch=np.radians(30.0 - session.settings.device.elevation_fov_deg / 2))
     place = session.pose @ face @ [range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), 0, 1]
+    back = (session.pose[:3, 0] + session.pose[:3, 2]) / np.sqrt(2)
     browser.send(
         type="SceneNodeClickMessage",
         name="/sonar/picture",
         instance_index=None,
-        ray_origin=(float(place[0]), float(place[1]), 40.0),
-        ray_direction=(0.0, 0.0, -1.0),
+        ray_origin=(place[:3] + 30 * back).tolist(),
+        ray_direction=(-back).tolist(),
         screen_pos=(0.5, 0.5),
         modifier=None,
     )
