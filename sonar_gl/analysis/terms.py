@@ -287,10 +287,13 @@ class _Comparison:
     ----------
     stack : closes the simulators
     case : _Case
+    before_ping : function called before the samples are planned, and before each ping; what it raises ends the work
     """
 
-    def __init__(self, stack: ExitStack, case: _Case):
+    def __init__(self, stack: ExitStack, case: _Case, before_ping: Callable[[], None] = lambda: None):
         self._stack, self._case, self._simulators, self._pings = stack, case, {}, {}
+        self._before_ping = before_ping
+        before_ping()
         self.planner = stack.enter_context(
             Simulator(case.scene, case.sonar, case.acoustics, tolerance=case.tolerance)
         )
@@ -328,6 +331,7 @@ class _Comparison:
             pose = case.poses[turn % len(case.poses)]
             for variant, (acoustics, noise) in variants.items():
                 simulator = self._simulator(acoustics)
+                self._before_ping()
                 simulator.ping(pose)  # not timed: the other simulators left the caches cold
                 start = time.perf_counter()
                 ping = simulator.ping(pose)
@@ -355,8 +359,11 @@ class _Comparison:
     def _pings_with(self, acoustics: Acoustics) -> list[Ping]:
         """Return a ping from each pose, without noise."""
         if acoustics not in self._pings:
-            simulator = self._simulator(acoustics)
-            self._pings[acoustics] = [simulator.ping(pose) for pose in self._case.poses]
+            simulator, pings = self._simulator(acoustics), []
+            for pose in self._case.poses:
+                self._before_ping()
+                pings.append(simulator.ping(pose))
+            self._pings[acoustics] = pings
         return self._pings[acoustics]
 
     def _mean_images(self, terms: Iterable[Term]) -> list[np.ndarray]:
@@ -393,6 +400,7 @@ def price(
     poses=None,
     acoustics: Acoustics | None = None,
     noise: Noise | None = None,
+    before_ping: Callable[[], None] = lambda: None,
 ) -> list[Price]:
     """Measure what each term changes in the image of a scene, and what it costs.
 
@@ -406,6 +414,8 @@ def price(
     acoustics, noise : settings of the terms that are on; None is `Acoustics.physical()` and `Noise.physical()`.
         Terms that are off in them are measured as a line array in elevation, a pulse as short as the bins,
         incoherent multipath
+    before_ping : function called before the samples are planned, and before each ping; what it raises ends the work,
+        and is passed on
 
     Returns
     -------
@@ -420,7 +430,7 @@ def price(
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
-        comparison = _Comparison(stack, case)
+        comparison = _Comparison(stack, case, before_ping)
         prices = comparison.judge()
         acting = [
             term

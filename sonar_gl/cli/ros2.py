@@ -122,10 +122,10 @@ def _transport(kind: str, options, file: Ros2File):
     table = getattr(file, kind).model_dump(exclude_none=True)
     if kind == "foxglove":
         return live.FoxgloveTransport(**table)
-    domain = _domain(options)
+    domain, node = _domain(options), options.name.rpartition("/")[2]
     if kind == "dds":
-        return live.DdsTransport(domain=domain, **table)
-    return live.ZenohTransport(domain=domain, node=options.name.rpartition("/")[2], **table)
+        return live.DdsTransport(domain=domain, node=node, **table)
+    return live.ZenohTransport(domain=domain, node=node, **table)
 
 
 def _domain(options) -> int:

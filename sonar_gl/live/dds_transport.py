@@ -6,6 +6,7 @@
 | type sensor_msgs/msg/Image | type sensor_msgs::msg::dds_::Image_, final, without keys, in XCDR1 |
 | its hash | "typehash=RIHS01_...;" in the user data of writers and readers, which nodes since Iron compare |
 | reliable, depth, transient local | the same policies |
+| node | a message on `ros_discovery_info` with the GUIDs of its readers and writers |
 
 Messages are bytes here: a type only tells Cyclone DDS how they are laid out. By that it refuses bytes of another
 layout, sent or received, and describes the type to other programs. Fast DDS 3 compares descriptions where both sides
@@ -27,9 +28,18 @@ from functools import cache, partial
 from itertools import count
 from types import SimpleNamespace
 
-from sonar_gl.core.checks import check_whole_number
+from sonar_gl.core.checks import check_choice, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.live.rmw_zenoh import RosNode
+from sonar_gl.live.ros_discovery import (
+    DISCOVERY_TOPIC,
+    DISCOVERY_TYPE,
+    DISTRIBUTIONS,
+    ENCLAVE,
+    discovery_definition,
+    discovery_message,
+)
 from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
 
 logger = logging.getLogger(__name__)
@@ -85,6 +95,9 @@ class DdsTransport(Transport):
     interface : address or name of the network interface to use, such as "eth0"; None leaves the choice to Cyclone DDS
         and its environment variable CYCLONEDDS_URI. Any but the loopback interface is a warning, since whoever reaches
         it can read and send messages
+    node : name by which `ros2 node list` shows this program
+    distribution : of the ROS 2 that lists nodes: "jazzy", also for Iron and later, or "humble", whose message about
+        nodes has another layout
 
     Raises
     ------
@@ -98,19 +111,32 @@ class DdsTransport(Transport):
     All transports of a process on one domain share one interface.
     """
 
-    def __init__(self, domain: int | None = None, interface: str | None = LOOPBACK):
+    def __init__(
+        self,
+        domain: int | None = None,
+        interface: str | None = LOOPBACK,
+        node: str = "sonar_gl",
+        distribution: str = "jazzy",
+    ):
         self.domain = _domain(domain)
+        RosNode(node)  # checks the name
+        check_choice("distribution", distribution, DISTRIBUTIONS)
+        self._node, self._distribution = node, distribution
         self.interface = interface
         self._dds = dds = _libraries()
         self._lock = threading.Lock()  # of the two tables
         self._topics, self._writers = {}, {}
+        self._reader_guids = {}  # by the number of the receiver
         self._opened = None if interface is None else _open_domain(self.domain, interface)
         try:
-            self._participant = dds.domain.DomainParticipant(self.domain)
+            enclave = dds.core.Qos(dds.core.Policy.Userdata(data=ENCLAVE))
+            self._participant = dds.domain.DomainParticipant(self.domain, qos=enclave)
             self._publisher = dds.pub.Publisher(self._participant)
+            self._announcer = self._make_announcer()
             self._receiver = _Receiver(dds, self._participant)
             # its thread must end before Cyclone DDS does, also where nobody closes this
             self._end_receiver = weakref.finalize(self, self._receiver.close)
+            self._announce()
         except dds.core.DDSException as why:
             raise Error(f"DDS domain {self.domain} does not open: {_reason(why)}") from None
         if interface is None or not _is_loopback(interface):
@@ -172,7 +198,10 @@ class DdsTransport(Transport):
                 )
             except dds.core.DDSException as why:
                 raise Error(f"DDS topic {topic.name!r} cannot be read: {_reason(why)}") from None
-            return partial(self._withdraw, self._receiver.add(topic.name, reader, receive))
+            number = self._receiver.add(topic.name, reader, receive)
+            self._reader_guids[number] = reader.guid.bytes
+            self._announce()
+            return partial(self._withdraw, number)
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
@@ -181,7 +210,7 @@ class DdsTransport(Transport):
                 return
             self._end_receiver()
             # Cyclone DDS deletes what nothing refers to any more: what depends on the participant goes first
-            self._writers, self._topics = {}, {}
+            self._writers, self._topics, self._announcer = {}, {}, None
             self._receiver = self._publisher = self._participant = self._opened = None
 
     def _withdraw(self, number: int) -> None:
@@ -189,6 +218,23 @@ class DdsTransport(Transport):
         with self._lock:
             if self._receiver is not None:
                 self._receiver.remove(number)
+                if self._reader_guids.pop(number, None) is not None:
+                    self._announce()
+
+    def _make_announcer(self):
+        """Return the writer of the topic by which nodes of ROS 2 know of one another."""
+        dds, definition = self._dds, discovery_definition(self._distribution)
+        topic = Topic(DISCOVERY_TOPIC, DISCOVERY_TYPE, "", definition, latched=True)
+        made = dds.topic.Topic(self._participant, DISCOVERY_TOPIC, _data_type(DISCOVERY_TYPE, definition))
+        return dds.pub.DataWriter(self._publisher, made, qos=_qos(dds, topic, 1))
+
+    def _announce(self) -> None:
+        """Tell nodes of ROS 2 which readers and writers this one has; the lock is held, or nobody else is there yet."""
+        writers = [writer.guid.bytes for writer in self._writers.values()]
+        readers = self._reader_guids.values()
+        participant = self._participant.guid.bytes
+        message = discovery_message(self._distribution, self._node, participant, readers, writers)
+        self._announcer.write(self._announcer.data_type(message))
 
     def _writer(self, topic: Topic):
         dds = self._dds
@@ -202,6 +248,7 @@ class DdsTransport(Transport):
                 except dds.core.DDSException as why:
                     raise Error(f"DDS topic {topic.name!r} cannot be written: {_reason(why)}") from None
                 self._writers[topic] = writer
+                self._announce()
             return writer
 
     def _topic(self, topic: Topic):
@@ -334,7 +381,7 @@ def _qos(dds: SimpleNamespace, topic: Topic, depth: int):
         policy.History.KeepLast(depth),
         # XCDR1 alone: readers of ROS 2 know no other
         policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
-        policy.Userdata(data=f"typehash={topic.type_hash};".encode()),
+        *([policy.Userdata(data=f"typehash={topic.type_hash};".encode())] if topic.type_hash else []),
         policy.WriterDataLifecycle(autodispose=False),  # a message outlives its publisher, as in ROS 2
         policy.IgnoreLocal.Participant,
     )

@@ -49,9 +49,10 @@ class ZenohTable(Table):
 
 
 class DdsTable(Table):
-    """The transport DDS: the network interface."""
+    """The transport DDS: the network interface, and the ROS that lists nodes."""
 
     interface: str = None
+    distribution: Literal["humble", "jazzy"] = None
 
 
 class FoxgloveTable(Table):

@@ -185,11 +185,26 @@ class LiveSession:
             switched = self._settings.switched(term, on)
             return self.change(acoustics=switched.acoustics, noise=switched.noise)
 
-    def prices(self) -> list[Price]:
+    def prices(self, before_ping: Callable[[], None] = lambda: None) -> list[Price]:
         """Return what each term of acoustics and noise changes and costs here and now; takes seconds.
 
-        Pings go on meanwhile, more slowly. Raises Error if the terms cannot be judged.
+        Pings go on meanwhile, more slowly.
+
+        Parameters
+        ----------
+        before_ping : function called before each ping that this takes; what it raises ends the work, and is passed on
+
+        Raises
+        ------
+        Error
+            if the terms cannot be judged, or the session is closed meanwhile.
         """
+
+        def check():
+            self._check_open()
+            before_ping()
+
+        check()  # a simulator takes long to make
         with self._changed:
             settings, pose, bodies = self._settings, self._pose_now()[0], dict(self._moved)
         with warnings.catch_warnings():
@@ -203,7 +218,13 @@ class LiveSession:
             ) as simulator:
                 simulator.place(bodies)
                 return price(
-                    simulator, settings.device, settings.tolerance, [pose], settings.acoustics, settings.noise
+                    simulator,
+                    settings.device,
+                    settings.tolerance,
+                    [pose],
+                    settings.acoustics,
+                    settings.noise,
+                    check,
                 )
 
     # ---- motion ---------------------------------------------------------------------------------------------

@@ -165,6 +165,30 @@ def test_no_cost_is_negative(monkeypatch):
     assert min(costs) == 0.0
 
 
+def test_the_pricing_asks_before_each_ping_and_ends_where_that_raises(monkeypatch):
+    events, ping, plan = [], sg.Simulator.ping, sg.Simulator.plan
+
+    def noted(name, call):
+        return lambda *values, **more: (events.append(name), call(*values, **more))[1]
+
+    monkeypatch.setattr(sg.Simulator, "ping", noted("ping", ping))
+    monkeypatch.setattr(sg.Simulator, "plan", noted("plan", plan))
+    price(room(), SONAR, 0.1, before_ping=lambda: events.append("asked"))
+    # of the two pings of a turn the first only warms the caches; both are one piece of work
+    assert events[:4] == ["asked", "plan", "asked", "ping"]
+    assert all(what != "ping" or "asked" in events[k - 2 : k] for k, what in enumerate(events))
+
+    events.clear()
+
+    def stop():
+        if events.count("ping") == 3:
+            raise KeyError("enough")
+
+    with pytest.raises(KeyError, match="enough"):
+        price(room(), SONAR, 0.1, before_ping=stop)
+    assert events.count("ping") == 3
+
+
 @pytest.mark.slow
 def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     found = priced(room())

@@ -57,7 +57,7 @@ def test_it_publishes_in_real_time_until_the_duration_has_passed(transports):
     assert found.exit_code == 0, found.output
     assert "pings published" in found.output and "by dds, 10 pings/s; scene pylon" in found.output
     transport = transports["DdsTransport"]
-    assert transport.is_closed and transports.arguments == {"DdsTransport": {"domain": 0}}
+    assert transport.is_closed and transports.arguments == {"DdsTransport": {"domain": 0, "node": "sonar"}}
     images = transport.messages("/sonar/projected_image")
     assert 1 <= len(images) <= 6
     stamps = [m.header.stamp.sec + m.header.stamp.nanosec / 1e9 for m in images]

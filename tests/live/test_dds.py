@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import DDSException, Policy, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic as DdsTopic
 from rosbags.serde.errors import SerdeError
 
 from sonar_gl.batch.ros_messages import message_types
@@ -751,3 +752,47 @@ def test_a_program_that_does_not_close_ends_all_the_same(domain):
         timeout=WAIT_S,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "opened\n", "")
+
+
+# ---- nodes of ROS 2 ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("distribution, length", [("jazzy", 16), ("humble", 24)])
+def test_a_node_is_announced_with_its_readers_and_writers(domain, name, distribution, length):
+    transport = DdsTransport(domain, node="front_sonar", distribution=distribution)
+    try:
+        other = DomainParticipant(domain)  # knows nothing of the transport
+        found = {"reader": {}, "writer": {}}
+        builtin = {
+            "reader": BuiltinDataReader(other, BuiltinTopicDcpsSubscription),
+            "writer": BuiltinDataReader(other, BuiltinTopicDcpsPublication),
+        }
+        discovery = DdsTopic(other, "ros_discovery_info", dds_types.DISCOVERY[distribution])
+        reading = DataReader(other, discovery, qos=dds_entities.qos(latched=True, depth=1))
+        transport.advertise(topic_of(name, "std_msgs/msg/Header"))
+        withdraw = transport.subscribe(topic_of(f"{name}_in", "std_msgs/msg/Header"), print)
+
+        def endpoint(kind, topic):
+            for sample in builtin[kind].take(1000):
+                found[kind][sample.topic_name] = sample
+            return found[kind].get(f"rt{topic}")
+
+        def node_with(n_readers):
+            for message in dds_entities.take(reading):
+                if list(message.gid.data[:16]) == list(written.participant_key.bytes):
+                    assert len(message.gid.data) == length
+                    seen.append(message)
+            return seen and len(seen[-1].node_entities_info_seq[0].reader_gid_seq) == n_readers
+
+        seen, zeros = [], [0] * (length - 16)
+        written = wait_for(lambda: endpoint("writer", name))
+        read = wait_for(lambda: endpoint("reader", f"{name}_in"))
+        wait_for(lambda: node_with(1))
+        (node,) = seen[-1].node_entities_info_seq
+        assert (node.node_namespace, node.node_name) == ("/", "front_sonar")
+        assert [list(one.data) for one in node.writer_gid_seq] == [list(written.key.bytes) + zeros]
+        assert [list(one.data) for one in node.reader_gid_seq] == [list(read.key.bytes) + zeros]
+        withdraw()
+        wait_for(lambda: node_with(0))
+    finally:
+        transport.close()

@@ -26,6 +26,16 @@ viser = pytest.importorskip("viser", reason="viser, of the extra live, is missin
 PICTURE = 'img[src^="blob:"]'
 WAIT_S = 60.0  # on a machine that draws WebGL by software and does other work beside it
 SIZE = {"width": 1000, "height": 700}
+OWN_SONAR = """
+frequency_hz = 700e3
+n_beams = 24
+n_bins = 60
+azimuth_fov_deg = 50.0
+elevation_fov_deg = 20.0
+beam_width_deg = 2.0
+range_min_m = 0.5
+range_max_m = 18.5
+"""
 
 
 def wait_for(what, timeout_s=WAIT_S):
@@ -164,6 +174,27 @@ def test_a_control_changes_the_settings(viewer):
     viewer.session.change(range_m=22.0)
     # what the session has, the control shows
     wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
+
+
+def test_a_sonar_of_ones_own_is_offered_beside_the_presets(viewer, tmp_path):
+    session, tab, given = viewer.session, viewer.tab, viewer.session.settings.sonar
+    dropdown = control(tab, "sonar")
+    assert dropdown.input_value() == "p900-45 (given)"  # it differs from the preset of that name
+    file = tmp_path / "mine.toml"
+    file.write_text(OWN_SONAR)
+    own = sg.load_sonar(str(file))
+    session.change(sonar=own, range_m=None)
+    wait_for(lambda: dropdown.input_value() == own.name)
+    wait_for(lambda: session.frame.ping.intensity.shape == (24, 60))
+    new_pictures(tab)
+    dropdown.click()
+    tab.get_by_role("option", name="p900-45 (given)", exact=True).click()
+    wait_for(lambda: session.settings.sonar == given)
+    dropdown.click()
+    tab.get_by_role("option", name=own.name, exact=True).click()
+    wait_for(lambda: session.settings.sonar == own)
+    session.change(sonar=given, range_m=22.0)
+    wait_for(lambda: dropdown.input_value() == "p900-45 (given)")
 
 
 def test_the_pointer_reads_what_is_under_it(viewer):

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.analysis import terms as terms_module
+from sonar_gl.live import page as page_module
 from sonar_gl.live import recording as recording_module
 from sonar_gl.live import session as session_module
 from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
-from tests.support.viser_client import connected, wait_for
+from sonar_gl.live.view.scene_nodes import pose_of
+from sonar_gl.live.viewer import LiveView
+from tests.support.viser_client import WAIT_S, connected, wait_for
 
 viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
 
@@ -125,6 +129,67 @@ def test_a_click_in_3d_marks_a_surface_and_reads_nothing_again(session, page, br
     assert 1 + names.index("pylon_square") in set(surface.body_id.tolist())
     wait_for(lambda: "/surface" in browser.nodes)
     assert "pylon_square" not in read_out(browser)
+
+
+def placed(node):
+    """The pose that a browser shows a node at, (4, 4)."""
+    return pose_of(node["wxyz"], node["position"])
+
+
+def test_the_fan_and_its_picture_tilt_with_the_head(session, page, browser):
+    wait_for(lambda: "wxyz" in browser.nodes.get("/sonar/picture", {}))
+    outlines, flat = browser.counts["/sonar/outline"], placed(browser.nodes["/sonar/picture"])
+    turn = sg.pose(pitch=np.radians(30.0))  # down
+    session.change(sonar=replace(session.settings.sonar, tilt_deg=30.0))
+    # float32 at 22 m
+    wait_for(lambda: np.allclose(placed(browser.nodes["/sonar/picture"]), turn @ flat, atol=1e-5))
+    # it is drawn anew; what it is then, test_view_parts.py says
+    assert browser.counts["/sonar/outline"] > outlines
+
+    # a ray from above and ahead meets the picture, the upper face of the fan, where the strongest echo lies
+    ping = session.next_frame().ping
+    beam, bin = np.unravel_index(ping.intensity.argmax(), ping.intensity.shape)
+    azimuth_rad, range_m = float(ping.azimuth_rad[beam]), float(ping.range_m[bin])
+    face = sg.pose(pitch=np.radians(30.0 - session.settings.device.elevation_fov_deg / 2))
+    place = session.pose @ face @ [range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), 0, 1]
+    back = (session.pose[:3, 0] + session.pose[:3, 2]) / np.sqrt(2)
+    browser.send(
+        type="SceneNodeClickMessage",
+        name="/sonar/picture",
+        instance_index=None,
+        ray_origin=(place[:3] + 30 * back).tolist(),
+        ray_direction=(-back).tolist(),
+        screen_pos=(0.5, 0.5),
+        modifier=None,
+    )
+    surface = wait_for(lambda: page.marked)
+    distances_m = np.linalg.norm(surface.points_m - session.pose[:3, 3], axis=1)
+    assert abs(distances_m - range_m).max() < 2 * ping.bin_size_m  # a bin, and a footprint on either side
+
+
+def test_a_browser_that_is_slow_slows_the_scene_alone_and_no_longer_than_a_bound(
+    session, page, browser, monkeypatch
+):
+    bound_s = 0.3
+    monkeypatch.setattr(page_module, "LONGEST_NODES_S", bound_s)
+
+    def counted():
+        return browser.counts["/sonar/picture"], browser.counts[panel]
+
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    panel = next(uuid for uuid, one in browser.values.items() if "_data" in one)
+    session.change(noise="speckle=yes")  # equal pictures are not sent again
+    with connected(page.url) as slow, telling(slow):
+        slow.tell(frame_s=5.0)
+        time.sleep(2 * bound_s)  # until that has come
+        began_s, (scene, pictures), number = time.monotonic(), counted(), session.frame.number
+        wait_for(lambda: counted()[0] >= scene + 5)  # goes on
+        gone_s, frames = time.monotonic() - began_s, session.frame.number - number
+    shown = counted()[1]
+    # the first may have been due at once, and messages come late by a little
+    assert gone_s > 3.5 * bound_s
+    # all frames but a few come to the panel of the other
+    assert shown - pictures > 0.5 * frames > 2 * 5
 
 
 def read_out(browser):
@@ -308,6 +373,31 @@ def test_terms_are_switched_and_priced(session, browser):
     browser.press("Price the terms")
     wait_for(lambda: "%" in browser.values[term]["label"])
     assert browser.notes == [] or browser.notes == ["terms are being priced already (wait until they are)"]
+
+
+def open_and_close(scene, folder, prices=False):
+    """Open a view before a browser, and close it, while terms are priced or not."""
+    opened = LiveView(LiveSession(scene, SETTINGS, folder=folder), "127.0.0.1", 0)
+    session = opened.session
+    with connected(opened.url) as client:
+        with telling(client):
+            wait_for(lambda: session.frame.number > 1)
+            if prices:
+                client.press("Price the terms")
+                wait_for(lambda: "sonar_gl prices" in {one.name for one in threading.enumerate()})
+        began_s = time.monotonic()
+        opened.close()
+        assert time.monotonic() - began_s < WAIT_S / 2
+        assert client.values[client.uuid("absorption")]["label"] == "absorption"  # it has no price
+
+
+def test_a_view_that_is_closed_ends_the_pricing_of_terms_and_leaves_no_thread(scene, tmp_path, monkeypatch):
+    # so many turns take minutes: only an end at the next ping is in time
+    monkeypatch.setattr(terms_module, "TURNS", 2000)
+    open_and_close(scene, tmp_path)  # starts threads that all views share, and that stay
+    before = set(threading.enumerate())
+    open_and_close(scene, tmp_path, prices=True)
+    wait_for(lambda: set(threading.enumerate()) <= before)
 
 
 def test_the_polar_form_has_no_picture_in_3d(session, browser):

@@ -252,6 +252,21 @@ def test_terms_are_priced_where_the_sonar_is(session):
     assert [price.name for price in session.prices()] == term_names()
 
 
+def test_a_closed_session_ends_the_pricing_of_terms_at_its_next_ping(scene):
+    calls, session = [], LiveSession(scene, QUIET)
+
+    def close_at_the_third():
+        calls.append(None)
+        if len(calls) == 3:
+            session.close()
+
+    with pytest.raises(sg.Error, match="this LiveSession is closed"):
+        session.prices(close_at_the_third)
+    assert len(calls) == 3
+    with pytest.raises(sg.Error, match="this LiveSession is closed"):
+        session.prices()
+
+
 # ---- motion --------------------------------------------------------------------------------------------
 
 

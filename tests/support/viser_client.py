@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections import Counter
 from contextlib import contextmanager
 
 WAIT_S = 60.0  # a machine that tests run on may be slow
@@ -22,6 +23,7 @@ class ViserClient:
     uuids : of controls, by label
     values : properties of controls, by uuid
     nodes : properties of nodes of the scene, by name
+    counts : number of messages about a node, by its name, or about a control, by its uuid
     notes : texts of notes
     """
 
@@ -29,7 +31,7 @@ class ViserClient:
         import viser
         from websockets.sync.client import connect
 
-        self.uuids, self.values, self.nodes, self.notes = {}, {}, {}, []
+        self.uuids, self.values, self.nodes, self.notes, self.counts = {}, {}, {}, [], Counter()
         self._state = {"pointer": None, "clicks": 0, "clicked": None, "keys": [], "frame_s": 0, "count": 0}
         self._socket = connect(
             url.replace("http", "ws", 1),
@@ -93,6 +95,7 @@ class ViserClient:
 
     def _take(self, message: dict) -> None:
         kind = message["type"]
+        self.counts[message.get("name", message.get("uuid"))] += 1
         if kind == "GuiUpdateMessage":
             self.values.setdefault(message["uuid"], {}).update(message["updates"])
         elif kind.startswith("Gui") and "props" in message:

@@ -9,7 +9,7 @@ from threading import Thread
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.checks import check_number
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
@@ -74,6 +74,7 @@ class ControlPanel:
         self._shown: list[tuple] = []  # handles, and what settings have each show
         self._terms: dict[str, object] = {}
         self._pricing: Thread | None = None
+        self._is_closed = False
         self.steps = Steps()
         settings = session.settings
         self._sonars = dict(presets())
@@ -259,7 +260,7 @@ class ControlPanel:
 
         def find():
             try:
-                prices = self._session.prices()
+                prices = self._session.prices(self._check_open)
                 self._actions.ask(client, lambda: self._show_prices(prices))
             except Exception as why:
                 self._actions.ask(client, lambda why=why: _raise(why))
@@ -271,9 +272,14 @@ class ControlPanel:
         self._pricing.start()
 
     def close(self) -> None:
-        """Wait until the terms that are being priced are."""
+        """End the pricing of terms at its next ping."""
+        self._is_closed = True
         if self._pricing is not None:
             self._pricing.join()
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise closed_error("page")
 
     def _show_prices(self, prices: list[Price]) -> None:
         for one in prices:
