@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from
@@ -68,15 +69,35 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
         head = simulation.submit(SimulatedHead, *settings).result()
         try:
             server, line = make_server(simulation, head)
-            echo(f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it", err=True)
-            asyncio.run(asyncio.wait_for(server.run(), options.duration))
+            line = f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
+            asyncio.run(asyncio.wait_for(_listen(server, line), options.duration))
         except (KeyboardInterrupt, asyncio.TimeoutError):
             pass
         except OSError as why:
             raise Error(
-                f"the emulator must be able to listen at {options.host} (got {why.strerror or why}; is another program "
+                f"the emulator must be able to listen at {options.host} (got {_reason(why)}; is another program "
                 "using the port? --port chooses another)"
             ) from None
         finally:
             simulation.submit(head.close).result()
     return server
+
+
+async def _listen(server, line: str) -> None:
+    """Serve, and print a line once the port is open."""
+    started = asyncio.Event()
+    serving = asyncio.create_task(server.run(started))
+    opening = asyncio.create_task(started.wait())
+    try:
+        await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
+        if started.is_set():
+            echo(line, err=True)
+        await serving
+    finally:
+        opening.cancel()
+        serving.cancel()
+
+
+def _reason(why: OSError) -> str:
+    """Return why a port does not open; asyncio puts the address into the text, which the sentence has already."""
+    return os.strerror(why.errno) if why.errno else str(why)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from urllib.parse import urlsplit
+
 from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.output import echo
@@ -25,7 +27,9 @@ def view(scene_name: str, options) -> None:
     session = session_from(scene_name, options)
     warn_of_host(options.host)
     with LiveView(session, options.host, options.port) as opened:
-        echo(f"the page is at {opened.url}; Ctrl-C ends it", err=True)
+        is_other = options.port not in (0, urlsplit(opened.url).port)
+        why = f", since another program has port {options.port}" if is_other else ""
+        echo(f"the page is at {opened.url}{why}; Ctrl-C ends it", err=True)
         opened.wait(options.duration)
 
 

@@ -373,6 +373,18 @@ def test_terms_are_switched_and_priced(session, browser):
     browser.press("Price the terms")
     wait_for(lambda: "%" in browser.values[term]["label"])
     assert browser.notes == [] or browser.notes == ["terms are being priced already (wait until they are)"]
+    browser.change("tolerance, %", 10.0)
+    wait_for(lambda: browser.values[term]["label"] == "absorption")  # the price was that of another tolerance
+
+
+def test_a_fixed_gain_begins_where_the_automatic_one_was(session, browser):
+    wait_for(lambda: session.frame is not None)
+    assert session.settings.law.gain_percentile is not None
+    automatic_db = round(session.frame.ping.counts_law().gain_db)
+    browser.change("gain of the device", False)
+    wait_for(lambda: session.settings.counts is not None)
+    assert session.settings.law.gain_db == automatic_db != 0
+    wait_for(lambda: browser.shown("gain, dB") == automatic_db)
 
 
 def open_and_close(scene, folder, prices=False):

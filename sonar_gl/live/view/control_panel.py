@@ -74,6 +74,7 @@ class ControlPanel:
         self._shown: list[tuple] = []  # handles, and what settings have each show
         self._terms: dict[str, object] = {}
         self._pricing: Thread | None = None
+        self._priced: tuple | None = None  # what the prices on show are of
         self._is_closed = False
         self.steps = Steps()
         settings = session.settings
@@ -93,6 +94,8 @@ class ControlPanel:
     def sync(self) -> None:
         """Have all controls show the settings that the session has."""
         settings = self._session.settings
+        if self._priced is not None and self._priced != _priced_by(settings):
+            self._hide_prices()
         for handle, shown in self._shown:
             value = shown(settings)
             if handle.value != value and not self._actions.waits(id(handle)):
@@ -200,7 +203,7 @@ class ControlPanel:
             own = gui.add_checkbox(
                 "gain of the device", settings.counts is None, hint="The preset's law of counts."
             )
-            gain = gui.add_slider("gain, dB", -40.0, 60.0, 1.0, _shown_gain(settings))
+            gain = gui.add_slider("gain, dB", -40.0, 60.0, 1.0, self._gain(settings))
             picture = gui.add_checkbox("picture in 3D", True, hint="On the upper face of the fan.")
         self._actions.connect(picture, on_picture)
         self._connect(
@@ -213,14 +216,21 @@ class ControlPanel:
             lambda settings: settings.colormap,
             lambda name: session.change(colormap=chosen(name, colormaps, "colours")),
         )
-        self._connect(gain, _shown_gain, lambda value: session.change(gain_db=float(value)))
+        self._connect(gain, self._gain, lambda value: session.change(gain_db=float(value)))
         self._connect(own, lambda settings: settings.counts is None, self._switch_gain)
 
     def _switch_gain(self, own: bool) -> None:
         if own:
             self._session.change(counts=None)
         else:
-            self._session.change(gain_db=_shown_gain(self._session.settings))
+            self._session.change(gain_db=self._gain(self._session.settings))
+
+    def _gain(self, settings: LiveSettings) -> float:
+        """Return the gain of the slider, dB; where it is automatic that of the last ping, so that it can be changed."""
+        law, frame = settings.law, self._session.frame
+        if law.gain_percentile is not None and frame is not None:
+            law = replace(law, gain_db=round(law.settle(frame.ping.intensity).gain_db), gain_percentile=None)
+        return min(max(float(law.gain_db), -40.0), 60.0)
 
     def _add_acoustics(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -257,11 +267,12 @@ class ControlPanel:
         """Have the terms priced in a thread, since that takes seconds."""
         if self._pricing is not None and self._pricing.is_alive():
             raise Error("terms are being priced already (wait until they are)")
+        of = _priced_by(self._session.settings)
 
         def find():
             try:
                 prices = self._session.prices(self._check_open)
-                self._actions.ask(client, lambda: self._show_prices(prices))
+                self._actions.ask(client, lambda: self._show_prices(prices, of))
             except Exception as why:
                 self._actions.ask(client, lambda why=why: _raise(why))
             finally:
@@ -281,7 +292,14 @@ class ControlPanel:
         if self._is_closed:
             raise closed_error("page")
 
-    def _show_prices(self, prices: list[Price]) -> None:
+    def _hide_prices(self) -> None:
+        for name, handle in self._terms.items():
+            handle.label, handle.hint = name, None
+        self._priced = None
+
+    def _show_prices(self, prices: list[Price], of: tuple) -> None:
+        """Show the prices of some settings, until these change."""
+        self._priced = of
         for one in prices:
             if one.name in self._terms:
                 handle = self._terms[one.name]
@@ -372,9 +390,10 @@ def _shown_rate(settings: LiveSettings) -> float:
     return min(max(settings.max_rate_hz, 1.0), 60.0)
 
 
-def _shown_gain(settings: LiveSettings) -> float:
-    return min(max(float(settings.law.gain_db), -40.0), 60.0)
-
-
 def _shown_noise(settings: LiveSettings) -> str:
     return next((name for name in NOISES if Noise.parse(name) == settings.noise), OTHER)
+
+
+def _priced_by(settings: LiveSettings) -> tuple:
+    """Return what the prices of terms depend on, besides the terms themselves and the pose."""
+    return settings.device, settings.tolerance, settings.water

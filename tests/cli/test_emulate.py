@@ -1,0 +1,29 @@
+"""The command `emulate`."""
+
+import socket
+
+import pytest
+
+from tests.support.command_line import run
+
+KINDS = {"oculus": socket.SOCK_STREAM, "ping360": socket.SOCK_DGRAM}
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_port_that_is_taken_is_an_error_and_nothing_is_said_to_listen(device):
+    with socket.socket(socket.AF_INET, KINDS[device]) as other:
+        other.bind(("127.0.0.1", 0))
+        if KINDS[device] == socket.SOCK_STREAM:
+            other.listen()
+        port = str(other.getsockname()[1])
+        status, _, errors = run("emulate", device, "pylon", "--port", port, "--duration", "20")
+    assert status == 2
+    assert "(got Address already in use; is another program using the port? --port chooses another)" in errors
+    assert "Ctrl-C stops it" not in errors
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_device_that_listens_says_so_once(device):
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.5")
+    assert status == 0
+    assert errors.count("Ctrl-C stops it") == 1
