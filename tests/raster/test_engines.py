@@ -302,3 +302,17 @@ def test_room_for_triangles_follows_what_is_drawn():
         ]
     np.testing.assert_array_equal(images[1], expected)
     np.testing.assert_array_equal(images[3], expected)
+
+
+def test_a_row_that_a_level_edge_leaves_out_stays_empty_however_far_another_edge_lies():
+    """Here the diver's scene has a face with a corner behind the sonar, one edge along the rows and one nearly so.
+
+    The latter meets a row at 8e16 columns, where float64 has no steps of one.
+    """
+    scene, sonar = sg.load_scene("diver"), sg.load_sonar("demarco-2015").with_range(10.0)
+    pose, clouds = scene.sonar_pose @ sg.pose(x=0.016), []
+    for engine in ("cpu", "opengl"):
+        with sg.Simulator(scene, sonar, engine=engine) as simulator:
+            clouds.append(simulator.point_cloud(pose, 140, 140))
+    for one, other in zip(*clouds, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)  # float32

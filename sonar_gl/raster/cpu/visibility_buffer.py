@@ -176,7 +176,7 @@ def _fill_rows(cuts, n_cuts, window, bottom, top, q0, q_column, q_row, t, depth,
             elif ends[k, 0] < 0.0:
                 high = min(high, edge)
             elif edge < 0.0:
-                high = low - 1.0
+                high = -np.inf  # not less than low by some number: beyond 2^53 that would be low itself
         if not low <= high:
             continue
         first, last = math.ceil(low), math.floor(high)
