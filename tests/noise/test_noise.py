@@ -13,6 +13,7 @@ import pytest
 
 import sonar_gl
 from sonar_gl.core.errors import Error
+from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from tests.support.even_ping import SIGMAS, even_ping
@@ -129,6 +130,16 @@ def test_same_bytes_for_any_number_of_threads():
         environment = {**os.environ, "PYTHONPATH": root, **settings}
         found.add(subprocess.check_output([sys.executable, "-c", code], env=environment, timeout=60))
     assert len(found) == 1
+
+
+def test_a_second_thread_gives_the_same_bytes():
+    noise, ping = Noise(speckle=True, follow_motion=True, ambient_db=-60.0), even_ping(32, 90, pose=HERE)
+    thread = SecondThread()
+    try:
+        beside = add_noise(ping, noise, 3, 2, thread)
+    finally:
+        thread.close()
+    np.testing.assert_array_equal(beside.intensity, add_noise(ping, noise, 3, 2).intensity)
 
 
 # --- the ping
