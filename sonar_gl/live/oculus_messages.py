@@ -10,8 +10,8 @@ little-endian, packed without gaps. Each message begins with a header, which hol
 
 Fire messages and results have two versions: the second has longer fields. The time at which a ping starts is in
 seconds in the second. For the first the layout has 32 bits and no unit: they count nanoseconds, and begin anew every
-2³² ns, 4.29 s. In three consecutive pings of an M1200d, liboculus' test/data/three_pings_8bit.raw, it grows by 62 502 130
-and 62 502 097, a sixteenth of a second, after some 415 000 pings. In microseconds these would lie a minute apart.
+2³² ns, 4.29 s. In three consecutive pings of an M1200d, liboculus' test/data/three_pings_8bit.raw, it grows by
+62 502 130 and 62 502 097, a sixteenth of a second. In microseconds these pings would lie a minute apart.
 """
 
 from __future__ import annotations
