@@ -12,13 +12,18 @@ import signal
 import subprocess
 import sys
 import time
+from array import array
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from tests.support.live_messages import free_port
+from sonar_gl.batch.ros_messages import message_types
+from sonar_gl.live.publisher_settings import TOPICS, PublisherSettings
+from tests.support.live_messages import free_port, ping_message
 
 ROOT = Path(__file__).resolve().parents[2]
 WAIT_S = 200.0  # a machine that tests run on may be slow, and compile kernels first
@@ -163,6 +168,8 @@ def test_poses_of_the_example_move_the_sonar_over_zenoh(scene, tmp_path):
         sign = 1 if found["side"] == "port" else -1
         bearings_deg.append(sign * float(found["bearing"]))
         range_m = BALL[0] / math.cos(math.radians(bearings_deg[-1])) - RADIUS_M
+        # beams about the middle of the ball are at full scale, the first of them up to 1.5 degrees beside it: at 34
+        # degrees to port that changes the range of the line by 0.12 m
         assert float(found["range"]) == pytest.approx(range_m, abs=0.15), line
     # in two seconds and a half of a period of 20 s it moves by 0.15 m at least, 1.4 degrees in the worst case
     assert len(lines) == 6 and max(bearings_deg) - min(bearings_deg) > 1.0
@@ -178,6 +185,42 @@ def test_a_scene_without_a_place_for_the_sonar_is_told(tmp_path):
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.startswith("error: the scene must have a place for the sonar") and done.stdout == ""
+
+
+def block_of(page, beginning):
+    """The code of a page's Python block that begins with a line."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return re.search(rf"^```python\n({beginning}\n.*?)^```", text, re.DOTALL | re.MULTILINE)[1]
+
+
+def test_the_node_of_the_page_reads_a_message_by_names_that_it_has(monkeypatch, capsys):
+    """With a stand-in for rclpy, as no ROS is here, and a message of a publisher whose arrays are as rclpy has them."""
+    pytest.importorskip("rosbags")
+    ping, data = ping_message(3, 5)
+    message = message_types().decode(data, TOPICS["projected_image"])
+    message = replace(message, image=replace(message.image, data=array("B", message.image.data.tobytes())))
+    kind, received = object(), []
+
+    def create_subscription(msg_type, topic, callback, qos_profile):
+        assert msg_type is kind and topic == PublisherSettings().topic_names["projected_image"]
+        assert 0 < qos_profile < 100  # a depth
+        received.append(callback)
+
+    node = SimpleNamespace(create_subscription=create_subscription)
+    rclpy = SimpleNamespace(
+        init=lambda: None, create_node=lambda name: node, spin=lambda node: received[0](message)
+    )
+    monkeypatch.setitem(sys.modules, "rclpy", rclpy)
+    package, name = TOPICS["projected_image"].split("/msg/")
+    monkeypatch.setitem(sys.modules, package, SimpleNamespace())
+    monkeypatch.setitem(sys.modules, f"{package}.msg", SimpleNamespace(**{name: kind}))
+    exec(compile(block_of("ros2.md", "import rclpy"), "ros2.md", "exec"), {"__name__": "__main__"})
+    counts = ping.counts()[::-1]  # port first
+    k = counts.max(axis=0).argmax()
+    strongest, beam = counts[:, k].max(), counts[:, k].argmax()
+    assert capsys.readouterr().out == (
+        f"0.000000000 s, sonar_beams, 3 beams: {strongest} of 255 at {ping.range_m[k]:.2f} m in beam {beam}\n"
+    )
 
 
 # ---- emulated devices ---------------------------------------------------------------------------------
@@ -209,3 +252,19 @@ def test_an_oculus_that_is_not_there_is_told(tmp_path):
     assert done.stderr == (
         f"error: an Oculus must answer at 127.0.0.1:{port} (got [Errno 111] Connection refused)\n"
     )
+
+
+def test_the_lines_of_the_page_turn_the_head_of_a_ping360(scene):
+    pytest.importorskip("brping")
+    port = str(free_port())
+    code = block_of("live.md", "import brping").replace("9092", port)
+    with running(sonar_gl("emulate", "ping360", scene, *FAST, "--port", port), "Ctrl-C stops it") as printed:
+        lines = run("-c", code).splitlines()
+    assert re.search(r"^20 pings sent", printed[0], re.MULTILINE)
+    # the client itself says first where it connects to
+    found = [re.fullmatch(r"(\d+)°: (\d+) of 255 at ([\d.]+) m", line) for line in lines[1:]]
+    assert all(found) and [int(one[1]) for one in found] == list(range(0, 360, 18))
+    counts = [int(one[2]) for one in found]
+    # 342 degrees clockwise are 18 to port, where the ball is; beams of 2 degrees elsewhere see nothing
+    assert [18 * k for k, count in enumerate(counts) if count] == [342]
+    assert float(found[342 // 18][3]) == pytest.approx(NEAREST_M, abs=RANGE_ERROR_M)
