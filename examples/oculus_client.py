@@ -32,7 +32,7 @@ LOW_FREQUENCY, TEN_PINGS_A_SECOND = 1, 0
 RANGE_IN_METRES, SIMPLE_RESULT, GAIN_ASSISTANCE = 0x01, 0x08, 0x10  # flags
 GAMMA = 127  # counts go as the square root of amplitude
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 
 
 def fire_message(range_m):

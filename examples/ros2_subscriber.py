@@ -25,6 +25,10 @@ MSGTYPE = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 BYTES = {0: 1, 2: 2}  # of a count: DTYPE_UINT8 and DTYPE_UINT16 of marine_acoustic_msgs/SonarImageData
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
 PATIENCE_S = 10.0
+HINT = (
+    "nothing on {} yet: does sonar-gl ros2 run, with this transport and domain? Its first ping after an installation "
+    "takes half a minute"
+)
 
 
 def make_transport(options):
@@ -74,8 +78,7 @@ def main(options):
                 data = messages.get(timeout=PATIENCE_S)
             except queue.Empty:
                 if number == 1:
-                    print(f"nothing on {options.topic} yet: does sonar-gl ros2 run, with this transport and domain?",
-                          file=sys.stderr)  # fmt: skip
+                    print(HINT.format(options.topic), file=sys.stderr)
                 data = messages.get()
             message = message_types().decode(data, MSGTYPE)
             ping = ping_of(message)
