@@ -67,15 +67,18 @@ def next_result(connection):
 
 def ping_of(message):
     """(number, start time in nanoseconds modulo 2**32, Ping of the counts as shares of full scale)."""
-    fields = RESULT_BODY.unpack_from(message, HEADER.size + SETTINGS.size)
-    number, start_ns, size_code, bin_size_m, n_bins, n_beams, offset, image_bytes = *fields[:1], *fields[6:13]
-    bearings = np.frombuffer(message, "<i2", n_beams, HEADER.size + SETTINGS.size + RESULT_BODY.size)
+    begin = HEADER.size + SETTINGS.size
+    number, *_, start_ns, size_code, bin_size_m, n_bins, n_beams, offset, image_bytes, _ = (
+        RESULT_BODY.unpack_from(message, begin)
+    )
+    # hundredths of a degree, positive to starboard
+    bearings = np.frombuffer(message, "<i2", n_beams, begin + RESULT_BODY.size)
+    azimuth_rad = -np.radians(bearings[::-1] / 100)
+    n_bytes = size_code + 1
     rows = np.frombuffer(message, np.uint8, image_bytes, offset).reshape(n_bins, -1)
-    counts = np.ascontiguousarray(rows[:, -n_beams * (size_code + 1) :]).view(f"<u{size_code + 1}")
-    share = counts.T[::-1] / (256 ** (size_code + 1) - 1)
-    azimuth_rad = -np.radians(
-        bearings[::-1] / 100
-    )  # bearings are hundredths of a degree, positive to starboard
+    # a row begins with the gain of its range, where that is asked for
+    counts = rows[:, -n_beams * n_bytes :].copy().view(f"<u{n_bytes}")
+    share = counts.T[::-1] / (256**n_bytes - 1)
     range_m = (np.arange(n_bins) + 0.5) * bin_size_m
     return number, start_ns, sg.Ping(share.astype(np.float32), azimuth_rad, range_m)
 
