@@ -837,6 +837,24 @@ MUTATIONS = (
     Mutation(
         "live/readiness of a slow ping", "is_ready=self._work is None", "is_ready=True", ("test_publisher",)
     ),
+    Mutation(
+        "live/port of a closed server",
+        "if not wait_until_free(self._host, port, CLOSE_S):",
+        "if False:",
+        ("test_foxglove",),
+    ),
+    Mutation(
+        "live/unit of a start time",
+        "int(self.time_s * NANOSECONDS) & 0xFFFFFFFF",
+        "int(self.time_s * 1e6) & 0xFFFFFFFF",
+        ("test_oculus",),
+    ),
+    Mutation(
+        "live/first ping of an emulator",
+        "simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()",
+        "",
+        ("test_emulate",),
+    ),
 )
 
 

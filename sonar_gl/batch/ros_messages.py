@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from sonar_gl.core.checks import is_number
+from sonar_gl.core.checks import is_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.ping import Ping
@@ -94,7 +94,7 @@ class MessageTypes:
     Attributes
     ----------
     schema : function of a type's name such as "sensor_msgs/msg/Image" to its definition, which includes those of its
-        fields, and the hash of both
+        fields, and the hash of both; an Error if the type is another
     """
 
     def __init__(self):
@@ -103,6 +103,7 @@ class MessageTypes:
         typesys = _typesys()
         self._quaternion = quaternion_from_matrix
         self._store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        self._unknown_type = typesys.TypesysError
         for name, text in DEFINITIONS.items():
             text = "\n".join(line.strip() for line in text.split("\n"))
             self._store.register(typesys.get_types_from_msg(text, name))
@@ -140,7 +141,13 @@ class MessageTypes:
 
     def _make_schema(self, msgtype: str) -> tuple[str, str]:
         """Return the definition of a type, including those of its fields, and the hash of both."""
-        return self._store.generate_msgdef(msgtype, ros_version=2)[0], self._store.hash_rihs01(msgtype)
+        try:
+            return self._store.generate_msgdef(msgtype, ros_version=2)[0], self._store.hash_rihs01(msgtype)
+        except self._unknown_type:
+            raise Error(
+                "the type of a message must be one of ROS 2 Humble or of a ping, such as 'sensor_msgs/msg/Image' "
+                f"(got {shown(msgtype)})"
+            ) from None
 
     def header(self, time_ns: int, frame: str):
         """Return a std_msgs/Header."""

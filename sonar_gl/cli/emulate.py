@@ -68,6 +68,8 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
         settings = scene, sonar, acoustics, noise, PoseTrack(poses, times_s), options.tolerance, options.seed
         head = simulation.submit(SimulatedHead, *settings).result()
         try:
+            # the first ping after an installation compiles for half a minute, which no program would wait for
+            simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()
             server, line = make_server(simulation, head)
             line = f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
             asyncio.run(asyncio.wait_for(_listen(server, line), options.duration))

@@ -12,7 +12,7 @@ from sonar_gl.core.checks import check_kind, check_whole_number
 from sonar_gl.core.errors import MachineError, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.live.hosts import LOCAL
+from sonar_gl.live.hosts import LOCAL, wait_until_free
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.transport import Topic, Transport
 
@@ -24,6 +24,7 @@ WRONG_REQUESTS = (
     "foxglove.websocket.connected_client"  # logger of the SDK: an error for each wrong request of a viewer
 )
 MAX_BACKLOG = 64  # messages for a viewer that is too slow; it misses the oldest
+CLOSE_S = 5.0  # for the server to give its port back
 
 
 def _library() -> SimpleNamespace:
@@ -56,6 +57,7 @@ class FoxgloveTransport(Transport):
         check_kind("host", host, str, "such as '127.0.0.1'")
         check_whole_number("port", port, 0, 2**16 - 1)
         self._library, self._lock, self._is_open = _library(), threading.Lock(), True
+        self._host = host
         self._context = self._library.sdk.Context()
         self._channels, self._last = {}, {}  # topic -> channel; latched topic -> message and its time
         self._readers: list[tuple[Topic, Inbox]] = []
@@ -132,14 +134,24 @@ class FoxgloveTransport(Transport):
         return partial(self._withdraw, reader)
 
     def close(self) -> None:
-        """Disconnect the viewers, and end the server and its threads; may be called twice."""
+        """Disconnect the viewers, end the server and its threads, and give the port back; may be called twice."""
         with self._lock:
-            self._is_open = False
+            was_open, self._is_open = self._is_open, False
+        if not was_open:
+            return
+        port = self.port  # which a server that has stopped forgets
         self._server.stop()
         for channel in self._channels.values():
             channel.close()
         for _, inbox in self._readers:
             inbox.close()
+        # `stop` waits for the viewers' connections only: a task of the SDK that it does not wait for ends the listening
+        if not wait_until_free(self._host, port, CLOSE_S):
+            logger.warning(
+                "port %d is still in use %g s after the Foxglove server was closed, by it or by another program",
+                port,
+                CLOSE_S,
+            )
 
     def _withdraw(self, reader: tuple[Topic, Inbox]) -> None:
         """End a subscription, if it has not ended yet."""

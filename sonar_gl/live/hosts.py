@@ -1,3 +1,32 @@
-"""Addresses at which programs of this machine alone can be reached."""
+"""Addresses at which programs of this machine alone can be reached, and ports that are given back."""
+
+from __future__ import annotations
+
+import socket
+import time
 
 LOCAL = "127.0.0.1", "localhost", "::1"
+OFTEN_S = 0.001  # between looks at a port
+
+
+def wait_until_free(host: str, port: int, limit_s: float) -> bool:
+    """Wait until nobody listens at a TCP port of this machine; return False if somebody still does after `limit_s`."""
+    end_s = time.monotonic() + limit_s
+    while not _is_free(host, port):
+        if time.monotonic() >= end_s:
+            return False
+        time.sleep(OFTEN_S)
+    return True
+
+
+def _is_free(host: str, port: int) -> bool:
+    """Return whether a server could listen at a port now."""
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, kind, protocol) as probe:
+        # as servers have it: connections that have ended do not keep the port
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(address)
+        except OSError:
+            return False
+    return True

@@ -8,7 +8,10 @@ little-endian, packed without gaps. Each message begins with a header, which hol
   hundredths of a degree, positive to starboard, and the image, range by range, at an offset that the message holds.
 - The sonar announces itself by a *status*, once a second, to UDP port 52102. It serves results at TCP port 52100.
 
-Fire messages and results have two versions: the second has longer fields.
+Fire messages and results have two versions: the second has longer fields. The time at which a ping starts is in
+seconds in the second. For the first the layout has 32 bits and no unit: they count nanoseconds, and begin anew every
+2³² ns, 4.29 s. In three consecutive pings of an M1200d, liboculus' test/data/three_pings_8bit.raw, it grows by
+62 502 130 and 62 502 097, a sixteenth of a second. In microseconds these pings would lie a minute apart.
 """
 
 from __future__ import annotations
@@ -164,7 +167,7 @@ class OculusResult:
                 *did, *attitude, self.sound_speed_m_s, self.time_s, *shape, 0, 0, 0, 0, *places
             )
         else:
-            started = int(self.time_s * NANOSECONDS) & 0xFFFFFFFF
+            started = int(self.time_s * NANOSECONDS) & 0xFFFFFFFF  # as the device: see above
             body = RESULT_1.pack(*did, self.sound_speed_m_s, started, *shape, *places)
         # an M1200d marks results of the first version by 0
         version = 2 if self.fire.version == 2 else 0

@@ -179,20 +179,16 @@ class Publisher:
 
     # ---- topics --------------------------------------------------------------------------------------
 
-    def _topic(self, name: str, msgtype: str, **quality) -> Topic:
-        definition, type_hash = self._types.schema(msgtype)
-        return Topic(name, msgtype, type_hash, definition, **quality)
-
     def _make_topics(self) -> dict[str, Topic]:
         """Return what is published, by kind; with "tf" also "tf_static"."""
         topics = {}
         for kind, name in self.settings.topic_names.items():
             if kind == "tf":
-                topics["tf_static"] = self._topic(f"{name}_static", TOPICS[kind], latched=True, depth=1)
+                topics["tf_static"] = Topic.of_type(f"{name}_static", TOPICS[kind], latched=True, depth=1)
                 if self.settings.reads_tf:  # others publish the frame that moves
                     continue
             depth = {"depth": TF_DEPTH} if kind == "tf" else {}
-            topics[kind] = self._topic(name, TOPICS[kind], **depth)
+            topics[kind] = Topic.of_type(name, TOPICS[kind], **depth)
         return topics
 
     def _make_inputs(self, scene: Scene):
@@ -213,7 +209,7 @@ class Publisher:
 
     def _subscribe(self, name: str, msgtype: str, messages, reliable: bool = False, **quality) -> None:
         """Have an input receive a topic; by best effort, which every publisher offers."""
-        topic = self._topic(name, msgtype, reliable=reliable, **quality)
+        topic = Topic.of_type(name, msgtype, reliable=reliable, **quality)
         for transport in self._transports:
             self._withdrawals.append(transport.subscribe(topic, messages.receive))
 

@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sonar_gl.batch.ros_messages import message_types
+
 MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
 
 
@@ -31,6 +33,28 @@ class Topic:
     reliable: bool = True
     latched: bool = False
     depth: int = 5
+
+    @classmethod
+    def of_type(cls, name: str, msgtype: str, **quality) -> Topic:
+        """Return a topic of a type that `message_types` knows, with its hash and definition.
+
+        Parameters
+        ----------
+        name, msgtype : as of a Topic; types are those of ROS 2 Humble, and of pings
+        quality : `reliable`, `latched` and `depth` of the Topic
+
+        Raises
+        ------
+        Error
+            if the type is not known: make a `Topic` with its hash and definition; or an extra is not installed.
+
+        Examples
+        --------
+        >>> Topic.of_type("/chatter", "std_msgs/msg/String").type_hash[:15]
+        'RIHS01_df668c74'
+        """
+        definition, type_hash = message_types().schema(msgtype)
+        return cls(name, msgtype, type_hash, definition, **quality)
 
 
 class Transport(ABC):

@@ -4,6 +4,8 @@ import socket
 
 import pytest
 
+from sonar_gl.cli import emulate
+from sonar_gl.live.simulated_head import SimulatedHead
 from tests.support.command_line import run
 
 KINDS = {"oculus": socket.SOCK_STREAM, "ping360": socket.SOCK_DGRAM}
@@ -20,6 +22,24 @@ def test_a_port_that_is_taken_is_an_error_and_nothing_is_said_to_listen(device):
     assert status == 2
     assert "(got Address already in use; is another program using the port? --port chooses another)" in errors
     assert "Ctrl-C stops it" not in errors
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
+    """Noise is compiled by the first ping, for half a minute after an installation: clients gave up before."""
+    pings, listening = [], []
+
+    def ping(head, sonar, acoustics, time_s, number):
+        pings.append((sonar.name, head.track.at(time_s).shape, len(listening)))
+
+    async def listen(server, line):
+        listening.append(line)
+
+    monkeypatch.setattr(SimulatedHead, "ping", ping)
+    monkeypatch.setattr(emulate, "_listen", listen)
+    status, _, _ = run("emulate", device, "pylon", "--port", "0")
+    assert status == 0 and len(listening) == 1
+    assert pings == [({"oculus": "oculus-m1200d-hf", "ping360": "ping360"}[device], (4, 4), 0)]
 
 
 @pytest.mark.parametrize("device", KINDS)

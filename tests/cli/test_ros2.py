@@ -243,10 +243,6 @@ def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
     types, at, domain = message_types(), sg.load_scene("pylon").sonar_pose, 100 + os.getpid() % 100
     images, links, image = [], [], "marine_acoustic_msgs/msg/ProjectedSonarImage"
 
-    def topic(name, msgtype, **quality):
-        definition, type_hash = types.schema(msgtype)
-        return Topic(name, msgtype, type_hash, definition, **quality)
-
     transport = live.DdsTransport(domain=domain)
     log = (tmp_path / "log").open("w+")
     words = [
@@ -268,13 +264,14 @@ def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
         stderr=subprocess.STDOUT,
     )
     try:
-        clock = topic("/clock", "rosgraph_msgs/msg/Clock", depth=1)
-        poses = topic("/rov/odometry", "nav_msgs/msg/Odometry")
+        clock = Topic.of_type("/clock", "rosgraph_msgs/msg/Clock", depth=1)
+        poses = Topic.of_type("/rov/odometry", "nav_msgs/msg/Odometry")
         transport.subscribe(
-            topic("/sonar/projected_image", image), lambda data: images.append(types.decode(data, image))
+            Topic.of_type("/sonar/projected_image", image),
+            lambda data: images.append(types.decode(data, image)),
         )
         transport.subscribe(
-            topic("/tf", "tf2_msgs/msg/TFMessage"),
+            Topic.of_type("/tf", "tf2_msgs/msg/TFMessage"),
             lambda data: links.extend(types.decode(data, "tf2_msgs/msg/TFMessage").transforms),
         )
         end_s, number = time.monotonic() + WAIT_S, 0

@@ -34,6 +34,9 @@ MAX_FILM_BYTES = 1_500_000
 BATCHES = ROOT / "docs" / "batch.md"  # whose blocks build on one another
 ROS2 = ROOT / "docs" / "ros2.md"  # whose XML and TOML are no scenes and sonars
 POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
+CLIENTS = re.compile(
+    r"^import (rclpy|brping)$", re.MULTILINE
+)  # of blocks that tests/live/test_clients.py runs
 
 
 def text_of(page):
@@ -97,7 +100,10 @@ def test_there_is_something_to_check():
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
-@pytest.mark.parametrize("code", [*blocks("python"), *blocks("python", [ROS2])])
+@pytest.mark.parametrize(
+    "code",
+    [p for p in [*blocks("python"), *blocks("python", [ROS2])] if not CLIENTS.search(p.values[0])],
+)
 def test_python_examples_run(code):
     exec(compile(code, "example", "exec"), {"__name__": "__main__"})
 
@@ -126,7 +132,9 @@ def test_the_python_example_and_the_command_of_the_first_screen_make_the_same_pi
 
 
 def options_of(words):
-    """Options of the tool that `python -m MODULE [NAME]` runs, as its source has them."""
+    """Options of the tool or example that `python -m MODULE [NAME]` or `python FILE` runs, as its source has them."""
+    if "-m" not in words:
+        return options_in((ROOT / words[1]).read_text(encoding="utf-8"))
     module = words[words.index("-m") + 1]
     specs = [importlib.util.find_spec(module)]
     if specs[0].submodule_search_locations:
@@ -134,15 +142,19 @@ def options_of(words):
     if module == "tools.bench":
         named = next((word for word in words if word in bench.NAMES), "ping")
         specs.append(importlib.util.find_spec(f"{module}.{named}"))
-    sources = "".join(Path(spec.origin).read_text(encoding="utf-8") for spec in specs)
-    return set(re.findall(r'add_argument\(\s*"(--[a-z-]+)"', sources))
+    return options_in("".join(Path(spec.origin).read_text(encoding="utf-8") for spec in specs))
+
+
+def options_in(source):
+    """Options that a source gives its parser."""
+    return set(re.findall(r'add_argument\(\s*"(--[a-z-]+)"', source))
 
 
 @pytest.mark.parametrize("words", [p for p in shell_lines() if p.values[0][0] != "sonar-gl"])
 def test_other_commands_name_files_and_options_that_exist(words):
     paths = [w for w in words[1:] if w.startswith(("tools/", "examples/"))]
     assert all((ROOT / path).is_file() for path in paths)
-    if "-m" in words:
+    if "-m" in words or any(path.endswith(".py") for path in paths):
         assert {w for w in words if w.startswith("--")} <= options_of(words)
 
 

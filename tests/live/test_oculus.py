@@ -234,6 +234,34 @@ def test_result_of_odd_sizes_fits_its_header():
     assert np.frombuffer(message, "<i2", 2, 122).tolist() == [-573, 573]
 
 
+@pytest.mark.parametrize(
+    ("time_s", "nanoseconds"), [(0.0, 0), (1.5, 1_500_000_000), (4.5, 4_500_000_000 - 2**32)]
+)
+def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_second(time_s, nanoseconds):
+    """Times that floats hold; in raw pings of an M1200d consecutive start times differ by 62.5 million."""
+    first, second = (
+        OculusResult(
+            FireMessage(version, HIGH, 0, 127, METRES, 3.0, 50.0, 0.0, bytes(size)),
+            number=1,
+            counts=np.zeros((1, 1), np.uint8),
+            azimuth_rad=np.zeros(1),
+            gain=np.ones(1, np.float32),
+            bin_size_m=0.1,
+            frequency_hz=1e6,
+            temperature_c=8.0,
+            pressure_bar=1.0,
+            sound_speed_m_s=1500.0,
+            heading_deg=0.0,
+            pitch_deg=0.0,
+            roll_deg=0.0,
+            time_s=time_s,
+        ).message(1)
+        for version, size in ((1, 37), (2, 73))
+    )
+    assert struct.unpack_from("<I", first, 93) == (nanoseconds,)
+    assert struct.unpack_from("<d", second, 153) == (time_s,)
+
+
 @pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connection, count):
     """Packets of random bytes, headers of any length, fire messages of random numbers."""

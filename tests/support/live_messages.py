@@ -20,8 +20,7 @@ PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 
 def topic_of(name: str, msgtype: str, **quality) -> Topic:
     """Return a topic with the definition and the hash of its type."""
-    definition, digest = message_types().schema(msgtype)
-    return Topic(name, msgtype, digest, definition, **quality)
+    return Topic.of_type(name, msgtype, **quality)
 
 
 def sonar_topic(**quality) -> Topic:

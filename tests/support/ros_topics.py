@@ -17,8 +17,7 @@ HEADER = "std_msgs/msg/Header"
 
 def topic_of(name: str, msgtype: str = HEADER, **policies) -> Topic:
     """Return a topic with the hash and definition of its type."""
-    definition, type_hash = message_types().schema(msgtype)
-    return Topic(name, msgtype, type_hash, definition, **policies)
+    return Topic.of_type(name, msgtype, **policies)
 
 
 def header(number: int, frame: str = "sonar_beams"):

@@ -1,0 +1,29 @@
+"""Ports that are given back."""
+
+import socket
+import threading
+import time
+
+import pytest
+
+from sonar_gl.live.hosts import wait_until_free
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_a_port_is_free_once_nobody_listens(host):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert not wait_until_free(host, port, 0.05)
+        began_s = time.monotonic()
+        threading.Timer(0.2, server.close).start()
+        assert wait_until_free(host, port, 60.0)
+        assert time.monotonic() - began_s >= 0.2
+    assert wait_until_free(host, port, 0.0)
+
+
+def test_connections_that_are_open_do_not_keep_a_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)), server.accept()[0]:
+            server.close()
+            assert wait_until_free("127.0.0.1", port, 0.0)

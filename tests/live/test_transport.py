@@ -1,0 +1,27 @@
+"""Topics, whatever carries them."""
+
+import re
+
+import pytest
+
+from sonar_gl.core.errors import Error
+from sonar_gl.live.transport import Topic
+
+# of ROS 2's own message, as `ros2 topic info -v` shows it
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def test_a_topic_of_a_known_type_has_its_hash_and_definition():
+    found = Topic.of_type("/chatter", "std_msgs/msg/String", latched=True, depth=7)
+    definition = found.definition
+    assert found == Topic(
+        "/chatter", "std_msgs/msg/String", STRING_HASH, definition, reliable=True, latched=True, depth=7
+    )
+    assert definition.split() == ["string", "data"]
+
+
+@pytest.mark.parametrize("msgtype", ["my_msgs/msg/Thing", "std_msgs/String", 3])
+def test_an_unknown_type_is_told_in_a_sentence(msgtype):
+    why = f"must be one of ROS 2 Humble or of a ping, such as 'sensor_msgs/msg/Image' (got {msgtype!r})"
+    with pytest.raises(Error, match=re.escape(why)):
+        Topic.of_type("/chatter", msgtype)
