@@ -1,5 +1,6 @@
 """A router of zenoh at 127.0.0.1, in place of ROS's rmw_zenohd, by which programs on this machine find each other.
 
+pip install eclipse-zenoh                            # or sonar_gl's extra 'live'
 python examples/zenoh_router.py                      # Ctrl-C ends it
 """
 
