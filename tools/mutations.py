@@ -68,6 +68,7 @@ NOISE = (
     "test_place_locked_speckle|test_place_speckle|test_speckle",
 )
 CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
+SURFACE = ("test_surface_reverberation",)
 STORE = ("test_store|test_batch",)
 ENCODING = ("test_batch",)
 RECORDS = ("test_records|test_batch",)
@@ -540,6 +541,21 @@ MUTATIONS = (
     Mutation("volume/half a bin", "- covered / 2", "- covered", VOLUME),
     Mutation("volume/surface of the water", "is_surface = nearness >", "is_surface = 0 * nearness >", VOLUME),
     Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
+    Mutation(
+        "surface/mean of steep bins",
+        "np.pi * backscatter(np.arcsin(sines)) / sines**2, means",
+        "means, means",
+        SURFACE,
+    ),
+    Mutation("surface/nodes in a bin", "(NODES + 1) / 2", "(NODES + 1) / 4", SURFACE),
+    Mutation("surface/Lambert's law", "plane_echo[is_nearest] = of_surface", "plane_echo[:] = 0", SURFACE),
+    Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),
+    Mutation(
+        "surface/waves end the mirror",
+        "max(scene.surface_roughness_m, wave_height_m)",
+        "scene.surface_roughness_m",
+        SURFACE,
+    ),
     Mutation(
         "volume/nearer than the first bin",
         "plane[..., 0] * first_m > length",

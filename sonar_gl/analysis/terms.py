@@ -130,6 +130,13 @@ TERMS = (
         acts_with=lambda acoustics, sonar: acoustics.water.volume_backscatter_db is not None,
     ),
     Term(
+        "surface reverberation",
+        on=_field_on("surface_reverberation", True, off=False),
+        off={"surface_reverberation": False},
+        acts_in=lambda scene: scene.surface_z_m is not None,
+        acts_with=lambda acoustics, sonar: acoustics.water.wind_speed_m_s is not None,
+    ),
+    Term(
         "cross-talk",
         on=_field_on("cross_talk", True, off=False),
         off={"cross_talk": False},

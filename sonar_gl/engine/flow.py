@@ -104,6 +104,7 @@ class ReceivedPing:
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
     volume : BeamEcho of the water itself; None in clear water
+    surface : BeamEcho of the water's surface; None if it scatters nothing, or is out of reach
     lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
     """
 
@@ -112,12 +113,14 @@ class ReceivedPing:
     multipath: BeamEcho | None = None
     labels: Labels | None = None
     volume: BeamEcho | None = None
+    surface: BeamEcho | None = None
     lobes: BeamEcho | None = None
 
     @property
     def total(self) -> float:
-        """The sum of the echo of surfaces and bubbles, also by way of reflectors."""
-        return self.direct.total + (0.0 if self.multipath is None else self.multipath.total)
+        """The sum of the echo of surfaces, bodies' and the water's, and bubbles, also by way of reflectors."""
+        others = self.multipath, self.surface
+        return self.direct.total + sum(echo.total for echo in others if echo is not None)
 
 
 class PingReport(NamedTuple):

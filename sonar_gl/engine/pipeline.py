@@ -10,8 +10,10 @@ from typing import Protocol
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
-from sonar_gl.beamform.labels import Labels, without_faint
-from sonar_gl.beamform.volume import sum_volume, water_surface
+from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
+from sonar_gl.beamform.surface_reverberation import sum_surface
+from sonar_gl.beamform.volume import sum_volume
+from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
@@ -73,10 +75,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = drawn_ping(setup, resolution, tried.view, images, parts)
-    labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(
-        drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
-    )
+    return receive_more(drawn, tried.echo, label(drawn) if setup.request.labels else None)
 
 
 class ImageDrawer(Protocol):
@@ -134,8 +133,22 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
+    return receive_more(drawn, direct, labels)
+
+
+def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
+    """Sum what else there is beside the direct echo of a ping."""
+    surface = receive_surface(drawn)
+    if labels is not None and surface is not None:
+        labels = without_weaker(labels, direct.intensity, surface.intensity)
     return ReceivedPing(
-        drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
+        drawn,
+        direct,
+        receive_multipath(drawn),
+        labels,
+        receive_volume(drawn),
+        surface,
+        receive_lobes(drawn),
     )
 
 
@@ -152,6 +165,17 @@ def receive_volume(drawn: DrawnPing) -> BeamEcho | None:
         return None
     surface = water_surface(setup.head_pose, setup.surface_z_m)
     return sum_volume(drawn.resolution.stage.beamformer, drawn.view.sectors, setup.gain, strength_db, surface)
+
+
+def receive_surface(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the backscatter of the water's surface; None if it scatters nothing, or is out of reach."""
+    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
+    sonar = beamformer.fan.sonar
+    backscatter = setup.acoustics.surface_backscatter(sonar)
+    surface = None if backscatter is None else water_surface(setup.head_pose, setup.surface_z_m)
+    if surface is None or surface.height_m >= sonar.range_max_m:
+        return None
+    return sum_surface(beamformer, drawn.view.sectors, setup.gain, surface, backscatter)
 
 
 def receive_lobes(drawn: DrawnPing) -> BeamEcho | None:
@@ -194,7 +218,9 @@ def assemble(
     noise.
     """
     setup = received.drawn.setup
-    echo = received.direct.with_more(received.multipath).with_more(received.volume)
+    echo = (
+        received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
+    )
     request, labels, label_level_db = setup.request, {}, None
     intensity, coherent = (
         one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
