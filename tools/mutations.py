@@ -524,6 +524,8 @@ MUTATIONS = (
         "share / (1 + len(beams) * share)",
         CROSS_TALK,
     ),
+    Mutation("noise/texture of bodies", "/ np.sqrt(shapes)", "/ np.sqrt(np.minimum(shapes, 1.0))", NOISE),
+    Mutation("noise/deviation of the texture", "4.0 * math.log2(ratio)", "2.0 * math.log2(ratio)", NOISE),
     Mutation("noise/set of beams", "out[first::spacing] +=", "out[first:] +=", CROSS_TALK),
     Mutation(
         "noise/decay of the ring-down",

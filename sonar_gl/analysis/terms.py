@@ -88,7 +88,7 @@ def _receiver_noise_on(acoustics, noise, sonar) -> dict:
 SPECKLE = Term(
     "speckle",
     on=_speckle_on,
-    off={"speckle": False, "speckle_shape": None, "looks": 1, "follow_motion": False},
+    off={"speckle": False, "looks": 1, "follow_motion": False},
     of_noise=True,
 )
 TERMS = (
