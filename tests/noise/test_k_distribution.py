@@ -7,6 +7,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.k_distribution import gamma_from_exponential, multiply_by_texture
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
@@ -108,3 +110,24 @@ def test_a_shape_is_checked_and_read_from_files(tmp_path):
     with pytest.warns(UserWarning):  # no laser_retro
         bodies = sg.load_scene(str(path)).bodies
     assert [(body.name, body.speckle_shape) for body in bodies] == [("m", 2.0), ("m::b", None)]
+
+
+@pytest.mark.parametrize("reflectivity", [None, {"wall": 0.2}])
+@pytest.mark.parametrize("by_face", [False, True])
+def test_the_deviation_is_the_diffuse_echo_over_the_root_of_the_shape(reflectivity, by_face):
+    """Of a smooth wall with a texture: through pulse, cross-talk and motion, without its glint."""
+    sonar = sg.Sonar("wall", 900e3, 32, 200, 60.0, 10.0, 1.0, 1.0, 9.0, bandwidth_hz=10e3)
+    sonar = replace(sonar, cross_talk_db=-20.0, cross_talk_beams=8)
+    mesh, mu = box_of(0.1, 30, 30), np.linspace(0.1, 0.9, 12) if by_face else 0.5
+    wall = sg.Body("wall", mesh, sg.pose(8.05, 0, 0), mu, specular=0.3, speckle_shape=4.0)
+    request = PingRequest(np.eye(4), lobes=True, velocity=(0.5, 0, 0, 0, 0, 0.1), reflectivity=reflectivity)
+    with sg.Simulator(sg.Scene([wall]), sonar, sg.Acoustics.physical(), tolerance=0.05) as simulator:
+        ping = make_ping(simulator.run, request)
+        plain = make_ping(simulator.run, replace(request, lobes=False))
+    assert plain.texture_deviation is None and plain.coherent is None
+    assert ping.coherent.max() > 0.1 * ping.intensity.max()
+    # float32 sums of lobe and diffuse echo, of which one is subtracted
+    atol = 1e-5 * ping.intensity.max()
+    diffuse = ping.intensity - ping.coherent
+    np.testing.assert_allclose(ping.texture_deviation, diffuse / 2.0, rtol=1e-4, atol=atol)
+    assert add_noise(ping, Noise(speckle=True), 1).texture_deviation is None
