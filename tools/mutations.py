@@ -545,12 +545,17 @@ MUTATIONS = (
     Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
     Mutation(
         "surface/mean of steep bins",
-        "np.pi * backscatter(np.arcsin(sines)) / sines**2, means",
-        "means, means",
+        "own = np.pi * backscatter(np.arcsin(sines)) / sines**2",
+        "own = 1.0 * means",
         SURFACE,
     ),
     Mutation("surface/nodes in a bin", "(NODES + 1) / 2", "(NODES + 1) / 4", SURFACE),
-    Mutation("surface/Lambert's law", "plane_echo[is_nearest] = of_surface", "plane_echo[:] = 0", SURFACE),
+    Mutation(
+        "surface/Lambert's law",
+        "(met.nearness, *met.slopes, surface.height_m)",
+        "(met.nearness, *met.slopes, 1.0)",
+        SURFACE,
+    ),
     Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),
     Mutation(
         "surface/waves end the mirror",

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
-from sonar_gl.beamform.water_surface import WaterSurface, ray_lengths, surface_planes, whole_sectors
+from sonar_gl.beamform.water_surface import WaterSurface, on_rays, whole_sectors
 from sonar_gl.sonar.samples import SectorSamples
 
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(
@@ -47,9 +47,9 @@ def sum_surface(
     edges_m = beamformer.fan.sonar.bin_edges_m
     law = over_lambert(edges_m, surface.height_m, backscatter)
     of_samples = partial(_over_bin_mean, edges_m=edges_m, law=law, surface=surface, backscatter=backscatter)
-    alone = [
-        _surface_alone(one, surface, of_samples) for one in whole_sectors(samples, beamformer.fan.sectors)
-    ]
+    steep_m = edges_m[0], _end_of_steep_bins(edges_m, surface, backscatter)
+    whole = whole_sectors(samples, beamformer.fan.sectors)
+    alone = [_surface_alone(one, surface, steep_m, of_samples) for one in whole]
     by_lambert = beamformer.sum_footprints(alone).intensity
     intensity = by_lambert * (law * gain).astype(np.float32)
     return BeamEcho(intensity, float(intensity.sum(dtype=np.float64)))
@@ -86,42 +86,46 @@ def over_lambert(bin_edges_m: np.ndarray, height_m: float, backscatter: Callable
 
 
 def _over_bin_mean(range_m, edges_m, law, surface: WaterSurface, backscatter: Callable) -> np.ndarray:
-    """Return π σ / sin² g at ranges of the surface over its mean in their bins, 1 where it hardly changes in a bin.
+    """Return π σ / sin² g at ranges of the surface over its mean in their bins.
 
     Parameters
     ----------
-    range_m : (n,) metres
+    range_m : (n,) metres, from the first edge to before the last
     edges_m, law : (K + 1,) edges of bins, and (K,) means in bins
     """
-    out = np.ones_like(range_m)
+    sines = np.minimum(surface.height_m / range_m, 1.0)
+    means = law[np.searchsorted(edges_m, range_m, side="right") - 1]
+    own = np.pi * backscatter(np.arcsin(sines)) / sines**2
+    return np.divide(own, means, out=np.ones_like(own), where=means > 0)
+
+
+def _end_of_steep_bins(edges_m, surface: WaterSurface, backscatter: Callable) -> float:
+    """Return the range up to which π σ / sin² g changes by more than MAX_CHANGE within a bin."""
     sines = surface.height_m / np.maximum(edges_m, surface.height_m)
     at_edges = backscatter(np.arcsin(sines)) / sines**2
-    ratios = at_edges[1:] / at_edges[:-1]
-    wide = np.flatnonzero(np.abs(ratios - 1) > MAX_CHANGE)
-    if not len(wide):
-        return out
-    steep = np.flatnonzero((range_m > edges_m[0]) & (range_m < edges_m[wide[-1] + 1]))
-    r = range_m[steep]
-    sines = np.minimum(surface.height_m / r, 1.0)
-    means = law[np.searchsorted(edges_m, r) - 1]
-    np.divide(np.pi * backscatter(np.arcsin(sines)) / sines**2, means, out=r, where=means > 0)
-    out[steep] = r
-    return out
+    wide = np.flatnonzero(np.abs(at_edges[1:] / at_edges[:-1] - 1) > MAX_CHANGE)
+    return edges_m[wide[-1] + 1] if len(wide) else edges_m[0]
 
 
-def _surface_alone(samples: SectorSamples, surface: WaterSurface, over_bin_mean: Callable) -> SectorSamples:
+def _surface_alone(
+    samples: SectorSamples, surface: WaterSurface, steep_m: tuple[float, float], over_bin_mean: Callable
+) -> SectorSamples:
     """Return samples of the surface alone, where no body is nearer; their echo is that by Lambert's law.
 
     Parameters
     ----------
-    over_bin_mean : function (range_m) -> factor of the echo of a sample
+    steep_m : between these ranges samples have a factor of their own
+    over_bin_mean : function (range_m) -> that factor
     """
-    planes, is_nearest = surface_planes(samples, surface)
-    planes = planes[is_nearest]
+    met = on_rays(samples, surface)
     plane_echo = np.zeros_like(samples.plane_echo)
-    of_surface = np.empty((len(planes), 4), np.float32)
-    of_surface[:, :3] = planes
-    # sin g times slant range
-    of_surface[:, 3] = surface.height_m * over_bin_mean(ray_lengths(samples)[is_nearest] / planes[:, 0])
-    plane_echo[is_nearest] = of_surface
+    # sin g times slant range is the height
+    for part, values in enumerate((met.nearness, *met.slopes, surface.height_m)):
+        np.copyto(plane_echo[..., part], values, where=met.is_nearest, casting="same_kind")
+    # range below the end, without a division by the nearness of rays that never meet the surface
+    near, far = (met.nearness * edge_m for edge_m in steep_m)
+    is_steep = met.is_nearest & (met.ray_length >= near) & (met.ray_length < far)
+    if is_steep.any():
+        range_m = met.ray_length[is_steep] / met.nearness[is_steep]
+        plane_echo[is_steep, 3] *= over_bin_mean(range_m)
     return SectorSamples(samples.sector, plane_echo, samples.body_id)

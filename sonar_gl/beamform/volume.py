@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
-from sonar_gl.beamform.water_surface import WaterSurface, ray_lengths, surface_planes, whole_sectors
+from sonar_gl.beamform.water_surface import WaterSurface, on_rays, ray_lengths, whole_sectors
 from sonar_gl.sonar.samples import SectorSamples
 
 
@@ -61,8 +61,9 @@ def _covered(samples: SectorSamples, first_m: float, surface: WaterSurface | Non
     length = ray_lengths(samples)
     plane = samples.plane_echo[..., :3].astype(np.float64)
     if surface is not None:
-        surface_plane, is_surface = surface_planes(samples, surface)
-        plane[is_surface] = surface_plane[is_surface]
+        on_surface = on_rays(samples, surface)
+        for part, values in enumerate((on_surface.nearness, *on_surface.slopes)):
+            np.copyto(plane[..., part], values, where=on_surface.is_nearest)
     is_near = plane[..., 0] * first_m > length
     plane[is_near] = 0
     plane[is_near, 0] = (length / first_m)[is_near]

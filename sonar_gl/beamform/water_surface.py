@@ -37,19 +37,30 @@ def water_surface(pose: np.ndarray, surface_z_m: float | None) -> WaterSurface |
     return WaterSurface(pose[2, :3], surface_z_m - pose[2, 3])
 
 
-def surface_planes(samples: SectorSamples, surface: WaterSurface) -> tuple[np.ndarray, np.ndarray]:
-    """Return the surface on each ray, and on which rays it is nearer than any body.
+class SurfaceOnRays(NamedTuple):
+    """The water's surface on the rays of samples.
 
-    Returns
-    -------
-    planes : (R, C, 3) float64, as the first three of `SectorSamples.plane_echo`
-    is_nearest : (R, C) bool
+    Attributes
+    ----------
+    nearness : (R, C) float64, 1/x where a ray meets the surface; 0 or less where it does not
+    slopes : of it along u and v, the same everywhere
+    is_nearest : (R, C) bool, whether the surface is nearer than any body
+    ray_length : (R, C) float64, slant range over x
     """
+
+    nearness: np.ndarray
+    slopes: tuple[float, float]
+    is_nearest: np.ndarray
+    ray_length: np.ndarray
+
+
+def on_rays(samples: SectorSamples, surface: WaterSurface) -> SurfaceOnRays:
+    """Return the water's surface on the rays of samples."""
     u, v = _rays(samples)
     x, y, z = samples.sector.rotation() @ surface.up / surface.height_m
     nearness = x - y * u + z * v
     is_surface = nearness > samples.plane_echo[..., 0]
-    return np.stack([nearness, np.full_like(u, -y), np.full_like(u, z)], axis=-1), is_surface
+    return SurfaceOnRays(nearness, (-y, z), is_surface, np.sqrt(1 + u * u + v * v))
 
 
 def ray_lengths(samples: SectorSamples) -> np.ndarray:
@@ -61,7 +72,7 @@ def ray_lengths(samples: SectorSamples) -> np.ndarray:
 def _rays(samples: SectorSamples) -> tuple[np.ndarray, np.ndarray]:
     """Return (R, C) u and v of the rays of samples."""
     sector, (rows, columns) = samples.sector, samples.plane_echo.shape[:2]
-    j, i = np.mgrid[0:rows, 0:columns]
+    j, i = np.ogrid[0:rows, 0:columns]
     u, v = (at[0] + at[1] * i + at[2] * j for at in (sector.u, sector.v))
     return u, v
 
