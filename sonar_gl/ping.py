@@ -15,6 +15,10 @@ if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list th
     from sonar_gl.sonar.sonar import Sonar
 
 
+# parts of a ping's echo that only its noise needs; a noisy ping has none of them
+PARTS = "coherent", "texture_deviation"
+
+
 @dataclass(frozen=True, eq=False)
 class GBuffer:
     """Samples of the depth + normal pass of one sector. R rows (elevation), C columns (azimuth).
@@ -58,6 +62,8 @@ class Ping:
     acoustics : the Acoustics of the ping, in its own water; None if unknown
     coherent : (B, K) float32 or None, the part of `intensity` that specular lobes return: a steady echo, which
         speckle spares. Only in pings without noise for which it was asked, as those of a batch
+    texture_deviation : (B, K) float32 or None, standard deviation of the mean echo by the texture of bodies with a
+        `speckle_shape` ν, the sum of their echoes over √ν; likewise
     """
 
     intensity: np.ndarray
@@ -76,6 +82,7 @@ class Ping:
     sonar: Sonar | None = None
     acoustics: Acoustics | None = None
     coherent: np.ndarray | None = None
+    texture_deviation: np.ndarray | None = None
 
     @property
     def bin_size_m(self) -> float:

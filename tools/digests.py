@@ -83,6 +83,13 @@ def yard(far_m: float = 0.0, *plumes: sg.Bubbles) -> sg.Scene:
     return sg.Scene([*things, *plumes], at(0, 0, -1, 0.05, 0.15, 0.1), "yard", surface_z_m=0.0)
 
 
+def patchy() -> sg.Scene:
+    """`yard` with a texture on its floor and its wall."""
+    scene, shapes = yard(), {"floor": 0.8, "wall": 3.0}
+    bodies = [dataclasses.replace(body, speckle_shape=shapes.get(body.name)) for body in scene.bodies]
+    return sg.Scene(bodies, scene.sonar_pose, "patchy", scene.surface_z_m)
+
+
 def breath(far_m: float = 0.0) -> sg.Bubbles:
     """A plume before the ball of `yard`."""
     return sg.Bubbles("breath", sg.pose(far_m + 5.5, far_m + 1, -2.9), rate_hz=80, breath_s=3.0, seed=3)
@@ -105,6 +112,7 @@ def crowd() -> sg.Scene:
 
 SCENES = {
     "yard": yard,
+    "patchy": patchy,
     "bubbles": lambda: yard(0.0, breath()),
     "far": lambda: yard(FAR_M, breath(FAR_M)),
     "crowd": crowd,
@@ -562,18 +570,15 @@ NOISES = {
     "demarco2015": sg.Noise.demarco2015(),
     "physical": sg.Noise.physical(),
     "speckle": sg.Noise(speckle=True),
-    "K texture": sg.Noise(speckle=True, speckle_shape=0.8),
     "looks": sg.Noise(speckle=True, looks=3, ambient_db=-80.0),
     "ambient": sg.Noise(speckle=True, self_noise=True, ambient_db=-70.0),
     "interference": sg.Noise(interference_lines=6.0),
     "locked": sg.Noise(speckle=True, follow_motion=True),
-    "locked K texture": sg.Noise(speckle=True, speckle_shape=1.5, follow_motion=True),
     "all": sg.Noise(
         speckle=True,
         gaussian=0.01,
         salt_and_pepper=0.005,
         median=3,
-        speckle_shape=2.0,
         looks=2,
         follow_motion=True,
         self_noise=True,
@@ -661,6 +666,8 @@ def cases() -> Iterator[tuple[str, Callable]]:
     for name, velocity in SPEEDS.items():
         yield f"motion/{name}", partial(one, velocity=velocity, noise=NOISES["physical"], **LABELS)
 
+    for name in ("speckle", "locked", "all"):
+        yield f"noise/{name}, patchy", partial(one, "patchy", sampling=FIXED, noise=NOISES[name], seed=7)
     for name, noise in NOISES.items():
         yield f"noise/{name}", partial(one, sampling=FIXED, noise=noise, seed=7, ping_number=3)
     circle = FANS["360 degrees"]

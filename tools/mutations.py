@@ -68,6 +68,7 @@ NOISE = (
     "test_place_locked_speckle|test_place_speckle|test_speckle",
 )
 CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
+SURFACE = ("test_surface_reverberation",)
 STORE = ("test_store|test_batch",)
 ENCODING = ("test_batch",)
 RECORDS = ("test_records|test_batch",)
@@ -523,6 +524,8 @@ MUTATIONS = (
         "share / (1 + len(beams) * share)",
         CROSS_TALK,
     ),
+    Mutation("noise/texture of bodies", "/ np.sqrt(shapes)", "/ np.sqrt(np.minimum(shapes, 1.0))", NOISE),
+    Mutation("noise/deviation of the texture", "4.0 * math.log2(ratio)", "2.0 * math.log2(ratio)", NOISE),
     Mutation("noise/set of beams", "out[first::spacing] +=", "out[first:] +=", CROSS_TALK),
     Mutation(
         "noise/decay of the ring-down",
@@ -540,6 +543,26 @@ MUTATIONS = (
     Mutation("volume/half a bin", "- covered / 2", "- covered", VOLUME),
     Mutation("volume/surface of the water", "is_surface = nearness >", "is_surface = 0 * nearness >", VOLUME),
     Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
+    Mutation(
+        "surface/mean of steep bins",
+        "own = np.pi * backscatter(np.arcsin(sines)) / sines**2",
+        "own = 1.0 * means",
+        SURFACE,
+    ),
+    Mutation("surface/nodes in a bin", "(NODES + 1) / 2", "(NODES + 1) / 4", SURFACE),
+    Mutation(
+        "surface/Lambert's law",
+        "(met.nearness, *met.slopes, surface.height_m)",
+        "(met.nearness, *met.slopes, 1.0)",
+        SURFACE,
+    ),
+    Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),
+    Mutation(
+        "surface/waves end the mirror",
+        "max(scene.surface_roughness_m, wave_height_m)",
+        "scene.surface_roughness_m",
+        SURFACE,
+    ),
     Mutation(
         "volume/nearer than the first bin",
         "plane[..., 0] * first_m > length",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -106,7 +106,9 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
     wanted = hamming_correlation(1.302982 * 2 * SPACING_DEG / WIDTH_DEG) ** 2
     yield "Hamming array, 0.5 widths apart", wanted, Tally(pings(count, speckle, ping), 2).correlation
     for shape in (0.5, 1.0, 5.0, 50.0):
-        found = Tally(pings(count, Noise(speckle=True, speckle_shape=shape))).contrast
+        ping = even_ping()
+        ping = replace(ping, texture_deviation=ping.intensity / np.float32(np.sqrt(shape)))
+        found = Tally(pings(count, speckle, ping)).contrast
         yield f"K, shape {shape:g}: contrast", np.sqrt(1 + 2 / shape), found
     for looks, std in ((2, 3.488), (4, 2.314), (10, 1.408)):
         found = Tally(pings(count // 4, Noise(speckle=True, looks=looks)))

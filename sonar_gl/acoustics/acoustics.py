@@ -12,6 +12,7 @@ import numpy as np
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
+from sonar_gl.acoustics.sea_surface import surface_backscattering
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, errors_at
@@ -27,6 +28,7 @@ BARE = {
     "bubbles": False,
     "cross_talk": False,
     "volume_reverberation": False,
+    "surface_reverberation": False,
 }
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
@@ -42,6 +44,7 @@ PROFILES = {  # name: values of the fields that are None
         "bubbles": True,
         "cross_talk": True,
         "volume_reverberation": True,
+        "surface_reverberation": True,
     },
 }
 CHOICES = {  # field: allowed names
@@ -57,6 +60,7 @@ SWITCHES = (
     "specular",
     "bubbles",
     "volume_reverberation",
+    "surface_reverberation",
     "cross_talk",
 )
 BOUNDS = (  # field, least and greatest value, hint for messages
@@ -133,6 +137,8 @@ class Acoustics:
         Whether the scene's plumes of bubbles scatter and attenuate. None: by profile.
     volume_reverberation : bool or None
         Whether the water scatters, if it has a `volume_backscatter_db`. None: by profile.
+    surface_reverberation : bool or None
+        Whether the water's surface scatters, if the scene has one and the water a `wind_speed_m_s`. None: by profile.
     cross_talk : bool or None
         Whether the sonar's `cross_talk_db` counts: beams of one set receive some of each other's echoes. None: by
         profile.
@@ -165,6 +171,7 @@ class Acoustics:
     specular: bool | None = None
     bubbles: bool | None = None
     volume_reverberation: bool | None = None
+    surface_reverberation: bool | None = None
     cross_talk: bool | None = None
     multipath: str = "none"
 
@@ -348,6 +355,22 @@ class Acoustics:
     def volume_backscatter_db(self) -> float | None:
         """S_v of the water, dB re 1/m, as far as the model includes it; None for no volume reverberation."""
         return self.water.volume_backscatter_db if self.volume_reverberation else None
+
+    def surface_backscatter(self, sonar) -> Callable | None:
+        """Return the backscatter of the water's surface; None if the model does not include it.
+
+        Parameters
+        ----------
+        sonar : Sonar, of which the frequency counts
+
+        Returns
+        -------
+        function (grazing_rad) -> cross section per area and steradian, linear
+        """
+        wind_speed_m_s = self.water.wind_speed_m_s
+        if not self.surface_reverberation or wind_speed_m_s is None:
+            return None
+        return partial(surface_backscattering, frequency_hz=sonar.frequency_hz, wind_speed_m_s=wind_speed_m_s)
 
     # ---- beam patterns ------------------------------------------------------------------------------------
 

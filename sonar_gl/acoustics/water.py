@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from sonar_gl.acoustics.sea_surface import rms_wave_height_m
 from sonar_gl.core.checks import check_choice, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
@@ -147,12 +148,13 @@ BOUNDS = (  # field, least and greatest value, hint for messages
     ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
     ("volume_backscatter_db", -200, 0, "give dB re 1/m, usual are -90 to -50"),
+    ("wind_speed_m_s", 0, 30, "give metres per second, 7 is a moderate breeze"),
 )
 
 
 @dataclass(frozen=True)
 class Water:
-    """The water between sonar and bodies: its absorption α, speed of sound c and scatterers, the same everywhere.
+    """The water between sonar and bodies: absorption α, speed of sound c, scatterers and waves, the same everywhere.
 
     Parameters
     ----------
@@ -169,6 +171,10 @@ class Water:
     volume_backscatter_db : float or None
         Volume backscattering strength S_v of plankton, fish, silt and small bubbles at the sonar's frequency, dB re
         1/m: 10 log10 of the backscattering cross section per cubic metre. None: clear water.
+    wind_speed_m_s : float or None
+        Wind over a fully developed sea, metres per second at a height of 10 m. Where a scene has a surface, its waves
+        and bubbles scatter, and it is as rough as the waves. None: the surface scatters nothing, and is as rough as the
+        scene says.
 
     Raises
     ------
@@ -188,6 +194,7 @@ class Water:
     sound_speed_formula: str = "mackenzie"
     sound_speed_m_s: float | None = None
     volume_backscatter_db: float | None = None
+    wind_speed_m_s: float | None = None
 
     def __post_init__(self):
         for key, names in CHOICES.items():
@@ -241,6 +248,10 @@ class Water:
             return float(self.sound_speed_m_s)
         properties = (self.temperature_c, self.salinity_psu, self.depth_m)
         return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*properties))
+
+    def wave_height_m(self) -> float:
+        """Return the rms height of the waves, metres; 0 if the wind is not given."""
+        return 0.0 if self.wind_speed_m_s is None else rms_wave_height_m(self.wind_speed_m_s)
 
 
 DEFAULT_WATER = Water()

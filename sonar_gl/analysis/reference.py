@@ -80,7 +80,8 @@ def reference_ping(
     ------
     Error
         if an argument is of the wrong kind or out of bounds, if the acoustics include multipath, volume
-        reverberation or bubbles, which the reference does not model, or if Embree is missing.
+        reverberation, bubbles or the backscatter of the water's surface, which the reference does not model, or
+        if Embree is missing.
 
     Warns
     -----
@@ -90,6 +91,7 @@ def reference_ping(
     acoustics = _check(scene, sonar, acoustics, error, max_rays)
     check_known(acoustics)
     _check_bubbles(scene, acoustics)
+    _check_surface(scene, acoustics)
     pose, seed = check_pose(pose), check_seed(seed)
     ray_scene = RayScene(scene, sonar.head_pose(pose), acoustics.specular)
     fan = _make_fan(sonar, acoustics)
@@ -185,6 +187,16 @@ def check_known(acoustics: Acoustics) -> None:
         raise Error(
             "the reference does not model volume reverberation (got volume_backscatter_db = "
             f"{acoustics.volume_backscatter_db:g}; give volume_reverberation=False)"
+        )
+
+
+def _check_surface(scene: Scene, acoustics: Acoustics) -> None:
+    """Raise an Error if the water's surface scatters: rays end there."""
+    wind_speed_m_s = acoustics.water.wind_speed_m_s
+    if scene.surface_z_m is not None and acoustics.surface_reverberation and wind_speed_m_s is not None:
+        raise Error(
+            "the reference does not model the backscatter of the water's surface (got wind_speed_m_s = "
+            f"{wind_speed_m_s:g}; give surface_reverberation=False)"
         )
 
 

@@ -88,7 +88,7 @@ def _receiver_noise_on(acoustics, noise, sonar) -> dict:
 SPECKLE = Term(
     "speckle",
     on=_speckle_on,
-    off={"speckle": False, "speckle_shape": None, "looks": 1, "follow_motion": False},
+    off={"speckle": False, "looks": 1, "follow_motion": False},
     of_noise=True,
 )
 TERMS = (
@@ -128,6 +128,13 @@ TERMS = (
         on=_field_on("volume_reverberation", True, off=False),
         off={"volume_reverberation": False},
         acts_with=lambda acoustics, sonar: acoustics.water.volume_backscatter_db is not None,
+    ),
+    Term(
+        "surface reverberation",
+        on=_field_on("surface_reverberation", True, off=False),
+        off={"surface_reverberation": False},
+        acts_in=lambda scene: scene.surface_z_m is not None,
+        acts_with=lambda acoustics, sonar: acoustics.water.wind_speed_m_s is not None,
     ),
     Term(
         "cross-talk",

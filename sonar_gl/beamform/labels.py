@@ -32,6 +32,22 @@ class Labels:
     shadow: np.ndarray | None
 
 
+def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
+    """Return the labels of bins whose strongest body is at least as strong as an echo without body; others have none.
+
+    Parameters
+    ----------
+    labels : its arrays are overwritten
+    direct : (B, K) float32, echo of bodies before the matched filter
+    other : (B, K) float32, the echo without body, likewise
+    """
+    weaker = labels.share * direct < other
+    labels.body_id[weaker], labels.share[weaker] = 0, 0.0
+    for numbers in (labels.elevation_rad, labels.incidence_rad, labels.true_range_m):
+        numbers[weaker] = np.nan
+    return labels
+
+
 def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels:
     """Return the labels of bins with at least so much mean echo; others have no body. Shadows and sums of bodies stay.
 

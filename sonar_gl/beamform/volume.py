@@ -11,39 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
+from sonar_gl.beamform.water_surface import WaterSurface, on_rays, ray_lengths, whole_sectors
 from sonar_gl.sonar.samples import SectorSamples
-from sonar_gl.sonar.sector import Sector
-
-
-class WaterSurface(NamedTuple):
-    """The water's surface in the sonar's frame.
-
-    Attributes
-    ----------
-    up : (3,) unit vector, upright
-    height_m : of the surface over the sonar, metres, above 0
-    """
-
-    up: np.ndarray
-    height_m: float
-
-
-def water_surface(pose: np.ndarray, surface_z_m: float | None) -> WaterSurface | None:
-    """Return the surface over a sonar in the water; None if there is none, or the sonar is above it.
-
-    Parameters
-    ----------
-    pose : (4, 4) world_from_sonar
-    surface_z_m : height of the surface in the world, metres, or None
-    """
-    if surface_z_m is None or pose[2, 3] >= surface_z_m:
-        return None
-    return WaterSurface(pose[2, :3], surface_z_m - pose[2, 3])
 
 
 def sum_volume(
@@ -68,7 +41,7 @@ def sum_volume(
     """
     first_m = float(beamformer.fan.sonar.bin_edges_m[0] + beamformer.fan.sonar.bin_size_m / 2)
     if surface is not None:
-        samples = [_whole(*pair) for pair in zip(samples, beamformer.fan.sectors, strict=True)]
+        samples = whole_sectors(samples, beamformer.fan.sectors)
     closing = [_covered(one, first_m, surface) for one in samples]
     covered = beamformer.sum_footprints(closing).intensity
     scale = math.pi * 10 ** (strength_db / 10) * beamformer.fan.sonar.bin_size_m
@@ -79,38 +52,22 @@ def sum_volume(
     return BeamEcho(intensity, float(intensity.sum(dtype=np.float64)))
 
 
-def _whole(samples: SectorSamples, sector: Sector) -> SectorSamples:
-    """Return samples of a whole sector from those of a window in it, outside of which there are no bodies."""
-    rows, columns = samples.plane_echo.shape[:2]
-    lattice = np.array([sector.u[1:], sector.v[1:]])
-    apart = samples.sector.u[0] - sector.u[0], samples.sector.v[0] - sector.v[0]
-    i, j = np.rint(np.linalg.solve(lattice, apart)).astype(int)
-    plane_echo = np.zeros((sector.rows, sector.columns, 4), np.float32)
-    plane_echo[j : j + rows, i : i + columns] = samples.plane_echo
-    return SectorSamples(sector, plane_echo, samples.body_id)
-
-
 def _covered(samples: SectorSamples, first_m: float, surface: WaterSurface | None) -> SectorSamples:
     """Return samples whose sum over beams and bins is the share of each beam that surfaces of a bin cover.
 
     Their echo per steradian is 1. The water's surface is added where it is nearest. Surfaces nearer than `first_m`,
     metres, count as if they were there, so that they cover the bins behind them.
     """
-    sector = samples.sector
-    rows, columns = samples.plane_echo.shape[:2]
-    j, i = np.mgrid[0:rows, 0:columns]
-    u, v = (at[0] + at[1] * i + at[2] * j for at in (sector.u, sector.v))
-    length = np.sqrt(1 + u * u + v * v)
+    length = ray_lengths(samples)
     plane = samples.plane_echo[..., :3].astype(np.float64)
     if surface is not None:
-        x, y, z = sector.rotation() @ surface.up / surface.height_m
-        nearness = x - y * u + z * v
-        is_surface = nearness > plane[..., 0]
-        plane[is_surface] = np.stack([nearness, np.full_like(u, -y), np.full_like(u, z)], axis=-1)[is_surface]
+        on_surface = on_rays(samples, surface)
+        for part, values in enumerate((on_surface.nearness, *on_surface.slopes)):
+            np.copyto(plane[..., part], values, where=on_surface.is_nearest)
     is_near = plane[..., 0] * first_m > length
     plane[is_near] = 0
     plane[is_near, 0] = (length / first_m)[is_near]
-    echo_range = np.zeros((rows, columns, 4), np.float32)
+    echo_range = np.zeros_like(samples.plane_echo)
     echo_range[..., :3] = plane
     np.divide(length, plane[..., 0], out=echo_range[..., 3], where=plane[..., 0] > 0, casting="same_kind")
-    return SectorSamples(sector, echo_range, samples.body_id)
+    return SectorSamples(samples.sector, echo_range, samples.body_id)

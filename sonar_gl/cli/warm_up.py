@@ -52,8 +52,7 @@ POSE = pose(z=-1.0, pitch=0.02)  # sees the surface and the floor
 VELOCITY = 0.5, 0.0, 0.0, 0.0, 0.0, 0.1  # m/s, rad/s
 NOISES = (
     Noise.physical(),
-    Noise(speckle=True, speckle_shape=1.0, looks=2, self_noise=True, ambient_db=-60.0),
-    Noise(speckle=True, speckle_shape=1.0, follow_motion=True, self_noise=True),
+    Noise(speckle=True, looks=2, self_noise=True, ambient_db=-60.0),
     Noise(self_noise=True, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
 )
 FAST = Sampling(1.0, 24)
@@ -191,7 +190,7 @@ def _work_without_opengl():
     """Add every kind of noise to a ping; make images, boxes and files of it; simplify a mesh; cast rays."""
     ping = _labelled_ping()
     for noise in NOISES:
-        add_noise(ping, noise, 0)
+        add_noise(replace(ping, texture_deviation=ping.intensity), noise, 0)
     add_noise(replace(ping, sonar=WIDE_BEAMS), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)

@@ -34,6 +34,7 @@ class PingSetup:
     background : (n_bodies + 1,) bool by number, for shadows; or None
     surface_z_m : height of the water's surface, metres; None = out of reach
     lobes : the specular lobes are received by themselves, too: speckle spares them
+    texture : (n,) reflectivity of bodies in a view that returns the deviation of their texture; None without texture
     """
 
     request: PingRequest
@@ -46,6 +47,7 @@ class PingSetup:
     background: np.ndarray | None = None
     surface_z_m: float | None = None
     lobes: bool = False
+    texture: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,7 @@ class DrawnPing:
     images : ImageSourceSamples; None without multipath
     background : ViewSamples of the background bodies alone; None without shadows
     lobes : ViewSamples that return the specular lobes alone; None where the ping does not need them
+    texture : ViewSamples that return the deviation of the texture, and lobes; None where the ping does not need them
     """
 
     setup: PingSetup
@@ -91,6 +94,7 @@ class DrawnPing:
     images: ImageSourceSamples | None = None
     background: ViewSamples | None = None
     lobes: ViewSamples | None = None
+    texture: ViewSamples | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,9 @@ class ReceivedPing:
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
     volume : BeamEcho of the water itself; None in clear water
+    surface : BeamEcho of the water's surface; None if it scatters nothing, or is out of reach
     lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
+    texture : BeamEcho of the texture's deviation, with lobes; None where the ping does not need it
     """
 
     drawn: DrawnPing
@@ -112,12 +118,15 @@ class ReceivedPing:
     multipath: BeamEcho | None = None
     labels: Labels | None = None
     volume: BeamEcho | None = None
+    surface: BeamEcho | None = None
     lobes: BeamEcho | None = None
+    texture: BeamEcho | None = None
 
     @property
     def total(self) -> float:
-        """The sum of the echo of surfaces and bubbles, also by way of reflectors."""
-        return self.direct.total + (0.0 if self.multipath is None else self.multipath.total)
+        """The sum of the echo of surfaces, bodies' and the water's, and bubbles, also by way of reflectors."""
+        others = self.multipath, self.surface
+        return self.direct.total + sum(echo.total for echo in others if echo is not None)
 
 
 class PingReport(NamedTuple):

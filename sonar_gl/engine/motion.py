@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
-from sonar_gl.ping import Ping
+from sonar_gl.ping import PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
@@ -158,8 +158,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         return power
 
     powers = {"intensity": shown(ping.intensity)}
-    if ping.coherent is not None:
-        powers["coherent"] = shown(ping.coherent)
+    powers |= {name: shown(getattr(ping, name)) for name in PARTS if getattr(ping, name) is not None}
     labels = {name: getattr(ping, name) for name in EMPTY_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order

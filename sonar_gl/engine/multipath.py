@@ -141,6 +141,7 @@ class ImageSources:
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
         self._image_stages = StageCache(engine, sonar, acoustics, *shared)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.water.sound_speed()
+        self._wave_height_m = acoustics.water.wave_height_m()
         self._scene, self._reflectors, self._rows = None, [], 0
         self.choice = HalvingChoice(self.COARSEST)
         self.use_scene(scene)
@@ -148,7 +149,7 @@ class ImageSources:
     def use_scene(self, scene: Scene) -> None:
         """Find the planar reflectors of a scene, once."""
         if scene is not self._scene:
-            self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m)
+            self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m, self._wave_height_m)
             self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
             self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
             self._scene = scene

@@ -7,11 +7,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho
-from sonar_gl.beamform.labels import Labels, without_faint
-from sonar_gl.beamform.volume import sum_volume, water_surface
+from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
+from sonar_gl.beamform.surface_reverberation import sum_surface
+from sonar_gl.beamform.volume import sum_volume
+from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
@@ -23,7 +27,7 @@ from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.ping import Ping
+from sonar_gl.ping import PARTS, Ping
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 
@@ -73,10 +77,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = drawn_ping(setup, resolution, tried.view, images, parts)
-    labels = label(drawn) if setup.request.labels else None
-    return ReceivedPing(
-        drawn, tried.echo, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
-    )
+    return receive_more(drawn, tried.echo, label(drawn) if setup.request.labels else None)
 
 
 class ImageDrawer(Protocol):
@@ -107,9 +108,11 @@ def draw(
 
 
 def partial_states(setup: PingSetup) -> list[SceneState]:
-    """Return the states of a ping's further views: the background alone and the specular lobes alone, if needed."""
+    """Return the states of a ping's further views, if needed: background, specular lobes and texture, each alone."""
     background = [] if setup.background is None else [setup.state.only(setup.background[1:])]
-    return background + ([setup.state.without_diffuse_echo()] if setup.lobes else [])
+    lobes = [setup.state.without_diffuse_echo()] if setup.lobes else []
+    texture = [] if setup.texture is None else [setup.state.with_reflectivity(setup.texture)]
+    return background + lobes + texture
 
 
 def poses_and_states(pairs: Sequence[tuple[PingSetup, SceneState]]) -> tuple[list, list]:
@@ -122,7 +125,9 @@ def drawn_ping(
 ) -> DrawnPing:
     """Return a drawn ping; it takes the views of its `partial_states` from `parts`."""
     background = None if setup.background is None else next(parts)
-    return DrawnPing(setup, resolution, view, images, background, next(parts) if setup.lobes else None)
+    lobes = next(parts) if setup.lobes else None
+    texture = None if setup.texture is None else next(parts)
+    return DrawnPing(setup, resolution, view, images, background, lobes, texture)
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
@@ -134,8 +139,23 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
         direct, labels = beamformer.sum_and_label(drawn.view, *settings)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
+    return receive_more(drawn, direct, labels)
+
+
+def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
+    """Sum what else there is beside the direct echo of a ping."""
+    surface = receive_surface(drawn)
+    if labels is not None and surface is not None:
+        labels = without_weaker(labels, direct.intensity, surface.intensity)
     return ReceivedPing(
-        drawn, direct, receive_multipath(drawn), labels, receive_volume(drawn), receive_lobes(drawn)
+        drawn,
+        direct,
+        receive_multipath(drawn),
+        labels,
+        receive_volume(drawn),
+        surface,
+        receive_part(drawn, drawn.lobes),
+        receive_part(drawn, drawn.texture),
     )
 
 
@@ -154,11 +174,22 @@ def receive_volume(drawn: DrawnPing) -> BeamEcho | None:
     return sum_volume(drawn.resolution.stage.beamformer, drawn.view.sectors, setup.gain, strength_db, surface)
 
 
-def receive_lobes(drawn: DrawnPing) -> BeamEcho | None:
-    """Sum the specular lobes of a ping by themselves, where it needs them. Bubbles attenuate them, but have none."""
-    if drawn.lobes is None:
+def receive_surface(drawn: DrawnPing) -> BeamEcho | None:
+    """Sum the backscatter of the water's surface; None if it scatters nothing, or is out of reach."""
+    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
+    sonar = beamformer.fan.sonar
+    backscatter = setup.acoustics.surface_backscatter(sonar)
+    surface = None if backscatter is None else water_surface(setup.head_pose, setup.surface_z_m)
+    if surface is None or surface.height_m >= sonar.range_max_m:
         return None
-    return drawn.resolution.stage.beamformer.sum_footprints(drawn.lobes.sectors, drawn.setup.gain)
+    return sum_surface(beamformer, drawn.view.sectors, setup.gain, surface, backscatter)
+
+
+def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
+    """Sum a part of the surfaces' echo by itself, where a ping needs it. Bubbles attenuate it, but are not in it."""
+    if view is None:
+        return None
+    return drawn.resolution.stage.beamformer.sum_footprints(view.sectors, drawn.setup.gain)
 
 
 def label(drawn: DrawnPing) -> Labels:
@@ -194,18 +225,23 @@ def assemble(
     noise.
     """
     setup = received.drawn.setup
-    echo = received.direct.with_more(received.multipath).with_more(received.volume)
-    request, labels, label_level_db = setup.request, {}, None
-    intensity, coherent = (
-        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
-        for one in (echo.intensity, received.lobes and received.lobes.intensity)
+    echo = (
+        received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
     )
+    request, labels, label_level_db = setup.request, {}, None
+    parts = echo, received.lobes, received.texture
+    intensity, coherent, texture = (
+        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
+        for one in (part and part.intensity for part in parts)
+    )
+    if texture is not None and coherent is not None:  # specular lobes are in both views
+        texture = np.maximum(texture - coherent, 0)
     if received.labels is not None:  # before the noise: they do not depend on its seed
         label_level_db = request.label_level_db
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
         labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
-    for array in (intensity, coherent, *labels.values()):
+    for array in (intensity, coherent, texture, *labels.values()):
         if array is not None:
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
@@ -230,6 +266,7 @@ def assemble(
         sonar=instrument.sonar,
         acoustics=setup.acoustics,
         coherent=coherent,
+        texture_deviation=texture,
         **labels,
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
@@ -243,7 +280,7 @@ def with_cross_talk(ping: Ping) -> Ping:
     sonar = ping.sonar
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
-    powers = {"intensity": ping.intensity, "coherent": ping.coherent}
+    powers = {name: getattr(ping, name) for name in ("intensity", *PARTS)}
     for name, power in powers.items():
         if power is not None:
             powers[name] = leak_between_beams(power, sonar.cross_talk_db, sonar.cross_talk_beams)

@@ -33,7 +33,7 @@ class PingRequest:
     velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame; or None
     reflectivity : names of bodies to μ, 0..1; or None
     water : Water of this ping; or None for that of the acoustics
-    lobes : find the part of the echo that specular lobes return, for speckle that is added later
+    lobes : find the parts of the echo that specular lobes return, and textures, for speckle that is added later
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
     label_level_db : with labels, the level of a bin's mean echo, dB, from which on the bin is labelled; None for what
         the display of the sonar shows
@@ -61,7 +61,7 @@ class PingRequest:
 
     @property
     def separates_lobes(self) -> bool:
-        """Whether it needs the specular lobes by themselves."""
+        """Whether it needs the specular lobes, and the textures of bodies, by themselves."""
         return self.lobes or (self.noise is not None and self.noise.speckle)
 
     def __post_init__(self):

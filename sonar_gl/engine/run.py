@@ -131,8 +131,10 @@ class Run:
             state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
             background = None if request.background is None else world.mask_of(request.background)
             lobes = request.separates_lobes and self._returns_lobes(state)
+            texture = self._texture_of(state) if request.separates_lobes else None
             n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-            return self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
+            setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
+            return setup if texture is None else replace(setup, texture=texture)
 
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""
@@ -140,6 +142,18 @@ class Run:
         return self.instrument.acoustics.specular and any(
             one.specular > 0 for one, present in bodies if present
         )
+
+    def _texture_of(self, state: SceneState) -> np.ndarray | None:
+        """Return `PingSetup.texture`: reflectivity over √ν of bodies that have a texture, 0 of others."""
+        bodies = self.world.scene.bodies
+        if all(
+            one.speckle_shape is None or not present
+            for one, present in zip(bodies, state.present, strict=True)
+        ):
+            return None
+        own = [one.reflectivity if np.ndim(one.reflectivity) == 0 else 1.0 for one in bodies]
+        shapes = [np.inf if one.speckle_shape is None else one.speckle_shape for one in bodies]
+        return np.float32((own if state.reflectivity is None else state.reflectivity) / np.sqrt(shapes))
 
     def _warn_of_air(self, pose: np.ndarray) -> None:
         """Warn, once, of a sonar above the water's surface."""
@@ -154,7 +168,9 @@ class Run:
         if not n:
             return setup
         background = None if setup.background is None else np.append(setup.background, np.zeros(n, bool))
-        return replace(setup, state=setup.state.with_absent(n), n_bodies=n_bodies, background=background)
+        texture = None if setup.texture is None else np.append(setup.texture, np.zeros(n, np.float32))
+        state = setup.state.with_absent(n)
+        return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
     def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
         """Draw the image sources of pings that were just drawn; None for each without multipath."""

@@ -18,13 +18,12 @@ from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.ping import Ping
+from sonar_gl.ping import PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
-NOT_STORED = "coherent"  # of pings between the receiver and their noise
-NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, NOT_STORED))
+NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *PARTS))
 # (B, K) arrays
 ARRAYS_OF_BINS = "intensity", "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
 

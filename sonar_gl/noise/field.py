@@ -91,10 +91,10 @@ class FieldNoise:
         power = self._mean_power(*levels_db) if levels_db else None
         if self._coherent_amplitude is not None:  # what is left is diffuse; rounding may make it negative
             np.maximum(intensity - self._ping.coherent, 0, out=intensity)
-        if noise.speckle and noise.speckle_shape is not None:
+        if noise.speckle and self._ping.texture_deviation is not None:
             exponential = np.ones_like(intensity)
             self._multiply_by_speckle(exponential, "texture")
-            multiply_by_texture(intensity, exponential, noise.speckle_shape)
+            multiply_by_texture(intensity, exponential, self._ping.texture_deviation)
         if noise.speckle or power is not None:
             looks = noise.looks if noise.speckle else 1
             echo = intensity.copy() if looks > 1 else None

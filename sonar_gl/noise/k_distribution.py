@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -12,11 +13,12 @@ from sonar_gl.core.compiled import compiled
 # The table has POINTS entries per octave of its argument, linearly interpolated, from 2^OCTAVES[0] to
 # 2^OCTAVES[1]. The bits of a float32 are the index: its exponent, and the upper 6 bits of its mantissa.
 POINTS, OCTAVES = 64, (-30, 6)
+SHAPES = 0.05, 1e4  # of texture; a larger one is none
 _SHIFT = 23 - 6  # bits of the mantissa below the 6 bits that select one of POINTS
 _FIRST = (OCTAVES[0] + 127) * POINTS
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def gamma_from_exponential(shape: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the table that maps an exponential variate of mean 1 to a Gamma(shape, 1/shape) one of mean 1.
 
@@ -47,24 +49,63 @@ def gamma_from_exponential(shape: float) -> tuple[np.ndarray, np.ndarray]:
     return values, slopes.astype(np.float32)
 
 
+@lru_cache(maxsize=4)
+def _tables(first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the tables of some levels of the shape ν = 2^(level / 2), stacked."""
+    both = zip(*(gamma_from_exponential(2.0 ** (level / 2)) for level in range(first, last + 1)), strict=True)
+    values, slopes = (np.stack(tables) for tables in both)
+    return values, slopes
+
+
 @compiled
-def _multiply(bits, values, slopes, first, shift, out):
-    """Multiply out (N,) float32 by the table's values at exponential variates, given as float32 bits (N,)."""
-    last, rest = len(values) - 1, (1 << shift) - 1
+def _find_ratios(intensity, deviation, smallest, largest):
+    """Return the least and the greatest intensity (N,) over deviation (N,) float32 within bounds; 1, 0 if none is."""
+    low, high = largest, smallest
+    for i in range(uint64(len(intensity))):
+        if deviation[i] > 0.0 and intensity[i] > 0.0:
+            ratio = min(max(intensity[i] / deviation[i], smallest), largest)
+            low, high = min(low, ratio), max(high, ratio)
+    return low, high
+
+
+@compiled
+def _multiply(bits, deviation, values, slopes, first_level, largest, first, shift, out):
+    """Multiply out (N,) float32 by the tables' values at exponential variates, given as float32 bits (N,).
+
+    Parameters
+    ----------
+    deviation : (N,) float32
+    values, slopes : (L, n) of levels
+    first_level : the first of the levels
+    largest : ratio of out to deviation from which on there is no texture
+    """
+    last, rest, top = values.shape[1] - 1, (1 << shift) - 1, values.shape[0] - 1
     for i in range(uint64(len(out))):
+        if deviation[i] <= 0.0 or out[i] <= 0.0:
+            continue
+        ratio = out[i] / deviation[i]
+        if ratio >= largest:
+            continue
+        level = min(max(4.0 * math.log2(ratio) - first_level, 0.0), float(top))
+        lower = min(int(level), top - 1)
+        share, within = np.float32(level - lower), np.float32(bits[i] & rest)
         index = min(max((bits[i] >> shift) - first, 0), last)
-        out[i] *= values[index] + slopes[index] * np.float32(bits[i] & rest)
+        below = values[lower, index] + slopes[lower, index] * within
+        above = values[lower + 1, index] + slopes[lower + 1, index] * within
+        out[i] *= below + share * (above - below)
 
 
-def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, shape: float) -> None:
-    """Multiply intensity, in place, by a Gamma(shape, 1/shape) texture; times speckle it is K-distributed.
+def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, deviation: np.ndarray) -> None:
+    """Multiply intensity, in place, by a Gamma(ν, 1/ν) texture; times speckle it is K-distributed.
 
     Parameters
     ----------
     intensity : (B, K) float32, contiguous
     exponential : (B, K) float32, contiguous, of mean 1: |g|² of a complex Gaussian field, whose correlation
         between bins the texture takes over
-    shape : ν of the K distribution; speckle times texture has contrast √(1 + 2/ν)
+    deviation : (B, K) float32, contiguous, standard deviation of the product, so that ν is the square of intensity over
+        deviation, within SHAPES; 0 for no texture. Speckle times texture has contrast √(1 + 2/ν), to 0.4 %: tables
+        of two shapes are interpolated
 
     References
     ----------
@@ -72,5 +113,12 @@ def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, shape: f
     .. [2] Abraham, Lyons, "Novel physical interpretations of K-distributed reverberation", IEEE J. Oceanic
        Eng. 27, 800-813, 2002
     """
-    table = gamma_from_exponential(float(shape))
-    _multiply(exponential.view(np.int32).reshape(-1), *table, _FIRST, _SHIFT, intensity.reshape(-1))
+    smallest, largest = (np.float32(math.sqrt(shape)) for shape in SHAPES)
+    flat, deviation = intensity.reshape(-1), deviation.reshape(-1)
+    low, high = _find_ratios(flat, deviation, smallest, largest)
+    if low > high:
+        return
+    first_level = math.floor(4 * math.log2(low))
+    tables = _tables(first_level, max(math.ceil(4 * math.log2(high)), first_level + 1))
+    bits = exponential.view(np.int32).reshape(-1)
+    _multiply(bits, deviation, *tables, first_level, largest, _FIRST, _SHIFT, flat)

@@ -16,13 +16,12 @@ BOUNDS = (  # field, least, most, hint
     ("gaussian", 0, 1, "a fraction of full scale"),
     ("salt_and_pepper", 0, 1, "a fraction of the bins"),
     ("cloud_gaussian_m", 0, 10, "give metres"),
-    ("speckle_shape", 0.05, 1e4, "below 1 is spiky, None is fully developed"),
     ("ambient_db", -300, 100, LEVEL),
     ("interference_lines", 0, 1000, "a mean number in a ping"),
     ("interference_db", -300, 100, LEVEL),
     ("dropped_beams", 0, 1, "a fraction of the beams"),
 )
-MAY_BE_NONE = ("speckle_shape", "ambient_db")
+MAY_BE_NONE = ("ambient_db",)
 SWITCHES = ("speckle", "follow_motion", "self_noise", "thermal_noise")
 MOVED = {
     "electronic_db": ("self_noise", "self_noise_db")
@@ -38,16 +37,15 @@ class Noise:
 
     Parameters
     ----------
-    speckle : fully developed speckle: the diffuse echo times an exponential variate of mean 1, correlated between
-        overlapping beams as by a line array. Specular lobes are one steady echo, which it spares
+    speckle : the diffuse echo times an exponential variate of mean 1, correlated between overlapping beams as by a line
+        array: fully developed speckle, but of bodies with a `speckle_shape`, which also have a texture. Specular lobes
+        are one steady echo, which it spares
     gaussian : standard deviation of Gaussian noise in each bin, relative to full scale 1; negative sums
         become 0
     salt_and_pepper : fraction of bins set to 0 or to full scale 1, half each
     median : 0 (none), 3 or 5: size of a median filter over beams and bins
     cloud_gaussian_m : metres, standard deviation of the noise on the point cloud of the founding paper's
         picture; it does not act on pings
-    speckle_shape : ν of the K distribution: a Gamma(ν, 1/ν) texture also multiplies the diffuse echo, and
-        the contrast becomes √(1 + 2/ν); None for fully developed speckle
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
@@ -66,7 +64,7 @@ class Noise:
     Raises
     ------
     Error
-        if an amount is out of bounds, or has moved to `Sonar`.
+        if an amount is out of bounds, or has moved to `Sonar` or `Body`.
     """
 
     speckle: bool = False
@@ -74,7 +72,6 @@ class Noise:
     salt_and_pepper: float = 0.0
     median: int = 0
     cloud_gaussian_m: float = 0.0
-    speckle_shape: float | None = None
     looks: int = 1
     follow_motion: bool = False
     self_noise: bool = False
@@ -95,10 +92,8 @@ class Noise:
             check_number(f"noise: {key}", value, low, high, hint)
         check_whole_number("noise: looks", self.looks, 1, 1000)
         # follow_motion does nothing without it: "physical,speckle=no" is plain
-        for key in ("speckle_shape", "looks"):
-            value = getattr(self, key)
-            if not self.speckle and value != type(self).__dataclass_fields__[key].default:
-                raise Error(f"noise: {key} needs speckle (got {value!r} without it; switch speckle on)")
+        if not self.speckle and self.looks != 1:
+            raise Error(f"noise: looks needs speckle (got {self.looks!r} without it; switch speckle on)")
         if not is_number(self.median) or self.median not in (0, 3, 5):
             raise Error(f"noise: median must be 0, 3 or 5 (got {shown(self.median)}; 0 is none)")
 
@@ -156,8 +151,14 @@ class Noise:
 
 
 def check_moved_amounts(what: str, names: Iterable[str]) -> None:
-    """Raise an Error for the first name that is a field of `Sonar` now."""
+    """Raise an Error for the first name that is a field of `Sonar` or `Body` now."""
     for name in names:
+        if name == "speckle_shape":
+            raise Error(
+                f"{what}: speckle_shape describes a surface, and is a field of Body now (write it there: "
+                "sonar_gl.Body(..., speckle_shape=...) or dataclasses.replace in Python, <sonar_gl:speckle_shape> in a "
+                "scene file)"
+            )
         if name in MOVED:
             switch, new = MOVED[name]
             raise Error(

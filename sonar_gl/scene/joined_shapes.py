@@ -19,14 +19,17 @@ class EchoingShape(NamedTuple):
     material: str | None
 
 
-def body_of_shapes(name: str, group: list[EchoingShape], pose, lobe: tuple) -> Body:
-    """Return one body from shapes that have the same specular lobe.
+def body_of_shapes(
+    name: str, group: list[EchoingShape], pose, lobe: tuple, speckle_shape: float | None = None
+) -> Body:
+    """Return one body from shapes that have the same specular lobe and texture.
 
     Parameters
     ----------
     group : shapes in the frame of the body; one or more
     pose : (4, 4) world_from_body
     lobe : specular and roughness_rad of `Body`
+    speckle_shape : of `Body`
     """
     shapes, reflectivities, materials = zip(*group, strict=True)
     mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)
@@ -35,4 +38,4 @@ def body_of_shapes(name: str, group: list[EchoingShape], pose, lobe: tuple) -> B
         per_face = [np.broadcast_to(one.reflectivity, len(one.shape.mesh.faces)) for one in group]
         reflectivity = np.concatenate(per_face)
     common_material = materials[0] if len(set(materials)) == 1 else None
-    return Body(name, mesh, pose, reflectivity, normals, *lobe, common_material)
+    return Body(name, mesh, pose, reflectivity, normals, *lobe, common_material, speckle_shape)

@@ -111,11 +111,21 @@ def find_planes(surface) -> list[tuple[np.ndarray, float]]:
     return out
 
 
-def planar_reflectors(scene: Scene, wavenumber_rad_m: float) -> list[PlanarReflector]:
-    """Return the water's surface and the planes of bodies, those that reflect anything coherently."""
+def planar_reflectors(
+    scene: Scene, wavenumber_rad_m: float, wave_height_m: float = 0.0
+) -> list[PlanarReflector]:
+    """Return the water's surface and the planes of bodies, those that reflect anything coherently.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavenumber_rad_m : 2π / λ in the water
+    wave_height_m : rms height of the waves under wind; the surface is at least as rough
+    """
     out = []
     if scene.surface_z_m is not None:
-        coefficient = tabulate_reflection(1.0, scene.surface_roughness_m, wavenumber_rad_m)
+        roughness_m = max(scene.surface_roughness_m, wave_height_m)
+        coefficient = tabulate_reflection(1.0, roughness_m, wavenumber_rad_m)
         out.append(PlanarReflector(None, np.array([0.0, 0.0, 1.0]), scene.surface_z_m, coefficient))
     for index, body in enumerate(scene.bodies):
         coefficient = _coefficient_of_body(body, wavenumber_rad_m)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 # Bounds of roughness_rad: below, the lobe is narrower than a sample; above, facets shadow one another.
 ROUGHNESS_BOUNDS_RAD = 0.01, 0.5
+SPECKLE_SHAPE_BOUNDS = 0.05, 1e4
 DEFAULT_REFLECTIVITY = 0.5
 MAX_BODIES = 65535  # labels are uint16, and 0 is for bins without echo
 
@@ -61,6 +62,9 @@ class Body:
         Energy is conserved while μ + specular is at most 1; for a material the sum is its |R|²
     roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width
     material : name of the material, if one was given by name
+    speckle_shape : ν of the K distribution, 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν) texture also multiplies
+        the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast becomes √(1 + 2/ν); None
+        for fully developed speckle
 
     Attributes
     ----------
@@ -81,6 +85,7 @@ class Body:
     specular: float = None
     roughness_rad: float = None
     material: str | None = None
+    speckle_shape: float | None = None
     surface: trimesh.Trimesh | Triangles = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -90,6 +95,9 @@ class Body:
         self._apply_material(location)
         for key, bounds in (("specular", (0, 1)), ("roughness_rad", ROUGHNESS_BOUNDS_RAD)):
             self._set(key, check_number(f"{location}: {key}", getattr(self, key), *bounds))
+        if self.speckle_shape is not None:
+            what, hint = f"{location}: speckle_shape", "below 1 is spiky, None is fully developed"
+            self._set("speckle_shape", check_number(what, self.speckle_shape, *SPECKLE_SHAPE_BOUNDS, hint))
         one_value = np.ndim(self.reflectivity) == 0
         shape = () if one_value else (n_faces,)
         mu = frozen_array(self.reflectivity, np.float64, shape, f"{location}: reflectivity")

@@ -44,6 +44,10 @@ class SceneState:
         """Return this state with bodies that return their specular lobes alone."""
         return replace(self, reflectivity=np.zeros(len(self.poses), np.float32))
 
+    def with_reflectivity(self, reflectivity: np.ndarray) -> SceneState:
+        """Return this state with other reflectivity of the (n,) bodies, as the attribute."""
+        return replace(self, reflectivity=np.asarray(reflectivity, np.float32))
+
     def without_bubbles(self) -> SceneState:
         """Return this state without bubbles."""
         return replace(self, bubbles=None)

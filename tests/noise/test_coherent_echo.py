@@ -16,10 +16,11 @@ LOCKED = Noise(speckle=True, follow_motion=True)
 PINGS, CELLS = 40, 64 * 256 // 8  # about so many cells of an even ping are independent: beams overlap by four
 
 
-def noisy(noise, coherent, pings=PINGS, level=1.0) -> np.ndarray:
+def noisy(noise, coherent, pings=PINGS, level=1.0, **parts) -> np.ndarray:
     """Return (pings, B, K) float64 of an echo of this level, of which a part is coherent; each by its own seed."""
     ping = even_ping(pose=pose(0.2, 0.2), level=level)
-    ping = replace(ping, coherent=np.full_like(ping.intensity, coherent))
+    parts = {"coherent": coherent} | parts
+    ping = replace(ping, **{name: np.full_like(ping.intensity, part) for name, part in parts.items()})
     return np.array([add_noise(ping, noise, seed).intensity for seed in range(pings)], np.float64)
 
 
@@ -63,7 +64,8 @@ def test_looks_average_the_diffuse_echo_alone():
 
 def test_texture_acts_on_the_diffuse_echo_alone():
     """D is Gamma-distributed with shape ν: its mean square is D² (1 + 1/ν), and that of |g|² is 2."""
-    found, n, shape = noisy(replace(FRESH, speckle_shape=2.0), 0.5), PINGS * CELLS, 2.0
+    n, shape = PINGS * CELLS, 2.0
+    found = noisy(FRESH, 0.5, texture_deviation=0.5 / np.sqrt(shape))
     sigma = np.sqrt(2 * 0.5 * 0.5 + 0.5**2 * (2 * (1 + 1 / shape) - 1))
     assert found.mean() == pytest.approx(1, abs=SIGMAS * sigma / np.sqrt(n))
     # the kurtosis of such a mixture is up to 3 times an exponential's

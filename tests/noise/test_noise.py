@@ -20,7 +20,7 @@ from tests.support.even_ping import SIGMAS, even_ping
 
 HERE = sonar_gl.pose(0.2, 0.2)
 LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
-ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 0.7, 2, False, True, -30.0, 3.0)
+ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 2, False, True, -30.0, 3.0)
 
 
 def message(call, *args, **kwargs) -> str:
@@ -192,9 +192,9 @@ def test_profiles():
         ("physical,median=3.0", replace(Noise.physical(), median=3)),
         ("physical,speckle=no", Noise(follow_motion=True, self_noise=True)),
         ("speckle,follow_motion,looks=4", Noise(speckle=True, follow_motion=True, looks=4)),
-        ("speckle,speckle_shape=0.5,follow_motion=no", Noise(speckle=True, speckle_shape=0.5)),
+        ("speckle,looks=2,follow_motion=no", Noise(speckle=True, looks=2)),
         ("self_noise,ambient_db=-100", Noise(self_noise=True, ambient_db=-100.0)),
-        ("physical,self_noise=off,speckle_shape=none", Noise(speckle=True, follow_motion=True)),
+        ("physical,self_noise=off,ambient_db=none", Noise(speckle=True, follow_motion=True)),
         ("interference_lines=2,interference_db=-30", Noise(interference_lines=2, interference_db=-30)),
     ],
 )
@@ -218,13 +218,13 @@ def test_parse(text, noise):
             "median=3,none",
             "noise 'median=3,none': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
-            "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
+            "salt_and_pepper, self_noise, speckle, thermal_noise)",
         ),
         (
             "none=1",
             "noise 'none=1': unknown name (got 'none'; known are ambient_db, cloud_gaussian_m, dropped_beams, "
             "follow_motion, gaussian, interference_db, interference_lines, looks, median, "
-            "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)",
+            "salt_and_pepper, self_noise, speckle, thermal_noise)",
         ),
         ("gaussian=a", "noise 'gaussian=a': gaussian must be a number (got 'a')"),
         ("median", "noise 'median': median must have a value, as in median=... (got none)"),
@@ -252,7 +252,7 @@ def test_empty_text_names_all_choices():
     assert message(Noise.parse, "") == (
         "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, dropped_beams, "
         "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
-        "salt_and_pepper, self_noise, speckle, speckle_shape, thermal_noise)"
+        "salt_and_pepper, self_noise, speckle, thermal_noise)"
     )
 
 
@@ -262,10 +262,10 @@ def test_empty_text_names_all_choices():
         ({"speckle": 0.5}, "noise: speckle must be True or False (got 0.5)"),
         ({"follow_motion": 1}, "noise: follow_motion must be True or False (got 1)"),
         (
-            {"speckle_shape": 0},
-            "noise: speckle_shape must lie in 0.05..10000 (got 0; below 1 is spiky, None is fully developed)",
+            {"speckle_shape": 2.0},
+            "noise: speckle_shape describes a surface, and is a field of Body now (write it there: sonar_gl.Body(..., "
+            "speckle_shape=...) or dataclasses.replace in Python, <sonar_gl:speckle_shape> in a scene file)",
         ),
-        ({"speckle_shape": "K"}, "noise: speckle_shape must be a number (got 'K')"),
         ({"looks": 0}, "noise: looks must be a whole number in 1..1000 (got 0)"),
         ({"looks": 2.0}, "noise: looks must be a whole number in 1..1000 (got 2.0)"),
         ({"looks": 2}, "noise: looks needs speckle (got 2 without it; switch speckle on)"),

@@ -1,27 +1,48 @@
-"""Estimate what two effects that the model leaves out would change in bundled scenes, from closed forms.
+"""Print what effects that the model leaves out would change in bundled scenes.
 
-    python -m tools.docs.unmodelled
+    python -m tools.docs.unmodelled            # all; some minutes
+    python -m tools.docs.unmodelled sediment   # of cones, sediment, mirrors: those that are named
 
 cones      A line array receives along cones about its axis: what lies at azimuth ψ and elevation ε is shown at
            asin(sin ψ cos ε), as it measures the cosine of the angle to its axis (Van Trees, Optimum Array
-           Processing, 2002, ch. 2). Each bin's echo is taken at the mean elevation that its label has.
-two planes A path over two planar reflectors loses as much as a path over one, and once more by the reflection at the
-           other: the level of multipath times |R|² of the second strongest reflector, at a grazing angle of
-           half the aperture in elevation. This is an order of magnitude: it counts every such path as open,
-           within the range and within the aperture.
+           Processing, 2002, ch. 2). Each bin's echo is moved by the mean elevation that its label has.
+sediment   Roughness and volume backscatter of sea floors by APL-UW TR 9407, 1994, ch. IV, in place of Lambert's law:
+           Kirchhoff's approximation near the vertical, down to the angle that the table names, small roughness
+           elsewhere, and the sediment's volume. Without its averages over slopes and shadows of large roughness,
+           which matter below 10 degrees. Bins whose strongest body is a sea floor get the echo of its law at the
+           mean incidence that their labels have.
+mirrors    Paths over two planar reflectors, one on the way out and another one on the way back, or both on one way,
+           by brute force: rays are reflected where they meet a reflector, and each place that they reach is joined
+           to the sonar's images. The first line of a scene has paths over one reflector by the same rays, beside
+           the simulator's, which judges the rays.
 """
 
 from __future__ import annotations
 
+import argparse
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.scene.reflectors import planar_reflectors
+from sonar_gl.acoustics.boundary import rayleigh_reflection
+from sonar_gl.analysis.terms import changed_bins, differs
+from sonar_gl.scene.materials import material
 from tools.bench import harness
+from tools.docs import ablation
+from tools.docs.two_mirrors import Mirrors
 
-SCENES = {"pylon": 30.0, "diver": 10.0, "ocean_floor": 30.0}  # range, metres
 SONAR, TOLERANCE = "p900-45", 0.01
 EDGE_DEG, ELEVATION_DEG = 60.0, 10.0  # of the example: a wide fan, and half an aperture of 20 degrees
+WIDE = "p900-130"
+GRAZING_DEG = (5, 10, 20, 30, 45, 60, 75, 85)
+# TR 9407, ch. IV, table 2: strength w2 of the roughness spectrum, cm^4, and volume parameter sigma2
+SEDIMENTS = {"medium_sand": (0.004446, 0.002), "medium_silt": (0.000518, 0.001), "clay": (0.000518, 0.001)}
+SPECTRAL_EXPONENT = 3.25  # of the roughness of all sediments
+KIRCHHOFF_ENDS_DB = 15.0  # below its largest value, where small roughness takes over
+RAYS = 2_000_000
 
 
 def cone_azimuth(azimuth_rad, elevation_rad):
@@ -33,47 +54,206 @@ def cone_azimuth(azimuth_rad, elevation_rad):
     return np.arcsin(np.sin(azimuth_rad) * np.cos(elevation_rad))
 
 
-def estimates_of(name: str) -> dict[str, str]:
-    """Return the estimates of one scene as a row of a table."""
-    scene, sonar = sg.load_scene(name), sg.load_sonar(SONAR).with_range(SCENES[name])
-    totals = {}
-    for multipath in ("none", "incoherent"):
-        with sg.Simulator(
-            scene, sonar, sg.Acoustics.physical(multipath=multipath), tolerance=TOLERANCE
-        ) as sim:
-            ping = sim.ping(scene.sonar_pose, labels=True)
-        totals[multipath] = float(ping.intensity.sum(dtype=np.float64))
-    labelled = ping.body_id > 0
-    azimuth = np.broadcast_to(ping.azimuth_rad[:, None], labelled.shape)[labelled]
-    elevation, echo = ping.elevation_rad[labelled].astype(np.float64), ping.intensity[labelled]
-    moved_deg = np.degrees(np.abs(azimuth - cone_azimuth(azimuth, elevation)))
-    far = np.average(moved_deg > sonar.beam_width_deg / 2, weights=echo)
-    more = totals["incoherent"] / totals["none"] - 1
-    wavenumber = 2 * np.pi * sonar.frequency_hz / sg.Acoustics.physical().water.sound_speed()
-    tables = [one.reflection_coefficient for one in planar_reflectors(scene, wavenumber)]
-    sine = np.sin(np.radians(sonar.elevation_fov_deg / 2))  # of the grazing angle
-    strengths = [np.interp(sine, np.linspace(0, 1, len(table)), table) for table in tables]
-    second = sorted([0.0, 0.0, *strengths])[-2]
+def sediment_backscattering(name: str, grazing_rad, frequency_hz: float, sound_speed_m_s: float = 1500.0):
+    """Return the backscattering cross section of a sea floor per area and steradian, by TR 9407.
+
+    Parameters
+    ----------
+    name : of SEDIMENTS
+    grazing_rad : array, above 0..π/2
+
+    >>> round(float(10 * np.log10(sediment_backscattering("medium_sand", np.pi / 6, 100e3))), 1)
+    -21.8
+    """
+    g, known = np.asarray(grazing_rad, np.float64), material(name)
+    w2, sigma2 = SEDIMENTS[name]
+    k_cm = 2 * math.pi * frequency_hz / sound_speed_m_s / 100  # the spectrum is in centimetres
+    rho, nu, delta, gamma = known.density_ratio, known.speed_ratio, known.loss, SPECTRAL_EXPONENT
+    kappa = (1 + 1j * delta) / nu
+    p = np.sqrt(kappa**2 - np.cos(g) ** 2)
+    y = ((rho - 1) ** 2 * np.cos(g) ** 2 + rho**2 - kappa**2) / (rho * np.sin(g) + p) ** 2
+    spectrum = w2 * np.maximum(2 * k_cm * np.cos(g), 1e-3) ** -gamma
+    small = 4 * k_cm**4 * np.sin(g) ** 4 * np.abs(y) ** 2 * spectrum
+
+    rough, ends = kirchhoff(name, frequency_hz, sound_speed_m_s)
+    share = 1 / (1 + np.exp(80 * (np.cos(g) - np.cos(ends))))
+    reflection = rayleigh_reflection(g, rho, nu, delta)
+    volume = 5 * delta * sigma2 * np.abs(1 - reflection**2) ** 2 * np.sin(g) ** 2
+    volume /= nu * math.log(10) * np.abs(p) ** 2 * np.imag(p)
+    return share * rough(g) + (1 - share) * small + volume
+
+
+def kirchhoff(name: str, frequency_hz: float, sound_speed_m_s: float = 1500.0) -> tuple[Callable, float]:
+    """Return Kirchhoff's cross section of a sea floor by grazing angle, radians, and the angle at which it ends."""
+    known, w2, of = material(name), SEDIMENTS[name][0], math.gamma
+    k_cm = 2 * math.pi * frequency_hz / sound_speed_m_s / 100
+    alpha = SPECTRAL_EXPONENT / 2 - 1
+    a = 8 * alpha**2 * of(0.5 + 0.5 / alpha) / (of(0.5) * of(1 / alpha) * of(0.5 / alpha))
+    a = a ** (2 * alpha)
+    b = a ** (0.5 + 0.5 / alpha) * of(1 / alpha) / (2 * alpha)
+    structure = 2 * math.pi * w2 * of(2 - alpha) * 2 ** (-2 * alpha) / (alpha * (1 - alpha) * of(1 + alpha))
+    q = structure * 2 ** (1 - 2 * alpha) * k_cm ** (2 * (1 - alpha))
+    vertical = abs(
+        complex(rayleigh_reflection(math.pi / 2, known.density_ratio, known.speed_ratio, known.loss))
+    )
+
+    def rough(g):
+        falls = (np.cos(g) ** (4 * alpha) + a * q**2 * np.sin(g) ** 4) ** ((1 + alpha) / (2 * alpha))
+        return b * q * vertical**2 / (8 * math.pi * falls)
+
+    angles = np.linspace(0, math.pi / 2, 4001)
+    levels = rough(angles)
+    return rough, angles[np.argmax(levels > levels.max() * 10 ** (-KIRCHHOFF_ENDS_DB / 10))]
+
+
+def lambert_backscattering(name: str, grazing_rad):
+    """Return what the project takes: μ sin² g / π."""
+    return material(name).reflectivity * np.sin(grazing_rad) ** 2 / math.pi
+
+
+def labelled_ping(name: str, sonar_name: str = SONAR) -> tuple:
+    """Return the scene and a ping of it with labels."""
+    scene, sonar = ablation.setting(name)
+    sonar = sg.load_sonar(sonar_name).with_range(sonar.range_max_m)
+    with sg.Simulator(scene, sonar, sg.Acoustics.physical(), tolerance=TOLERANCE) as simulator:
+        return scene, simulator.ping(scene.sonar_pose, labels=True, label_level_db=-180.0)
+
+
+def changes(full, changed, sonar) -> dict[str, str]:
+    """Return the change of an image as columns of a table, in the two measures of `plan`."""
+    share, _ = differs(full, changed)
     return {
-        "scene": name,
-        "cones: echo moves by, deg": f"{np.average(moved_deg, weights=echo):.3f}",
-        "most": f"{moved_deg.max():.2f}",
-        "echo moved > half a beam": f"{far:.2%}",
-        "multipath over one": f"{more:.2%}",
-        "second |R|^2": f"{second:.3f}",
-        "over two": f"{more * second:.2%}",
+        "change of the image": f"{share:.2%}",
+        "bins > 3 dB": f"{changed_bins(full, changed, sonar.counts):.2%}",
     }
 
 
-def main():
-    """Print the estimates."""
+# ---- cones -------------------------------------------------------------------------------------------
+
+
+def on_cones(ping) -> np.ndarray:
+    """Return the image with each bin's echo at the azimuth of its cone, divided among the two nearest beams."""
+    intensity, azimuth = ping.intensity.astype(np.float64), ping.azimuth_rad
+    elevation = np.nan_to_num(ping.elevation_rad.astype(np.float64))
+    at = np.interp(cone_azimuth(azimuth[:, None], elevation), azimuth, np.arange(len(azimuth)))
+    low = np.minimum(at.astype(int), len(azimuth) - 2)
+    out, bins = np.zeros_like(intensity), np.broadcast_to(np.arange(intensity.shape[1]), low.shape)
+    np.add.at(out, (low, bins), intensity * (low + 1 - at))
+    np.add.at(out, (low + 1, bins), intensity * (at - low))
+    return out
+
+
+def print_cones() -> None:
+    """Print how far echoes move, and what that changes."""
     edge, elevation = np.radians([EDGE_DEG, ELEVATION_DEG])
     at = np.degrees(np.arcsin(np.sin(edge) / np.cos(elevation)))
     print(
         f"cones: what is shown at {EDGE_DEG:g} deg lies at {at:.1f} deg, if its elevation is {ELEVATION_DEG:g} deg"
     )
+    rows = []
+    for name in ablation.SCENES:
+        for sonar_name in (SONAR, WIDE):
+            _, ping = labelled_ping(name, sonar_name)
+            labelled = ping.body_id > 0
+            azimuth = np.broadcast_to(ping.azimuth_rad[:, None], labelled.shape)[labelled]
+            elevation, echo = ping.elevation_rad[labelled].astype(np.float64), ping.intensity[labelled]
+            moved_deg = np.degrees(np.abs(azimuth - cone_azimuth(azimuth, elevation)))
+            far = np.average(moved_deg > ping.sonar.beam_width_deg / 2, weights=echo)
+            rows.append(
+                {
+                    "scene": name,
+                    "sonar": sonar_name,
+                    "echo moves by, deg": f"{np.average(moved_deg, weights=echo):.3f}",
+                    "most": f"{moved_deg.max():.2f}",
+                    "moved > half a beam": f"{far:.2%}",
+                    **changes(ping.intensity, on_cones(ping), ping.sonar),
+                }
+            )
+    harness.print_table(rows)
+
+
+# ---- sediment ----------------------------------------------------------------------------------------
+
+
+def print_sediment() -> None:
+    """Print both laws by grazing angle, and what the one in place of the other changes."""
+    print("sediment: backscattering strength, dB, by grazing angle in degrees")
+    g = np.radians(GRAZING_DEG)
+    rows = []
+    for name in SEDIMENTS:
+        laws, ends = {"Lambert": lambert_backscattering(name, g)}, {"Lambert": "-"}
+        for frequency_hz in (100e3, 900e3):
+            law = f"TR 9407, {frequency_hz / 1e3:g} kHz"
+            laws[law] = sediment_backscattering(name, g, frequency_hz)
+            ends[law] = f"{np.degrees(kirchhoff(name, frequency_hz)[1]):.0f}"
+        for law, sigma in laws.items():
+            levels = {
+                f"{angle}": f"{10 * np.log10(one):.1f}" for angle, one in zip(GRAZING_DEG, sigma, strict=True)
+            }
+            rows.append({"floor": name, "law": law, **levels, "Kirchhoff from": ends[law]})
+    harness.print_table(rows)
+    rows = []
+    for name in ablation.SCENES:
+        scene, ping = labelled_ping(name)
+        changed, of_floors = ping.intensity.astype(np.float64), 0.0
+        for number, body in enumerate(scene.bodies, 1):
+            if body.material in SEDIMENTS:
+                mine = ping.body_id == number
+                of_floors += ping.intensity[mine].sum() / ping.intensity.sum()
+                grazing = np.pi / 2 - np.minimum(ping.incidence_rad[mine].astype(np.float64), 1.5697)
+                law = sediment_backscattering(body.material, grazing, ping.sonar.frequency_hz)
+                changed[mine] *= law / lambert_backscattering(body.material, grazing)
+        columns = {"scene": name, "echo of sea floors": f"{of_floors:.2%}"}
+        rows.append(columns | changes(ping.intensity, changed, ping.sonar))
+    harness.print_table(rows)
+
+
+# ---- mirrors -----------------------------------------------------------------------------------------
+
+
+def print_mirrors() -> None:
+    """Print what paths over two reflectors return, beside those over one."""
+    print(f"mirrors: box beams in azimuth, no pulse, {RAYS / 1e6:g} million rays")
+    rows = []
+    for name in ablation.SCENES:
+        scene, sonar = ablation.setting(name)
+        plain = sg.Acoustics.physical(beam_pattern="box", transmit_beam=False, pulse=False, specular=False)
+        images = {}
+        for multipath in ("none", "incoherent"):
+            acoustics = replace(plain, multipath=multipath, bubbles=False)
+            with sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE) as simulator:
+                images[multipath] = simulator.ping(scene.sonar_pose).intensity.astype(np.float64)
+        one, two = Mirrors(scene, sonar, plain).ping(RAYS)
+        full = images["incoherent"]
+        by_simulator = full.sum() - images["none"].sum()
+        for what, image in (("one", one), ("two", two)):
+            columns = {
+                "scene": name,
+                "reflectors on the path": what,
+                "share of the echo": f"{image.sum() / full.sum():.2%}",
+                "by the simulator": f"{by_simulator / full.sum():.2%}" if what == "one" else "-",
+            }
+            more = images["none"] + one if what == "one" else full + two
+            rows.append(columns | changes(more, images["none"] if what == "one" else full, sonar))
+    harness.print_table(rows)
+
+
+STUDIES = {"cones": print_cones, "sediment": print_sediment, "mirrors": print_mirrors}
+
+
+def main():
+    """Print the studies that are named."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.docs.unmodelled", description=__doc__.partition("\n")[0]
+    )
+    parser.add_argument("studies", nargs="*", metavar="study", help=f"of {', '.join(STUDIES)}; default: all")
+    named = parser.parse_args().studies or list(STUDIES)
+    for name in named:
+        if name not in STUDIES:
+            parser.error(f"no study {name!r} (of {', '.join(STUDIES)})")
     print(f"{SONAR}, tolerance {TOLERANCE:.0%}")
-    harness.print_table([estimates_of(name) for name in SCENES])
+    for name in named:
+        STUDIES[name]()
 
 
 if __name__ == "__main__":

@@ -61,8 +61,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and
     `<sonar_gl:roughness>`, numbers as for `Body`; these and laser_retro override the material.
     `<sonar_gl:reflectivity_map>`, an image applied to the shape from above, first row at the highest y,
-    overrides all of them. Shapes of one link with different specular lobes are separate bodies; those after
-    the first are named `model::shape`.
+    overrides all of them. `<sonar_gl:speckle_shape>` is a number as for `Body`. Shapes of one link with different
+    specular lobes or speckle shapes are separate bodies; those after the first are named `model::shape`.
 
     The sonar is the first `<sensor type="custom">`, else the first sensor that is named after a sonar by its
     own name or plugin, else by its model; see `sensors.find_sonars`. `Scene.sonar` is what its tags state. A value

@@ -13,7 +13,7 @@ from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.primitives import Shape
 from sonar_gl.scene.reflectivity_map import textured_from_above
-from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, ROUGHNESS_BOUNDS_RAD, Body
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, ROUGHNESS_BOUNDS_RAD, SPECKLE_SHAPE_BOUNDS, Body
 from sonar_gl.scene.sdf.extensions import check_extensions, find_extension, list_extensions
 from sonar_gl.scene.sdf.frames import read_numbers
 from sonar_gl.scene.sdf.links import Link
@@ -23,7 +23,8 @@ from sonar_gl.scene.sdf.water import is_invisible, is_mark, is_water, surface_z_
 GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
 MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
 MAX_NUMBER = 100_000  # of laser_retro: more is a mistake
-EXTENSIONS = ("material", "reflectivity_map", "roughness", "specular")  # of a shape, in namespace sonar_gl
+# of a shape, in namespace sonar_gl
+EXTENSIONS = "material", "reflectivity_map", "roughness", "speckle_shape", "specular"
 
 
 class SurfaceProperties(NamedTuple):
@@ -33,6 +34,7 @@ class SurfaceProperties(NamedTuple):
     specular: float
     roughness_rad: float | None
     material: str | None
+    speckle_shape: float | None
 
 
 def echoing_shapes(link: Link) -> list:
@@ -102,8 +104,10 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
     roughness_rad = number(child, "sonar_gl:roughness", *ROUGHNESS_BOUNDS_RAD)
     if roughness_rad is None and found:
         roughness_rad = found.roughness_rad
+    child = find_extension(element, "speckle_shape")
+    speckle_shape = number(child, "sonar_gl:speckle_shape", *SPECKLE_SHAPE_BOUNDS)
     return SurfaceProperties(
-        reflectivity, specular, roughness_rad if specular else None, found and found.name
+        reflectivity, specular, roughness_rad if specular else None, found and found.name, speckle_shape
     )
 
 
@@ -127,8 +131,8 @@ class BodyReader:
     def read(self, link: Link, name: str) -> tuple[list[Body], bool]:
         """Return the bodies of a link, and whether the file specifies the reflectivity of all its shapes.
 
-        Shapes with the same specular lobe are joined. The body of the first shape has the name `name`, those
-        with other lobes `name::shape`.
+        Shapes with the same specular lobe and texture are joined. The body of the first shape has the name `name`,
+        those with others `name::shape`.
         """
         groups, names, complete = {}, {}, True
         for element in echoing_shapes(link):
@@ -147,14 +151,14 @@ class BodyReader:
                 self.saturated.append(name)
             specified = retro, find_extension(element, "material"), image
             complete &= any(child is not None for child in specified)
-            lobe = surface.specular, surface.roughness_rad
-            names.setdefault(lobe, f"{name}::{element.get('name')}" if groups else name)
+            kind = (surface.specular, surface.roughness_rad), surface.speckle_shape
+            names.setdefault(kind, f"{name}::{element.get('name')}" if groups else name)
             shape = primitives.transform(shape, matrix)
-            groups.setdefault(lobe, []).append(EchoingShape(shape, reflectivity, surface.material))
+            groups.setdefault(kind, []).append(EchoingShape(shape, reflectivity, surface.material))
         pose = link.world_pose()
         with errors_at(link.location):
             return [
-                body_of_shapes(names[lobe], group, pose, lobe) for lobe, group in groups.items()
+                body_of_shapes(names[kind], group, pose, *kind) for kind, group in groups.items()
             ], complete
 
     def height_of_water(self, link: Link, element) -> float | None:

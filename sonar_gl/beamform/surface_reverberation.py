@@ -1,0 +1,131 @@
+"""Surface reverberation: the echo of a rough water surface, where no body hides it.
+
+An area dA at range r and grazing angle g has the cross section σ dA, which adds π σ dA / r² to the sum over solid angle
+of μ cos θ, and the solid angle sin g dA / r²: the surface returns π σ / sin g per steradian. A level surface at the
+height h over the sonar is met at range r at sin g = h / r, so that its backscatter is a function of the range alone.
+The samples are summed by Lambert's law, sin g per steradian, which is exact on planes; then each bin is multiplied by
+π σ / sin² g. So far away, where a sample covers many bins, each bin has its own grazing angle. Overhead, where one bin
+covers many angles, each sample has its own.
+
+Source: Urick, Principles of Underwater Sound, 3rd ed., 1983, surface reverberation
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
+from sonar_gl.beamform.water_surface import WaterSurface, on_rays, whole_sectors
+from sonar_gl.sonar.samples import SectorSamples
+
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(
+    8
+)  # in each bin: near the vertical it spans some degrees
+MAX_CHANGE = 0.01  # of π σ / sin² g within a bin, up to which all samples have the mean of the bin
+
+
+def sum_surface(
+    beamformer: Beamformer,
+    samples: Sequence[SectorSamples],
+    gain: np.ndarray,
+    surface: WaterSurface,
+    backscatter: Callable,
+) -> BeamEcho:
+    """Return the echo of the water's surface in beams and bins, mean of its speckle.
+
+    Parameters
+    ----------
+    beamformer : Beamformer
+    samples : of each sector; their bodies hide the surface
+    gain : (K,) float32, range gain
+    surface : WaterSurface
+    backscatter : function (grazing_rad) -> σ, cross section per area and steradian
+    """
+    edges_m = beamformer.fan.sonar.bin_edges_m
+    law = over_lambert(edges_m, surface.height_m, backscatter)
+    of_samples = partial(_over_bin_mean, edges_m=edges_m, law=law, surface=surface, backscatter=backscatter)
+    steep_m = edges_m[0], _end_of_steep_bins(edges_m, surface, backscatter)
+    whole = whole_sectors(samples, beamformer.fan.sectors)
+    alone = [_surface_alone(one, surface, steep_m, of_samples) for one in whole]
+    by_lambert = beamformer.sum_footprints(alone).intensity
+    intensity = by_lambert * (law * gain).astype(np.float32)
+    return BeamEcho(intensity, float(intensity.sum(dtype=np.float64)))
+
+
+def over_lambert(bin_edges_m: np.ndarray, height_m: float, backscatter: Callable) -> np.ndarray:
+    """Return the echo of a level surface over that by Lambert's law with a reflectivity of 1, in each bin.
+
+    It is the mean of π σ / sin² g over the part of a bin that the surface reaches, weighted by Lambert's law: by
+    sin² g, to which its echo adds up. 0 where a bin ends before the surface.
+
+    Parameters
+    ----------
+    bin_edges_m : (K + 1,) ranges, metres
+    height_m : of the surface over the sonar
+    backscatter : as for `sum_surface`
+
+    Returns
+    -------
+    (K,) float64
+
+    >>> over_lambert(np.array([1.0, 2.0, 4.0]), 2.0, lambda g: 0.1 / np.pi * np.sin(g) ** 2).round(9).tolist()
+    [0.0, 0.1]
+    """
+    sines = height_m / np.maximum(bin_edges_m, height_m)
+    off_vertical = np.arccos(sines)
+    near, far = off_vertical[:-1, None], off_vertical[1:, None]
+    at = near + (far - near) * (NODES + 1) / 2
+    # Lambert's law adds up to sin² g, whose derivative is 2 sin g cos g: of π σ / sin² g times it 2 π σ cot g is left
+    law = 2 * np.pi * backscatter(np.pi / 2 - at) * np.tan(at)
+    echo = (far - near)[:, 0] / 2 * (law @ NODE_WEIGHTS)
+    lambert = sines[:-1] ** 2 - sines[1:] ** 2
+    return np.divide(echo, lambert, out=np.zeros_like(echo), where=lambert > 0)
+
+
+def _over_bin_mean(range_m, edges_m, law, surface: WaterSurface, backscatter: Callable) -> np.ndarray:
+    """Return π σ / sin² g at ranges of the surface over its mean in their bins.
+
+    Parameters
+    ----------
+    range_m : (n,) metres, from the first edge to before the last
+    edges_m, law : (K + 1,) edges of bins, and (K,) means in bins
+    """
+    sines = np.minimum(surface.height_m / range_m, 1.0)
+    means = law[np.searchsorted(edges_m, range_m, side="right") - 1]
+    own = np.pi * backscatter(np.arcsin(sines)) / sines**2
+    return np.divide(own, means, out=np.ones_like(own), where=means > 0)
+
+
+def _end_of_steep_bins(edges_m, surface: WaterSurface, backscatter: Callable) -> float:
+    """Return the range up to which π σ / sin² g changes by more than MAX_CHANGE within a bin."""
+    sines = surface.height_m / np.maximum(edges_m, surface.height_m)
+    at_edges = backscatter(np.arcsin(sines)) / sines**2
+    wide = np.flatnonzero(np.abs(at_edges[1:] / at_edges[:-1] - 1) > MAX_CHANGE)
+    return edges_m[wide[-1] + 1] if len(wide) else edges_m[0]
+
+
+def _surface_alone(
+    samples: SectorSamples, surface: WaterSurface, steep_m: tuple[float, float], over_bin_mean: Callable
+) -> SectorSamples:
+    """Return samples of the surface alone, where no body is nearer; their echo is that by Lambert's law.
+
+    Parameters
+    ----------
+    steep_m : between these ranges samples have a factor of their own
+    over_bin_mean : function (range_m) -> that factor
+    """
+    met = on_rays(samples, surface)
+    plane_echo = np.zeros_like(samples.plane_echo)
+    # sin g times slant range is the height
+    for part, values in enumerate((met.nearness, *met.slopes, surface.height_m)):
+        np.copyto(plane_echo[..., part], values, where=met.is_nearest, casting="same_kind")
+    # range below the end, without a division by the nearness of rays that never meet the surface
+    near, far = (met.nearness * edge_m for edge_m in steep_m)
+    is_steep = met.is_nearest & (met.ray_length >= near) & (met.ray_length < far)
+    if is_steep.any():
+        range_m = met.ray_length[is_steep] / met.nearness[is_steep]
+        plane_echo[is_steep, 3] *= over_bin_mean(range_m)
+    return SectorSamples(samples.sector, plane_echo, samples.body_id)

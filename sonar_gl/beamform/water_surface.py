@@ -1,0 +1,92 @@
+"""The water's surface in the samples of a view: which rays meet it before any body, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.sector import Sector
+
+
+class WaterSurface(NamedTuple):
+    """The water's surface in the sonar's frame.
+
+    Attributes
+    ----------
+    up : (3,) unit vector, upright
+    height_m : of the surface over the sonar, metres, above 0
+    """
+
+    up: np.ndarray
+    height_m: float
+
+
+def water_surface(pose: np.ndarray, surface_z_m: float | None) -> WaterSurface | None:
+    """Return the surface over a sonar in the water; None if there is none, or the sonar is above it.
+
+    Parameters
+    ----------
+    pose : (4, 4) world_from_sonar
+    surface_z_m : height of the surface in the world, metres, or None
+    """
+    if surface_z_m is None or pose[2, 3] >= surface_z_m:
+        return None
+    return WaterSurface(pose[2, :3], surface_z_m - pose[2, 3])
+
+
+class SurfaceOnRays(NamedTuple):
+    """The water's surface on the rays of samples.
+
+    Attributes
+    ----------
+    nearness : (R, C) float64, 1/x where a ray meets the surface; 0 or less where it does not
+    slopes : of it along u and v, the same everywhere
+    is_nearest : (R, C) bool, whether the surface is nearer than any body
+    ray_length : (R, C) float64, slant range over x
+    """
+
+    nearness: np.ndarray
+    slopes: tuple[float, float]
+    is_nearest: np.ndarray
+    ray_length: np.ndarray
+
+
+def on_rays(samples: SectorSamples, surface: WaterSurface) -> SurfaceOnRays:
+    """Return the water's surface on the rays of samples."""
+    u, v = _rays(samples)
+    x, y, z = samples.sector.rotation() @ surface.up / surface.height_m
+    nearness = x - y * u + z * v
+    is_surface = nearness > samples.plane_echo[..., 0]
+    return SurfaceOnRays(nearness, (-y, z), is_surface, np.sqrt(1 + u * u + v * v))
+
+
+def ray_lengths(samples: SectorSamples) -> np.ndarray:
+    """Return (R, C) slant range over x, along the sector's axis, of each ray."""
+    u, v = _rays(samples)
+    return np.sqrt(1 + u * u + v * v)
+
+
+def _rays(samples: SectorSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Return (R, C) u and v of the rays of samples."""
+    sector, (rows, columns) = samples.sector, samples.plane_echo.shape[:2]
+    j, i = np.ogrid[0:rows, 0:columns]
+    u, v = (at[0] + at[1] * i + at[2] * j for at in (sector.u, sector.v))
+    return u, v
+
+
+def whole_sectors(samples: Sequence[SectorSamples], sectors: Sequence[Sector]) -> list[SectorSamples]:
+    """Return samples of whole sectors from those of a window in each, outside of which there are no bodies."""
+    return [_whole(*pair) for pair in zip(samples, sectors, strict=True)]
+
+
+def _whole(samples: SectorSamples, sector: Sector) -> SectorSamples:
+    rows, columns = samples.plane_echo.shape[:2]
+    lattice = np.array([sector.u[1:], sector.v[1:]])
+    apart = samples.sector.u[0] - sector.u[0], samples.sector.v[0] - sector.v[0]
+    i, j = np.rint(np.linalg.solve(lattice, apart)).astype(int)
+    plane_echo = np.zeros((sector.rows, sector.columns, 4), np.float32)
+    plane_echo[j : j + rows, i : i + columns] = samples.plane_echo
+    return SectorSamples(sector, plane_echo, samples.body_id)

@@ -1,0 +1,201 @@
+"""Echoes over one or two planar reflectors by brute force, with box beams in azimuth: rays and images of the sonar."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from sonar_gl.scene.reflectors import N_SINES, planar_reflectors
+
+LIFT_M = 1e-4  # rays start this far off a surface, so as not to hit it again
+ON_PLANE_M = 2e-3  # from a reflector's plane, its own surface
+MAX_SINE = np.sin(np.radians(80.0))  # of elevations: far into the side lobes
+LEAST_REFLECTION = 0.01  # of the intensity at 45 degrees: reflectors that are left out return less
+NO_BODY, SURFACE = -2, -1
+
+
+class Mirrors:
+    """The reflectors and bodies of a scene, seen from its sonar.
+
+    Parameters
+    ----------
+    scene : Scene
+    sonar : Sonar
+    acoustics : of which the elevation pattern and the water count
+    """
+
+    def __init__(self, scene, sonar, acoustics):
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        pose = sonar.head_pose(scene.sonar_pose)
+        self.sonar, self.pattern = sonar, acoustics.two_way_elevation_pattern(sonar)
+        self.embree, self.keep, mu = EmbreeScene(robust=True), [], []
+        self.first_face = [0]
+        for body in scene.bodies:
+            m = np.linalg.inv(pose) @ body.pose
+            faces = np.asarray(body.surface.faces)
+            vertices = np.asarray(body.surface.vertices) @ m[:3, :3].T + m[:3, 3]
+            self.keep.append(TriangleMesh(self.embree, vertices[faces].astype(np.float32)))
+            mu.append(np.broadcast_to(body.reflectivity, len(faces)))
+            self.first_face.append(self.first_face[-1] + len(faces))
+        self.mu, self.first_face = np.concatenate(mu), np.array(self.first_face)
+        k = 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed()
+        reflectors = planar_reflectors(scene, k, acoustics.water.wave_height_m())
+        poses = np.stack([body.pose for body in scene.bodies])
+        self.planes, self.bodies, self.tables = [], [], []
+        for one in reflectors:
+            if np.interp(np.sin(np.pi / 4), np.linspace(0, 1, N_SINES), one.reflection_coefficient) < (
+                LEAST_REFLECTION
+            ):
+                continue
+            normal, offset = one.in_world(poses)
+            self.planes.append((normal @ pose[:3, :3], offset - normal @ pose[:3, 3]))
+            self.bodies.append(SURFACE if one.body is None else one.body)
+            self.tables.append(one.reflection_coefficient)
+
+    def hits(self, origins, directions):
+        """Return distance (inf for none), normal towards the ray, body and face of the first thing on each ray."""
+        found = self.embree.run(origins.astype(np.float32), directions.astype(np.float32), output=True)
+        body = np.where(found["geomID"].astype(int) >= 0, found["geomID"].astype(int), NO_BODY)
+        distance = np.where(body >= 0, found["tfar"].astype(float), np.inf)
+        normal = found["Ng"].astype(float)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+        for (up, offset), reflector in zip(self.planes, self.bodies, strict=True):
+            if reflector == SURFACE:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    there = (offset - origins @ up) / (directions @ up)
+                first = (there > 1e-6) & (there < distance)
+                distance, body = np.where(first, there, distance), np.where(first, SURFACE, body)
+                normal[first] = up
+        normal *= -np.sign((normal * directions).sum(axis=1))[:, None]
+        face = self.first_face[np.maximum(body, 0)] + np.where(body >= 0, found["primID"].astype(int), 0)
+        return distance, normal, body, np.minimum(face, len(self.mu) - 1)
+
+    def is_on(self, reflector: int, body, place):
+        """Return whether places on bodies lie on a reflector."""
+        normal, offset = self.planes[reflector]
+        return (body == self.bodies[reflector]) & (np.abs(place @ normal - offset) < ON_PLANE_M)
+
+    def reflection(self, reflector: int, direction):
+        """Return the intensity reflection coefficient for directions of rays."""
+        sine = np.abs(direction @ self.planes[reflector][0])
+        return np.interp(sine, np.linspace(0, 1, N_SINES), self.tables[reflector])
+
+    def joined(self, place, face_normal, leg: tuple[int, ...]):
+        """Join places to the sonar by reflectors; the leg names them from the sonar on.
+
+        Returns
+        -------
+        length, reflection, cos θ at the place (0 where the way is not open), (n, 3) direction at the sonar
+        """
+        images = [np.zeros(3)]
+        for reflector in leg:
+            normal, offset = self.planes[reflector]
+            images.append(images[-1] + 2 * (offset - images[-1] @ normal) * normal)
+        length = np.linalg.norm(place - images[-1], axis=1)
+        at, lift, loss = place.copy(), face_normal, np.ones(len(place))
+        toward = (images[-1] - at) / length[:, None]
+        cosine = (toward * face_normal).sum(axis=1)
+        is_open = cosine > 0
+        for reflector, image in zip(leg[::-1], images[::-1], strict=False):
+            toward = (image - at) / np.linalg.norm(image - at, axis=1)[:, None]
+            normal, offset = self.planes[reflector]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                there = (offset - at @ normal) / (toward @ normal)
+            distance, turned, body, _ = self.hits(at + LIFT_M * lift, toward)
+            there = np.where(np.isfinite(there) & (there > 0), there, -1.0)
+            spot = at + there[:, None] * toward
+            is_open &= (there > 0) & (np.abs(distance - there) < ON_PLANE_M * 10)
+            is_open &= self.is_on(reflector, body, spot)
+            loss *= self.reflection(reflector, toward)
+            at, lift = spot, turned
+        to_sonar = np.linalg.norm(at, axis=1)
+        toward = -at / np.maximum(to_sonar, 1e-9)[:, None]
+        distance, *_ = self.hits(at + LIFT_M * lift, toward)
+        is_open &= distance > to_sonar - 20 * LIFT_M
+        return length, loss, np.where(is_open, cosine, 0.0), -toward
+
+    def ping(self, n_rays: int, seed: int = 0, batch: int = 500_000):
+        """Return (B, K) multipath over one reflector, and over two, for a range gain of 1."""
+        sonar, random = self.sonar, np.random.default_rng(seed)
+        half = self.half = np.radians(sonar.azimuth_fov_deg + sonar.beam_width_deg) / 2
+        self.spacing = np.diff(sonar.azimuth_rad).mean()
+        self.around = int(np.ceil((half - sonar.azimuth_rad[-1]) / self.spacing)) + 2
+        n = len(self.planes)
+        legs = [(), *((a,) for a in range(n))]
+        twice = [(a, b) for a, b in product(range(n), repeat=2) if a != b]
+        out = np.zeros((2, sonar.n_beams + 2 * self.around, sonar.n_bins))
+        for _ in range(-(-n_rays // batch)):
+            azimuth, sine = half * random.uniform(-1, 1, batch), MAX_SINE * random.uniform(-1, 1, batch)
+            cosine = np.sqrt(1 - sine**2)
+            launched = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), sine], axis=1)
+            start = np.zeros((batch, 3))
+            distance, normal, body, face = self.hits(start, launched)
+            place = launched * np.where(np.isfinite(distance), distance, 0.0)[:, None]
+            for leg in legs:
+                direction, weight, length = launched, np.sqrt(self.pattern(sine)), distance
+                there, facing, met, on = place, normal, body, face
+                if leg:
+                    (a,) = leg
+                    turns = self.is_on(a, body, place)
+                    sent, inward = launched[turns], normal[turns]
+                    direction = sent - 2 * (sent * inward).sum(axis=1)[:, None] * inward
+                    weight = weight[turns] * self.reflection(a, sent)
+                    beyond, facing, met, on = self.hits(place[turns] + LIFT_M * inward, direction)
+                    length = distance[turns] + beyond
+                    there = place[turns] + direction * np.where(np.isfinite(beyond), beyond, 0.0)[:, None]
+                else:
+                    sent = launched
+                ends = (met >= 0) & (length < 2 * sonar.range_max_m)
+                outward = sent[ends], weight[ends], length[ends]
+                scattering = there[ends], facing[ends], self.mu[on[ends]], direction[ends]
+                others = [*([(b,) for b in range(n)] if leg else []), *(twice if not leg else [])]
+                if not leg:
+                    others += [(a,) for a in range(n)]
+                for other in others:
+                    order = len(set(leg + other))
+                    if not leg or other == leg or order == 2:
+                        self._add(out[order - 1], outward, scattering, leg, other)
+        height = 2 * MAX_SINE * self.pattern(np.linspace(-MAX_SINE, MAX_SINE, 20001)).mean()
+        rays = batch * -(-n_rays // batch)
+        width = np.radians(sonar.beam_width_deg)
+        out *= 2 * half * 2 * MAX_SINE / rays / (width * height)
+        return [self._beams(one, width) for one in out]
+
+    def _add(self, out, outward, scattering, leg, other) -> None:
+        """Add paths that go out by one leg and back by another; those that go out straight the other way round, too."""
+        (sent, weight, length), (place, facing, mu, direction) = outward, scattering
+        if not len(place):
+            return
+        back, loss, cosine, arriving = self.joined(place, facing, other)
+        if other == leg:  # reflected twice by one plane: the way back is that out
+            cosine = np.where(cosine > 0, np.abs((direction * facing).sum(axis=1)), 0.0)
+        mean = (length + back) / 2
+        energy = mu * cosine * weight * loss * (mean / back) ** 2
+        energy *= np.sqrt(self.pattern(np.clip(arriving[:, 2], -1, 1)))
+        # the fan is insonified evenly, and nothing beside it, as in the simulator
+        energy *= (np.abs(arriving[:, 2]) < MAX_SINE) & (self._azimuth(arriving) < self.half)
+        self._put(out, arriving, mean, energy)
+        if not leg:
+            self._put(out, sent, mean, energy)
+
+    def _azimuth(self, directions):
+        return np.abs(np.arctan2(directions[:, 1], directions[:, 0]))
+
+    def _put(self, out, arriving, range_m, energy) -> None:
+        azimuth = np.arctan2(arriving[:, 1], arriving[:, 0])
+        beam = np.rint((azimuth - self.sonar.azimuth_rad[0]) / self.spacing).astype(int) + self.around
+        k = np.floor((range_m - self.sonar.range_min_m) / self.sonar.bin_size_m)
+        ok = (beam >= 0) & (beam < len(out)) & (k >= 0) & (k < self.sonar.n_bins) & (energy > 0)
+        np.add.at(out, (beam[ok], k[ok].astype(int)), energy[ok])
+
+    def _beams(self, image, width_rad):
+        """Return sums over the widths of box beams."""
+        steps = width_rad / self.spacing
+        reach = int(np.ceil((steps - 1) / 2))
+        kernel = np.ones(2 * reach + 1)
+        kernel[[0, -1]] *= (steps - (2 * reach - 1)) / 2
+        padded = np.apply_along_axis(np.convolve, 0, image, kernel, "same")
+        return padded[self.around : -self.around]
