@@ -58,6 +58,8 @@ class Ping:
     acoustics : the Acoustics of the ping, in its own water; None if unknown
     coherent : (B, K) float32 or None, the part of `intensity` that specular lobes return: a steady echo, which
         speckle spares. Only in pings without noise for which it was asked, as those of a batch
+    volume : (B, K) float32 or None, the part of `intensity` that the water returns, where it has few scatterers
+        (`Water.scatterer_density_m3`): speckle shows them one by one. Only in pings without noise
     """
 
     intensity: np.ndarray
@@ -76,6 +78,7 @@ class Ping:
     sonar: Sonar | None = None
     acoustics: Acoustics | None = None
     coherent: np.ndarray | None = None
+    volume: np.ndarray | None = None
 
     @property
     def bin_size_m(self) -> float:

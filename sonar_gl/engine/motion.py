@@ -157,9 +157,8 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         power.setflags(write=False)
         return power
 
-    powers = {"intensity": shown(ping.intensity)}
-    if ping.coherent is not None:
-        powers["coherent"] = shown(ping.coherent)
+    powers = {"intensity": ping.intensity, "coherent": ping.coherent, "volume": ping.volume}
+    powers = {name: None if power is None else shown(power) for name, power in powers.items()}
     labels = {name: getattr(ping, name) for name in EMPTY_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order

@@ -196,16 +196,17 @@ def assemble(
     setup = received.drawn.setup
     echo = received.direct.with_more(received.multipath).with_more(received.volume)
     request, labels, label_level_db = setup.request, {}, None
-    intensity, coherent = (
+    few = None if setup.acoustics.scatterer_density_m3 is None else received.volume
+    intensity, coherent, volume = (
         one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
-        for one in (echo.intensity, received.lobes and received.lobes.intensity)
+        for one in (echo.intensity, received.lobes and received.lobes.intensity, few and few.intensity)
     )
     if received.labels is not None:  # before the noise: they do not depend on its seed
         label_level_db = request.label_level_db
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
         labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
-    for array in (intensity, coherent, *labels.values()):
+    for array in (intensity, coherent, volume, *labels.values()):
         if array is not None:
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
@@ -230,6 +231,7 @@ def assemble(
         sonar=instrument.sonar,
         acoustics=setup.acoustics,
         coherent=coherent,
+        volume=volume,
         **labels,
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
@@ -243,7 +245,7 @@ def with_cross_talk(ping: Ping) -> Ping:
     sonar = ping.sonar
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
-    powers = {"intensity": ping.intensity, "coherent": ping.coherent}
+    powers = {"intensity": ping.intensity, "coherent": ping.coherent, "volume": ping.volume}
     for name, power in powers.items():
         if power is not None:
             powers[name] = leak_between_beams(power, sonar.cross_talk_db, sonar.cross_talk_beams)

@@ -23,8 +23,8 @@ from sonar_gl.sonar.sonar import Sonar
 
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
-NOT_STORED = "coherent"  # of pings between the receiver and their noise
-NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, NOT_STORED))
+NOT_STORED = "coherent", "volume"  # of pings between the receiver and their noise
+NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *NOT_STORED))
 # (B, K) arrays
 ARRAYS_OF_BINS = "intensity", "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
 

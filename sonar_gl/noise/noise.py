@@ -22,9 +22,9 @@ def add_noise(
 
     Parameters
     ----------
-    ping : speckle spares its `coherent` echo; the beam width of its `sonar` correlates the fields of overlapping
-        beams, and its `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them
-        beams or bins are independent
+    ping : speckle spares its `coherent` echo, and shows the scatterers of its `volume` one by one; the beam width of
+        its `sonar` correlates the fields of overlapping beams, and its `bandwidth_hz` and `pulse_taper` those of bins
+        if its `acoustics` have a pulse; without them beams or bins are independent
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
     thread : does a part of the work beside the caller, with the same bytes
@@ -67,4 +67,4 @@ def add_noise(
         out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, coherent=None, meta={**ping.meta, **record})
+    return replace(ping, intensity=out, coherent=None, volume=None, meta={**ping.meta, **record})
