@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list th
 
 
 # parts of a ping's echo that only its noise needs; a noisy ping has none of them
-PARTS = "coherent", "texture_deviation"
+PARTS = "coherent", "texture_deviation", "volume"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,8 @@ class Ping:
         speckle spares. Only in pings without noise for which it was asked, as those of a batch
     texture_deviation : (B, K) float32 or None, standard deviation of the mean echo by the texture of bodies with a
         `speckle_shape` ν, the sum of their echoes over √ν; likewise
+    volume : (B, K) float32 or None, the part of `intensity` that the water returns, where it has few scatterers
+        (`Water.scatterer_density_m3`): speckle shows them one by one. Only in pings without noise
     """
 
     intensity: np.ndarray
@@ -83,6 +85,7 @@ class Ping:
     acoustics: Acoustics | None = None
     coherent: np.ndarray | None = None
     texture_deviation: np.ndarray | None = None
+    volume: np.ndarray | None = None
 
     @property
     def bin_size_m(self) -> float:

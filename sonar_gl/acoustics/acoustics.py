@@ -356,6 +356,11 @@ class Acoustics:
         """S_v of the water, dB re 1/m, as far as the model includes it; None for no volume reverberation."""
         return self.water.volume_backscatter_db if self.volume_reverberation else None
 
+    @property
+    def scatterer_density_m3(self) -> float | None:
+        """Number of scatterers per cubic metre of the water, as far as the model includes them; None for many."""
+        return self.water.scatterer_density_m3 if self.volume_reverberation else None
+
     def surface_backscatter(self, sonar) -> Callable | None:
         """Return the backscatter of the water's surface; None if the model does not include it.
 

@@ -148,6 +148,7 @@ BOUNDS = (  # field, least and greatest value, hint for messages
     ("absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
     ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
     ("volume_backscatter_db", -200, 0, "give dB re 1/m, usual are -90 to -50"),
+    ("scatterer_density_m3", 1e-6, 1e12, "give a number per cubic metre"),
     ("wind_speed_m_s", 0, 30, "give metres per second, 7 is a moderate breeze"),
 )
 
@@ -171,6 +172,9 @@ class Water:
     volume_backscatter_db : float or None
         Volume backscattering strength S_v of plankton, fish, silt and small bubbles at the sonar's frequency, dB re
         1/m: 10 log10 of the backscattering cross section per cubic metre. None: clear water.
+    scatterer_density_m3 : float or None
+        Mean number of these scatterers per cubic metre. Where few lie in a resolution cell, speckle shows each by
+        itself, at new places in each ping. None: so many that their echo is fully developed speckle.
     wind_speed_m_s : float or None
         Wind over a fully developed sea, metres per second at a height of 10 m. Where a scene has a surface, its waves
         and bubbles scatter, and it is as rough as the waves. None: the surface scatters nothing, and is as rough as the
@@ -179,7 +183,7 @@ class Water:
     Raises
     ------
     Error
-        if a name is unknown, or a number is out of bounds.
+        if a name is unknown, a number is out of bounds, or there is a density of scatterers without their strength.
 
     >>> round(Water(temperature_c=25.0, depth_m=1000.0).sound_speed(), 3)
     1550.744
@@ -194,6 +198,7 @@ class Water:
     sound_speed_formula: str = "mackenzie"
     sound_speed_m_s: float | None = None
     volume_backscatter_db: float | None = None
+    scatterer_density_m3: float | None = None
     wind_speed_m_s: float | None = None
 
     def __post_init__(self):
@@ -204,6 +209,11 @@ class Water:
             if value is None and self.__dataclass_fields__[key].default is None:
                 continue
             check_number(f"water: {key}", value, low, high, hint)
+        if self.scatterer_density_m3 is not None and self.volume_backscatter_db is None:
+            raise Error(
+                f"water: scatterer_density_m3 needs volume_backscatter_db (got {self.scatterer_density_m3:g} without "
+                "it; give the strength of all scatterers in a cubic metre)"
+            )
 
     @classmethod
     def parse(cls, text: str) -> Water:

@@ -25,6 +25,7 @@ from numba.core.dispatcher import Dispatcher
 
 from sonar_gl import cli
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.analysis.reference import reference_ping
 from sonar_gl.core.compiled import announce_compilation
 from sonar_gl.core.poses import pose
@@ -192,6 +193,8 @@ def _work_without_opengl():
     for noise in NOISES:
         add_noise(replace(ping, texture_deviation=ping.intensity), noise, 0)
     add_noise(replace(ping, sonar=WIDE_BEAMS), Noise.physical(), 0)
+    murky = Acoustics.physical(water=Water(volume_backscatter_db=-60.0, scatterer_density_m3=10.0))
+    add_noise(replace(ping, acoustics=murky, volume=ping.intensity), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)
     # a batch leaves out dark cells, in an array of its own, which is not read-only

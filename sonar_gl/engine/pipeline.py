@@ -229,8 +229,9 @@ def assemble(
         received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
     )
     request, labels, label_level_db = setup.request, {}, None
-    parts = echo, received.lobes, received.texture
-    intensity, coherent, texture = (
+    few = None if setup.acoustics.scatterer_density_m3 is None else received.volume
+    parts = echo, received.lobes, received.texture, few
+    intensity, coherent, texture, volume = (
         one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
         for one in (part and part.intensity for part in parts)
     )
@@ -241,7 +242,7 @@ def assemble(
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
         labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
-    for array in (intensity, coherent, texture, *labels.values()):
+    for array in (intensity, coherent, texture, volume, *labels.values()):
         if array is not None:
             array.setflags(write=False)
     time_s = None if setup.state is None else setup.state.time_s
@@ -267,6 +268,7 @@ def assemble(
         acoustics=setup.acoustics,
         coherent=coherent,
         texture_deviation=texture,
+        volume=volume,
         **labels,
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))

@@ -14,7 +14,8 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.k_distribution import multiply_by_texture
 from sonar_gl.noise.place_locked_speckle import WaveCache, place_locked_field
 from sonar_gl.noise.random_streams import stream
-from sonar_gl.noise.receiver import add_interference, receiver_levels_db
+from sonar_gl.noise.receiver import add_interference, common_noise_pattern, receiver_levels_db
+from sonar_gl.noise.scatterers import Scatterers, add_scatterers, scatterers_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle, replace_by_look
 from sonar_gl.ping import Ping
@@ -82,15 +83,17 @@ class FieldNoise:
     def apply(self, intensity: np.ndarray) -> None:
         """Apply the terms to echoes (B, K) float32, in place.
 
-        Texture and speckle act on the diffuse part of the echo, not on the ping's `coherent` part.
+        Texture and speckle act on the diffuse part of the echo, not on the ping's `coherent` part. The few scatterers
+        of its `volume` have a field of their own.
 
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
         noise = self._noise
         levels_db = self._levels_db()
-        power = self._mean_power(*levels_db) if levels_db else None
-        if self._coherent_amplitude is not None:  # what is left is diffuse; rounding may make it negative
-            np.maximum(intensity - self._ping.coherent, 0, out=intensity)
+        power = self._receiver_power(levels_db) if levels_db else None
+        for part in (self._ping.coherent, self._ping.volume):
+            if part is not None and noise.speckle:  # what is left is diffuse; rounding may make it negative
+                np.maximum(intensity - part, 0, out=intensity)
         if noise.speckle and self._ping.texture_deviation is not None:
             exponential = np.ones_like(intensity)
             self._multiply_by_speckle(exponential, "texture")
@@ -126,22 +129,26 @@ class FieldNoise:
         return receiver_levels_db(noise, sonar, acoustics)
 
     def _apply_look(self, intensity, power, look: int) -> None:
-        """Replace diffuse echoes E, in place, by one look |√C + √E g + √N n|²: g speckle or 1, n receiver noise.
+        """Replace diffuse echoes E, in place, by one look |√C + √V s + √E g + √N n|²: g speckle or 1, n receiver noise.
 
-        C is the coherent echo. `power` is the noise's mean power N, (K,), or None. The fields g and n have the
-        same correlation. If both are new in each ping, one field of power E + N has the same statistics:
-        exactly in each bin, and between neighbours where the echo is even.
+        C is the coherent echo, V that of the water's few scatterers and s their field. `power` is the noise's mean
+        power N, (B, K) or (1, K), or None. The fields g and n have the same correlation. If both are new in each ping,
+        one field of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is
+        even.
         """
-        noise, coherent = self._noise, self._coherent_amplitude
+        noise, coherent, scatterers = self._noise, self._coherent_amplitude, self._scatterers
         is_one_field = noise.speckle and not noise.follow_motion
         if is_one_field and power is not None:
             intensity += power
-        if coherent is None and (is_one_field or power is None):
+        if coherent is None and scatterers is None and (is_one_field or power is None):
             self._multiply_by_speckle(intensity, "speckle", look)
             return
         total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
         if coherent is not None:
             total[:, 0] = coherent
+        if scatterers is not None:
+            volume = self._ping.volume
+            add_scatterers(total, volume, scatterers, self._correlation, self._stream("scatterers"))
         if is_one_field:
             add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
         elif not noise.speckle:
@@ -150,7 +157,7 @@ class FieldNoise:
 
         def make_half(half: int) -> np.ndarray | None:
             if half and power is not None and not is_one_field:
-                add_field(total, np.sqrt(power)[None], correlation, receiver)
+                add_field(total, np.sqrt(power), correlation, receiver)
             is_place_locked = not half and noise.speckle and not is_one_field
             return self._place_locked_field("speckle", look) if is_place_locked else None
 
@@ -183,6 +190,14 @@ class FieldNoise:
             self._streams[term] = stream(self._seed, self._ping_number, term)
         return self._streams[term]
 
+    def _receiver_power(self, levels_db: list[float]) -> np.ndarray:
+        """Return the mean power of the receiver's noise after the TVG, (1, K), or (B, K) where beams differ."""
+        power, sonar = self._mean_power(*levels_db)[None], self._ping.sonar
+        if not self._noise.self_noise or sonar.common_noise_db is None:
+            return power
+        pattern = common_noise_pattern(self._ping.azimuth_rad, sonar.common_noise_width_deg)
+        return power + np.outer(pattern, self._mean_power(sonar.common_noise_db)).astype(np.float32)
+
     def _mean_power(self, *levels_db: float) -> np.ndarray:
         """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""
         power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
@@ -196,6 +211,17 @@ class FieldNoise:
         """
         coherent = self._ping.coherent
         return None if coherent is None or not self._noise.speckle else np.sqrt(coherent)
+
+    @cached_property
+    def _scatterers(self) -> Scatterers | None:
+        """The few scatterers of the water; None if there are none, or no speckle."""
+        if self._ping.volume is None or not self._noise.speckle:
+            return None
+        sonar = self._required("sonar", "the volume in which its water has scatterers")
+        acoustics = self._required("acoustics", "the scatterers of its water")
+        return scatterers_of(
+            acoustics.water.scatterer_density_m3, self._ping.range_m, self._correlation, sonar, acoustics
+        )
 
     @cached_property
     def _tvg(self) -> np.ndarray:

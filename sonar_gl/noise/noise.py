@@ -12,7 +12,7 @@ from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.random_streams import check_seed, stream
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
-from sonar_gl.ping import Ping
+from sonar_gl.ping import PARTS, Ping
 
 
 def add_noise(
@@ -22,9 +22,10 @@ def add_noise(
 
     Parameters
     ----------
-    ping : speckle spares its `coherent` echo, and texture has its `texture_deviation`; the beam width of its `sonar`
-        correlates the fields of overlapping beams, and its `bandwidth_hz` and `pulse_taper` those of bins if its
-        `acoustics` have a pulse; without them beams or bins are independent
+    ping : speckle spares its `coherent` echo, texture has its `texture_deviation`, and the scatterers of its `volume`
+        show one by one; the beam width of its `sonar` correlates the fields of overlapping beams, and its
+        `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them beams or bins are
+        independent
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
     thread : does a part of the work beside the caller, with the same bytes
@@ -67,4 +68,4 @@ def add_noise(
         out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, coherent=None, texture_deviation=None, meta={**ping.meta, **record})
+    return replace(ping, intensity=out, **dict.fromkeys(PARTS), meta={**ping.meta, **record})

@@ -16,6 +16,7 @@ STREAMS = {
     "receiver": 6,
     "interference": 7,
     "dropped_beams": 8,
+    "scatterers": 9,
 }
 
 
