@@ -14,7 +14,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.k_distribution import multiply_by_texture
 from sonar_gl.noise.place_locked_speckle import WaveCache, place_locked_field
 from sonar_gl.noise.random_streams import stream
-from sonar_gl.noise.receiver import add_interference, receiver_levels_db
+from sonar_gl.noise.receiver import add_interference, common_noise_pattern, receiver_levels_db
 from sonar_gl.noise.scatterers import Scatterers, add_scatterers, scatterers_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, add_field, multiply_by_speckle, replace_by_look
@@ -90,7 +90,7 @@ class FieldNoise:
         """
         noise = self._noise
         levels_db = self._levels_db()
-        power = self._mean_power(*levels_db) if levels_db else None
+        power = self._receiver_power(levels_db) if levels_db else None
         for part in (self._ping.coherent, self._ping.volume):
             if part is not None and noise.speckle:  # what is left is diffuse; rounding may make it negative
                 np.maximum(intensity - part, 0, out=intensity)
@@ -132,8 +132,9 @@ class FieldNoise:
         """Replace diffuse echoes E, in place, by one look |√C + √V s + √E g + √N n|²: g speckle or 1, n receiver noise.
 
         C is the coherent echo, V that of the water's few scatterers and s their field. `power` is the noise's mean
-        power N, (K,), or None. The fields g and n have the same correlation. If both are new in each ping, one field
-        of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is even.
+        power N, (B, K) or (1, K), or None. The fields g and n have the same correlation. If both are new in each ping,
+        one field of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is
+        even.
         """
         noise, coherent, scatterers = self._noise, self._coherent_amplitude, self._scatterers
         is_one_field = noise.speckle and not noise.follow_motion
@@ -156,7 +157,7 @@ class FieldNoise:
 
         def make_half(half: int) -> np.ndarray | None:
             if half and power is not None and not is_one_field:
-                add_field(total, np.sqrt(power)[None], correlation, receiver)
+                add_field(total, np.sqrt(power), correlation, receiver)
             is_place_locked = not half and noise.speckle and not is_one_field
             return self._place_locked_field("speckle", look) if is_place_locked else None
 
@@ -188,6 +189,14 @@ class FieldNoise:
         if term not in self._streams:
             self._streams[term] = stream(self._seed, self._ping_number, term)
         return self._streams[term]
+
+    def _receiver_power(self, levels_db: list[float]) -> np.ndarray:
+        """Return the mean power of the receiver's noise after the TVG, (1, K), or (B, K) where beams differ."""
+        power, sonar = self._mean_power(*levels_db)[None], self._ping.sonar
+        if not self._noise.self_noise or sonar.common_noise_db is None:
+            return power
+        pattern = common_noise_pattern(self._ping.azimuth_rad, sonar.common_noise_width_deg)
+        return power + np.outer(pattern, self._mean_power(sonar.common_noise_db)).astype(np.float32)
 
     def _mean_power(self, *levels_db: float) -> np.ndarray:
         """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""

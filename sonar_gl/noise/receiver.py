@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.acoustics.beam_pattern import aperture_field
+from sonar_gl.acoustics.beam_pattern import ArrayPattern, aperture_field
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
@@ -157,6 +157,33 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
     if noise.thermal_noise:
         out.append(absolute_levels(sonar, acoustics).thermal_noise_db)
     return out if noise.ambient_db is None else [*out, noise.ambient_db]
+
+
+def common_noise_pattern(azimuth_rad, width_deg: float) -> np.ndarray:
+    """Return what beams receive of noise that neighbouring channels have in common, 1 straight ahead.
+
+    A group of channels that pick up the same interference is a small array for which it comes from ahead. Groups are
+    independent of one another, and so beams have the power pattern of one group [1]_, and the grain of other noise.
+
+    Parameters
+    ----------
+    azimuth_rad : (B,) azimuths of beams; beams more than 90 degrees off receive nothing of it
+    width_deg : −3 dB width of the pattern of a group
+
+    Returns
+    -------
+    (B,) float64
+
+    References
+    ----------
+    .. [1] Van Trees, Optimum Array Processing, 2002: uniform linear arrays
+
+    >>> common_noise_pattern(np.radians([0.0, 1.5]), 3.0).round(6).tolist()
+    [1.0, 0.5]
+    """
+    azimuth = np.asarray(azimuth_rad, np.float64)
+    group = ArrayPattern("line_array", math.radians(width_deg))
+    return np.where(np.cos(azimuth) > 0, group.power(np.sin(azimuth)), 0.0)
 
 
 def add_interference(

@@ -47,6 +47,7 @@ MAY_BE_NONE = (
     "source_level_db",
     "cross_talk_db",
     "ring_down_db",
+    "common_noise_db",
 )
 UNPARSED = "name", "beam_azimuths_deg", "source", "counts"  # fields that a command line cannot set
 
@@ -98,6 +99,10 @@ class Sonar:
     source_level_db : level of the transmitted pulse on the projector's axis, dB re 1 µPa at 1 m; None: not known
     self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a surface of
         reflectivity 1 that surrounds the sonar at 1 m; `Noise.self_noise` switches it on
+    common_noise_db : mean power, likewise, of noise that neighbouring channels of the receiver have in common, in a
+        beam straight ahead, where it is strongest; None: none. It belongs to the self-noise
+    common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
+        channels that have it in common
 
     Raises
     ------
@@ -136,6 +141,8 @@ class Sonar:
     keeps_n_bins: bool = False
     source_level_db: float | None = None
     self_noise_db: float = -90.0
+    common_noise_db: float | None = None
+    common_noise_width_deg: float = 3.0
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
@@ -163,6 +170,8 @@ class Sonar:
             ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
             ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),
             ("self_noise_db", -300, 100, "dB relative to the echo of an enclosing surface at 1 m"),
+            ("common_noise_db", -300, 100, "dB relative to the echo of an enclosing surface at 1 m"),
+            ("common_noise_width_deg", 1e-3, 180, "give degrees"),
         ):
             value = getattr(self, key)
             if value is None and key in MAY_BE_NONE:

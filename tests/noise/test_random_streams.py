@@ -9,7 +9,8 @@ from sonar_gl.noise.random_streams import STREAMS, check_seed, stream
 def test_stream_numbers_never_change():
     """Each noisy ping's bytes depend on them."""
     numbers = {"speckle": 1, "gaussian": 2, "salt_and_pepper": 3, "cloud": 4}
-    assert numbers | {"texture": 5, "receiver": 6, "interference": 7, "dropped_beams": 8} == STREAMS
+    numbers |= {"texture": 5, "receiver": 6, "interference": 7, "dropped_beams": 8}
+    assert numbers | {"scatterers": 9} == STREAMS
 
 
 def test_first_numbers_of_streams_never_change():
