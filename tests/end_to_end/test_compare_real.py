@@ -264,8 +264,11 @@ def test_the_page_has_the_table(table):
         compare_real.BEAM_WIDTH_DEG,
         compare_real.SELF_NOISE_DB,
         1e3 * compare_real.DRIFT_M,
+        compare_real.COMMON_NOISE_DB,
+        compare_real.VOLUME_BACKSCATTER_DB,
+        compare_real.SCATTERER_DENSITY_M3,
     )
-    for number, unit in zip(told, (" dB", "°", "`", " mm"), strict=True):
+    for number, unit in zip(told, (" dB", "°", "`", " mm", "`", "`", "`"), strict=True):
         assert f"{number:g}{unit}" in page
     for row, line in zip(table.values(), lines[1:], strict=False):
         (told,) = (one for one in page.splitlines() if one.startswith(f"{row.name} "))
