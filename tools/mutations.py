@@ -67,6 +67,7 @@ NOISE = (
     "test_k_distribution|test_speckle",
     "test_place_locked_speckle|test_place_speckle|test_speckle",
 )
+SCATTERERS, COMMON = ("test_scatterers",), ("test_common_noise",)
 CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
 SURFACE = ("test_surface_reverberation",)
 STORE = ("test_store|test_batch",)
@@ -584,9 +585,9 @@ MUTATIONS = (
     ),
     Mutation(
         "noise/coherent echo that speckles, too",
-        "np.maximum(intensity - self._ping.coherent, 0, out=intensity)",
+        "np.maximum(intensity - part, 0, out=intensity)",
         "np.maximum(intensity, 0, out=intensity)",
-        ("test_coherent_echo",),
+        ("test_coherent_echo", "test_scatterers"),
     ),
     Mutation(
         "noise/diffuse echo among the lobes",
@@ -595,6 +596,37 @@ MUTATIONS = (
         ("test_coherent_lobes",),
     ),
     Mutation("noise/interpolation of beams", "np.sinc(off) * window", "window", NOISE),
+    Mutation(
+        "scatterers/volume of a bin", "density_m3 * r**2 * size_m", "density_m3 * r * size_m", SCATTERERS
+    ),
+    Mutation(
+        "scatterers/strength over elevation",
+        "np.sqrt(strength / rate[k])",
+        "np.sqrt(1 / rate[k])",
+        SCATTERERS,
+    ),
+    Mutation(
+        "scatterers/from where there are many",
+        "per_rad * beam_angle_rad(",
+        "0 * per_rad * beam_angle_rad(",
+        SCATTERERS,
+    ),
+    Mutation("scatterers/ends of the pulse", 'mode="edge"', 'mode="constant"', SCATTERERS),
+    Mutation(
+        "scatterers/new in each ping",
+        'self._stream("scatterers")',
+        'stream(self._seed, 0, "scatterers")',
+        SCATTERERS,
+    ),
+    Mutation(
+        "noise/common to channels, behind the array",
+        "np.where(np.cos(azimuth) > 0, group",
+        "np.where(True, group",
+        COMMON,
+    ),
+    Mutation(
+        "noise/common to channels, width", "np.outer(pattern, self", "np.outer(pattern**2, self", COMMON
+    ),
     # the store of a batch
     Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", ENCODING),
     Mutation(
