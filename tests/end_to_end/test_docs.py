@@ -108,9 +108,9 @@ def test_commands_run(words, folder, monkeypatch):
         monkeypatch.setattr(module, "TURNS", 1)
     before = set(folder.rglob("*"))
     if words[1] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
-        words = [*words, "--duration", "0.2", "--port", "0"]
+        words = [*words, "--duration", "0.05", "--port", "0"]
     if words[1] == "ros2":  # the same, and programs that run beside tests may use domain 0
-        words = [*words, "--duration", "0.2", "--domain", str(100 + os.getpid() % 100)]
+        words = [*words, "--duration", "0.05", "--domain", str(100 + os.getpid() % 100)]
     result = run(*words[1:])
     assert result.exit_code == 0, result.output
     assert "warning" not in result.output or "no zenoh router answers" in result.output
