@@ -24,6 +24,6 @@ def test_a_port_that_is_taken_is_an_error_and_nothing_is_said_to_listen(device):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_a_device_that_listens_says_so_once(device):
-    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.5")
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.1")
     assert status == 0
     assert errors.count("Ctrl-C stops it") == 1

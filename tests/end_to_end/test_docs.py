@@ -63,9 +63,9 @@ def shell_lines():
 
 
 def commands():
-    """Commands of the pages; those that price all terms, or draw the largest scenes, are slow."""
+    """Commands of the pages; those that price all terms, or draw the largest scenes or fan, are slow."""
     found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
-    slow = {"plan", "needed", "ocean_floor", "diver_vertical"}
+    slow = {"plan", "needed", "ocean_floor", "diver_vertical", "p900-130"}
     return [
         pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if slow & set(p.values[0]) else ())
         for p in found
