@@ -3,6 +3,7 @@
 import math
 import sys
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -73,8 +74,18 @@ PLANES = {
 }
 
 
-@pytest.mark.parametrize("beams", SONARS)
-@pytest.mark.parametrize("name", ["yawed and pitched", "level floor"])
+@pytest.mark.parametrize(
+    "name, beams",
+    [
+        *product(["yawed and pitched"], SONARS),
+        ("level floor", "overlapping"),
+        *(
+            pytest.param("level floor", beams, marks=pytest.mark.slow)
+            for beams in SONARS
+            if beams != "overlapping"
+        ),
+    ],
+)
 def test_planes_in_beams_of_all_kinds(name, beams):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
@@ -85,7 +96,13 @@ def test_planes_in_beams_of_all_kinds(name, beams):
     )
 
 
-@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in ("upright", "sloping floor") else ())
+        for name in PLANES
+    ],
+)
 def test_planes(name):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
