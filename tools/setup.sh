@@ -3,6 +3,8 @@
 # PYTHON=/path/to/python3.12 names the Python to use.
 
 set -euo pipefail
+# commands and tests start many processes; without compiled files each of them compiles hundreds of modules again
+unset PYTHONDONTWRITEBYTECODE
 cd -P -- "$(dirname -- "${BASH_SOURCE[0]}")/.." >/dev/null
 
 opengl=(libegl1 libgl1 libgl1-mesa-dri)  # Debian's and Ubuntu's names

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import threading
 import zlib
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -29,10 +30,10 @@ from tests.support.live_messages import (
     stamped,
     zenoh_router,
 )
-from tests.support.soak import resident_bytes
+from tests.support.memory import resident_bytes
 
 WAIT_S = 60.0  # for a process to start, or to end
-DISCOVERY_S = 2.0  # until both ends know of one another
+PROBE_S = 0.02  # between probes, which are sent until both ends know of one another
 LINGER_S = 1.0  # for the last messages to arrive
 WARM_UP = 0.25  # share of the time whose growth of memory does not count: pools of threads and buffers fill
 N_SAMPLES = 400  # of memory
@@ -132,9 +133,10 @@ class Soak:
 
 
 class _Reader:
-    """Notes the messages that arrive."""
+    """Notes the messages that arrive, but for probes, whose time is 0."""
 
     def __init__(self, most: int, checksum: int, duration_s: float):
+        self.is_connected, self._change = threading.Event(), threading.Condition()
         self.latency_s, self.count = np.zeros(most), 0
         self.damaged = self.disordered = 0
         self.memory, self._checksum, self._last_ns = Memory(duration_s), checksum, 0
@@ -142,20 +144,32 @@ class _Reader:
     def read(self, message: bytes) -> None:
         """Note a message."""
         stamp_ns = stamp_of(message)
+        self.is_connected.set()
+        if stamp_ns == 0:
+            return
         self.latency_s[self.count] = (time_ns() - stamp_ns) / 1e9
-        self.count += 1
         self.damaged += zlib.crc32(stamped(message, 0)) != self._checksum
         self.disordered += stamp_ns <= self._last_ns
         self._last_ns = stamp_ns
         self.memory.watch()
+        with self._change:
+            self.count += 1
+            self._change.notify()
+
+    def linger(self, sent: int) -> None:
+        """Wait until so many messages have come, though no longer than LINGER_S."""
+        with self._change:
+            self._change.wait_for(lambda: self.count >= sent, LINGER_S)
 
 
 def receive(kind: str, port: int, most: int, checksum: int, duration_s: float, pipe) -> None:
-    """Receive until the other end of a pipe says so, and answer with what came."""
+    """Receive until the other end of a pipe says how much it has sent, and answer with what came."""
     transport, reader = TRANSPORTS[kind](port), _Reader(most, checksum, duration_s)
     transport.subscribe(sonar_topic(depth=DEPTH), reader.read)
     pipe.send("ready")
-    pipe.recv()
+    reader.is_connected.wait(WAIT_S)
+    pipe.send("connected")
+    reader.linger(pipe.recv())
     transport.close()
     latency_s = reader.latency_s[: reader.count]
     counts = reader.count, reader.damaged, reader.disordered, getattr(transport, "dropped", None)
@@ -188,7 +202,9 @@ def soak(kind: str, duration_s: float, rate_hz: float) -> Soak:
         transport = TRANSPORTS[kind](port)
         stack.callback(transport.close)
         transport.advertise(topic)
-        sleep(DISCOVERY_S)
+        while not pipe.poll(PROBE_S):
+            transport.publish(topic, message, 0)
+        _next(pipe)
         memory, worst_s, start_s = Memory(duration_s), 0.0, perf_counter()
         sent, next_s = 0, start_s
         while sent < count and next_s < start_s + duration_s:
@@ -200,8 +216,7 @@ def soak(kind: str, duration_s: float, rate_hz: float) -> Soak:
             memory.watch()
             # as a sonar does: what is late is left out, not made up for in a burst
             next_s = max(next_s + 1 / rate_hz, perf_counter())
-        sleep(LINGER_S)
-        pipe.send("enough")
+        pipe.send(sent)
         return Soak(sent, len(message), _next(pipe), memory.growth(), worst_s)
 
 
@@ -220,7 +235,7 @@ class _process:  # noqa: N801, used like a function
 
     def __exit__(self, *_):
         if self._process.is_alive():
-            self.pipe.send("enough")
+            self.pipe.send(0)  # so many messages are waited for
         self._process.join(WAIT_S)
         self._process.terminate()
 

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform import kernels
@@ -49,10 +49,16 @@ BASIS_STRIDE = 4  # of pieces of the pattern that functions are made for: four a
 _LAPACK = Lock()
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return what limits the threads of NumPy's LAPACK, which is loaded; to look for it takes milliseconds."""
+    return ThreadpoolController()
+
+
 @contextmanager
 def _one_thread():
     """Have LAPACK use one thread inside the block, which threads enter one by one."""
-    with held(_LAPACK), threadpool_limits(1, user_api="blas"):
+    with held(_LAPACK), _libraries().limit(limits=1, user_api="blas"):
         yield
 
 

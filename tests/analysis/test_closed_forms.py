@@ -243,9 +243,9 @@ def test_the_reference_has_the_first_bottom_return():
 
 def test_a_sphere_about_the_sonar_returns_its_reflectivity():
     it = sonar(32, 360.0, 20.0, bins=30)
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], it).intensity.sum(axis=1)
-    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 1 degree are tilted by up to 0.5 degrees
+    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 2 degrees are tilted by up to 1 degree
 
 
 @pytest.mark.parametrize("fov", [20.0, 45.0, 90.0, 130.0, 179.0, 180.0, 181.0, 270.0, 360.0])

@@ -3,6 +3,7 @@
 import math
 import sys
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -73,8 +74,18 @@ PLANES = {
 }
 
 
-@pytest.mark.parametrize("beams", SONARS)
-@pytest.mark.parametrize("name", ["yawed and pitched", "level floor"])
+@pytest.mark.parametrize(
+    "name, beams",
+    [
+        *product(["yawed and pitched"], SONARS),
+        ("level floor", "overlapping"),
+        *(
+            pytest.param("level floor", beams, marks=pytest.mark.slow)
+            for beams in SONARS
+            if beams != "overlapping"
+        ),
+    ],
+)
 def test_planes_in_beams_of_all_kinds(name, beams):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
@@ -85,7 +96,13 @@ def test_planes_in_beams_of_all_kinds(name, beams):
     )
 
 
-@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in ("upright", "sloping floor") else ())
+        for name in PLANES
+    ],
+)
 def test_planes(name):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
@@ -96,8 +113,15 @@ def test_planes(name):
     )
 
 
-@pytest.mark.parametrize("offset_m", [0.0, 500e3])
-@pytest.mark.parametrize("angles", [(0.4, 0.2, 0), (-2.9, 0.2, 2.5)])
+@pytest.mark.parametrize(
+    "angles, offset_m",
+    [
+        ((0.4, 0.2, 0), 500e3),
+        ((-2.9, 0.2, 2.5), 0.0),
+        pytest.param((0.4, 0.2, 0), 0.0, marks=pytest.mark.slow),
+        pytest.param((-2.9, 0.2, 2.5), 500e3, marks=pytest.mark.slow),
+    ],
+)
 def test_floor_below_a_rotated_sonar(angles, offset_m):
     """Also at UTM coordinates, where float32 rounds by 3 cm, a third of a bin."""
     it = sonar(bins=150, range_max_m=15.0)
@@ -149,11 +173,11 @@ def test_plate_and_its_shadow():
 )
 def test_a_sphere_about_the_sonar_returns_its_reflectivity_in_every_beam(beams, width_deg, profile):
     it = sonar(beams, 360.0, width_deg, bins=30)
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=0.3)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = truth([ball], it, sg.Acoustics(profile), error=0.1).intensity.sum(axis=1)
     np.testing.assert_allclose(
         totals, 0.3, rtol=1e-3
-    )  # facets of 1 degree are tilted by up to 0.5 degrees: 4e-5
+    )  # facets of 2 degrees are tilted by up to 1 degree: 1.5e-4
 
 
 # --- structure inside beams and fans

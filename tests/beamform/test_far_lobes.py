@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from threadpoolctl import ThreadpoolController
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
+from sonar_gl.beamform import far_lobes
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
@@ -117,6 +119,26 @@ def test_the_pattern_is_decomposed_once_for_each_size_of_block_that_is_tried(mon
     make_lobe_blocks(PHYSICAL.far_pattern(sonar), sonar.azimuth_rad, ends)
     assert sorted(set(sizes)) == sorted(sizes)
     assert 0 < len(sizes) < len(LOBES)
+
+
+def test_lapack_has_one_thread_and_is_looked_for_once(monkeypatch):
+    """To look through the libraries of the process takes longer than the rest of a small sonar's weights."""
+    searches, threads, decompose = [], set(), np.linalg.eigh
+
+    def search():
+        searches.append(ThreadpoolController())
+        return searches[-1]
+
+    def noted(matrix):
+        blas = ThreadpoolController().select(user_api="blas")
+        threads.update(one["num_threads"] for one in blas.info())
+        return decompose(matrix)
+
+    monkeypatch.setattr(far_lobes, "ThreadpoolController", search)
+    monkeypatch.setattr(np.linalg, "eigh", noted)
+    for width_deg in (1.03, 1.07):  # of no other test, so that neither is kept
+        fan_and_weights(replace(P900, beam_width_deg=width_deg), PHYSICAL)
+    assert len(searches) <= 1 and threads == {1}  # none where an earlier test has looked
 
 
 def test_a_floor_alone_is_exact():

@@ -44,6 +44,6 @@ def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_a_device_that_listens_says_so_once(device):
-    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.5")
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.1")
     assert status == 0
     assert errors.count("Ctrl-C stops it") == 1

@@ -37,6 +37,8 @@ POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n0.5,0.5,0,0,0,0,0\n1.0,1,0,0,0,0
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     """A folder with a small scene, a small sonar and three poses, which is the working directory."""
+    for module in (plan, terms):  # what `plan` says of times need not be exact
+        monkeypatch.setattr(module, "TURNS", 1)
     monkeypatch.chdir(tmp_path)
     Path("tank.sdf").write_text(SCENE.format(more=SENSOR))
     Path("mute.sdf").write_text(SCENE.format(more=""))
@@ -493,8 +495,6 @@ def examples():
 @pytest.mark.parametrize("line", [line for line in examples() if line != "doctor"])
 def test_examples_of_the_help_show_something(line, monkeypatch):
     """Nearly empty pictures would warn."""
-    for module in (plan, terms):  # what `plan` says of times need not be exact
-        monkeypatch.setattr(module, "TURNS", 1)
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))

@@ -27,10 +27,10 @@ QUICK = ("--sonar", "small.toml", "--tolerance", 0.05)
 def folder(tmp_path, monkeypatch):
     """A folder with small scenes, a small sonar and three poses, which is the working directory.
 
-    Pings are timed but twice: no test here asks how exact a time is.
+    Pings are timed but once: no test here asks how exact a time is.
     """
     for module in (costs, terms):
-        monkeypatch.setattr(module, "TURNS", 2)
+        monkeypatch.setattr(module, "TURNS", 1)
     monkeypatch.chdir(tmp_path)
     Path("tank.sdf").write_text(SCENE.format(WALL + BOX + SENSOR))
     Path("wall.sdf").write_text(SCENE.format(WALL + SENSOR))

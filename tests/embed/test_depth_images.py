@@ -186,7 +186,9 @@ def test_a_floor_at_grazing_incidence_has_no_rings(height):
     assert (rings.intensity[:, inside] == 0).mean() > 0.3
 
 
-@pytest.mark.parametrize("turn", ["roll 90", "aside 20", "down 5, roll -30"])
+@pytest.mark.parametrize(
+    "turn", ["roll 90", pytest.param("aside 20", marks=pytest.mark.slow), "down 5, roll -30"]
+)
 def test_a_rotated_camera_gives_the_same_ping(truth, turn):
     sonar = sonar_of()
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])

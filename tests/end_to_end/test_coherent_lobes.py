@@ -1,6 +1,7 @@
 """Specular lobes under speckle: which part of the echo they are, and that a smooth face returns a steady one."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -29,9 +30,17 @@ def coherent(request, engine=None, acoustics=None, scene=SCENE):
         return make_ping(simulator.run, replace(request, lobes=True))
 
 
-@pytest.mark.parametrize("pulse", [False, True])
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
-@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize(
+    "engine, labels, pulse",
+    [
+        *product(["cpu"], [False, True], [False, True]),
+        ("opengl", True, True),
+        *(
+            pytest.param("opengl", *both, marks=pytest.mark.slow)
+            for both in ((False, False), (False, True), (True, False))
+        ),
+    ],
+)
 def test_the_coherent_part_is_what_lobes_add(engine, labels, pulse):
     """Beside a ping without lobes, with the same samples; labels and shadows draw further views between."""
     request = PingRequest(sg.pose(), labels=labels, background=("floor",) if labels else None)
@@ -69,8 +78,15 @@ def test_motion_moves_both_parts_alike():
     np.testing.assert_array_equal(found.coherent, found.intensity)
 
 
-@pytest.mark.parametrize("sampling", [SAMPLING, None])
-@pytest.mark.parametrize("noise", [SPECKLE, LOCKED], ids=["fresh", "locked"])
+@pytest.mark.parametrize(
+    "noise, sampling",
+    [
+        pytest.param(SPECKLE, SAMPLING, id="fresh"),
+        pytest.param(LOCKED, None, id="locked, by tolerance"),
+        pytest.param(SPECKLE, None, id="fresh, by tolerance", marks=pytest.mark.slow),
+        pytest.param(LOCKED, SAMPLING, id="locked", marks=pytest.mark.slow),
+    ],
+)
 def test_sequences_and_batches_give_the_same_bytes(noise, sampling):
     """Of single pings, of sequences, and of pings whose noise is added later, as a batch does."""
     poses = [sg.pose(x) for x in (0.0, 0.1, 0.2, 0.3, 0.4)]

@@ -66,9 +66,9 @@ def shell_lines():
 
 
 def commands():
-    """Commands of the pages; those that price all terms, or draw the largest scenes, are slow."""
+    """Commands of the pages; those that price all terms, or draw the largest scenes or fan, are slow."""
     found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
-    slow = {"plan", "needed", "ocean_floor", "diver_vertical"}
+    slow = {"plan", "needed", "ocean_floor", "diver_vertical", "p900-130"}
     return [
         pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if slow & set(p.values[0]) else ())
         for p in found
@@ -114,9 +114,9 @@ def test_commands_run(words, folder, monkeypatch):
         monkeypatch.setattr(module, "TURNS", 1)
     before = set(folder.rglob("*"))
     if words[1] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
-        words = [*words, "--duration", "0.2", "--port", "0"]
+        words = [*words, "--duration", "0.05", "--port", "0"]
     if words[1] == "ros2":  # the same, and programs that run beside tests may use domain 0
-        words = [*words, "--duration", "0.2", "--domain", str(100 + os.getpid() % 100)]
+        words = [*words, "--duration", "0.05", "--domain", str(100 + os.getpid() % 100)]
     result = run(*words[1:])
     assert result.exit_code == 0, result.output
     assert "warning" not in result.output or "no zenoh router answers" in result.output

@@ -25,7 +25,7 @@ NOT_SOURCE = shutil.ignore_patterns(
     ".git", ".venv", ".*_cache", "__pycache__", "*.egg-info", "build", "dist", "out"
 )
 
-BUILD_SDIST = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+BUILD = "import sys; from setuptools import build_meta; build_meta.build_{}(sys.argv[1])"
 LOOK_AROUND = """
 import json, sonar_gl
 from sonar_gl.scene.load import bundled_scenes; from sonar_gl.core.data_files import data_folder
@@ -61,7 +61,7 @@ def sdist(tmp_path_factory):
     """The source archive, built in a copy so that the checkout stays clean."""
     folder = tmp_path_factory.mktemp("sdist")
     copy = shutil.copytree(ROOT, folder / "copy", ignore=NOT_SOURCE)
-    run(sys.executable, "-c", BUILD_SDIST, folder, cwd=copy)
+    run(sys.executable, "-c", BUILD.format("sdist"), folder, cwd=copy)
     return next(folder.glob("*.tar.gz"))
 
 
@@ -69,8 +69,10 @@ def sdist(tmp_path_factory):
 def wheel(sdist, tmp_path_factory):
     """The wheel, built from the source archive."""
     folder = tmp_path_factory.mktemp("wheel")
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    run(*pip, "wheel", "--no-build-isolation", "--no-deps", "--no-index", "-w", folder, sdist)
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder)
+    (source,) = folder.iterdir()
+    run(sys.executable, "-c", BUILD.format("wheel"), folder, cwd=source)
     return next(folder.glob("*.whl"))
 
 
@@ -79,7 +81,7 @@ def installed(wheel, tmp_path_factory):
     """A folder with the wheel unpacked as pip does it, without what it depends on."""
     folder = tmp_path_factory.mktemp("installed")
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    run(*pip, "install", "--no-deps", "--no-index", "--target", folder, wheel)
+    run(*pip, "install", "--no-deps", "--no-index", "--no-compile", "--target", folder, wheel)
     return folder
 
 

@@ -106,7 +106,7 @@ def shiny_world(slope=0.1):
     ("profile", "slope"),
     [
         ("ideal", 0.05),
-        ("ideal", 0.1),
+        pytest.param("ideal", 0.1, marks=pytest.mark.slow),
         # with the patterns, which test_beam_pattern.py compares without lobes
         pytest.param("physical", 0.05, marks=pytest.mark.slow),
         pytest.param("physical", 0.1, marks=pytest.mark.slow),

@@ -55,7 +55,11 @@ def requests(**more):
     return [PingRequest(pose, alone=True, **more) for pose in POSES]
 
 
-@pytest.mark.parametrize("kind", MORE)
+# the other two have labels, too
+KINDS = "plain", pytest.param("labels", marks=pytest.mark.slow), "shadows", "multipath"
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_any_order_and_company_gives_the_same_bytes(kind):
     settings, more = MORE[kind]
     wanted = requests(**more)
@@ -71,7 +75,7 @@ def test_any_order_and_company_gives_the_same_bytes(kind):
         assert one.error_estimate == other.error_estimate and one.meta["sampling"] == other.meta["sampling"]
 
 
-@pytest.mark.parametrize("kind", ["plain", "labels", "shadows"])
+@pytest.mark.parametrize("kind", KINDS[:3])
 def test_the_ping_is_that_of_the_samples_it_states(kind):
     """So a ping of a data set can be made again by its samples."""
     settings, more = MORE[kind]

@@ -85,7 +85,7 @@ def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping(
                 assert plan.sampling.rows == ping.meta["sampling"]["rows"] and plan.met
 
 
-@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("labels", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
     """Pings that were started before a check changed the samples are made again."""
     with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:

@@ -466,7 +466,7 @@ def test_memory_does_not_grow():
 
 
 @pytest.mark.timeout(10)
-@pytest.mark.parametrize("after", [1, 2, 4, 5, 7])
+@pytest.mark.parametrize("after", [1, 4, 7, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5))])
 def test_an_error_in_the_caller_s_loop_is_raised(after):
     """The block closes the simulator while a batch is in progress; nothing waits for ever."""
     with pytest.raises(KeyError), simulator(sg.Sampling(16, 600)) as it:

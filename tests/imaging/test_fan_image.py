@@ -33,16 +33,28 @@ def test_port_is_left_and_forward_up():
     assert column < fan_geometry(ping, 400).sonar_column - 100 and row < 200
 
 
-@pytest.mark.parametrize("fov_deg", [20, 45, 90, 120, 130, 179, 180, 181, 270, 359, 360])
-@pytest.mark.parametrize("height", [401, 800])
+FANS_DEG = 20, 45, 90, 120, 130, 179, 180, 181, 270, 359, 360
+LARGE_FANS_DEG = 130, 360  # of which larger pictures are drawn, too; the others are slow
+
+
+@pytest.mark.parametrize(
+    "fov_deg, height",
+    [
+        *((fov_deg, 401) for fov_deg in FANS_DEG),
+        *(
+            pytest.param(fov_deg, 800, marks=() if fov_deg in LARGE_FANS_DEG else pytest.mark.slow)
+            for fov_deg in FANS_DEG
+        ),
+    ],
+)
 def test_isotropic_within_half_a_pixel(fov_deg, height):
+    ping = fan_ping(fov_deg, n_beams=10 * fov_deg)
+    x = ping.range_m * np.cos(ping.azimuth_rad)[:, None]
+    y = ping.range_m * np.sin(ping.azimuth_rad)[:, None]
     for beam_share in (0.1, 0.3, 0.5, 0.9) if fov_deg > 30 else (0.3, 0.5, 0.7):  # away from the edges
         for bin_ in (60, 110, 170):
-            ping = fan_ping(fov_deg, n_beams=10 * fov_deg)
             beam = int(beam_share * len(ping.azimuth_rad))
             # a target that is round in metres
-            x = ping.range_m * np.cos(ping.azimuth_rad)[:, None]
-            y = ping.range_m * np.sin(ping.azimuth_rad)[:, None]
             x0, y0 = x[beam, bin_], y[beam, bin_]
             ping.intensity[:] = np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * 0.15**2))
             ping.intensity[ping.intensity < 1e-3] = 0

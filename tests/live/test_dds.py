@@ -1,5 +1,6 @@
 """Messages over DDS: to and from programs that describe the types by themselves, and to those of another vendor."""
 
+import hashlib
 import json
 import os
 import random
@@ -9,10 +10,12 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
 from contextlib import contextmanager
+from ctypes.util import find_library
 from dataclasses import asdict
 from pathlib import Path
 
@@ -53,7 +56,7 @@ def wait_for(condition):
     end_s = time.monotonic() + WAIT_S
     while not (result := condition()):
         assert time.monotonic() < end_s
-        time.sleep(0.01)
+        time.sleep(0.005)
     return result
 
 
@@ -115,13 +118,13 @@ def cyclone_reader(domain, name, msgtype, count):
 
 @contextmanager
 def published_meanwhile(transport, topic, message=None):
-    """Publish ten messages a second while the block lasts, as a sonar does; a failure to is raised in the end."""
+    """Publish fifty messages a second while the block lasts; a failure to is raised in the end."""
     done, failures = threading.Event(), []
 
     def run():
         number = 0
         try:
-            while not done.wait(0.1):
+            while not done.wait(0.02):
                 transport.publish(topic, message or header_bytes(number), 0)
                 number += 1
         except Error as why:
@@ -138,27 +141,23 @@ def published_meanwhile(transport, topic, message=None):
 
 
 @pytest.fixture(scope="session")
-def fast_dds_peer(tmp_path_factory):
-    """Path of the compiled program of another vendor, which is the default of ROS 2."""
+def fast_dds_peer(request):
+    """Path of the compiled program of another vendor, which is the default of ROS 2; it is kept in pytest's cache."""
     if shutil.which("g++") is None or not Path("/usr/include/fastrtps").is_dir():
         why = (
             "the program of another vendor needs a compiler and Fast DDS: apt-get install g++ libfastrtps-dev"
         )
         (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
-    program = tmp_path_factory.mktemp("fast_dds") / "fast_dds_peer"
-    source = ROOT / "tests/support/fast_dds_peer.cpp"
-    command = (
-        "g++",
-        "-std=c++17",
-        "-Wall",
-        "-Werror",
-        str(source),
-        "-o",
-        str(program),
-        "-lfastrtps",
-        "-lfastcdr",
-    )
-    subprocess.run(command, check=True, timeout=WAIT_S)
+    source, library = ROOT / "tests/support/fast_dds_peer.cpp", find_library("fastrtps")  # with its version
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    program = request.config.cache.mkdir("fast_dds") / f"{library}_{digest[:16]}"
+    if not program.exists():
+        with tempfile.TemporaryDirectory(dir=program.parent) as folder:  # another worker may compile, too
+            compiled = Path(folder, "peer")
+            options = "-std=c++17", "-Wall", "-Werror", "-lfastrtps", "-lfastcdr"
+            command = "g++", str(source), "-o", str(compiled), *options
+            subprocess.run(command, check=True, timeout=WAIT_S)
+            compiled.rename(program)
     return program
 
 
@@ -248,7 +247,7 @@ def test_whole_pings_arrive_at_another_vendor_byte_for_byte(
         while peer.poll() is None:
             transport.publish(topic, sent[number % len(sent)], 0)
             number += 1
-            time.sleep(0.05)
+            time.sleep(0.02)
         assert peer.stdout.read() == f"{count}\n"
     arrived = messages_of(path)
     # the reader was there from some message on, and lost none since
@@ -435,7 +434,7 @@ def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_tra
     with published_meanwhile(open_transport(), topic_of(f"{name}_held")):
         assert holds.wait(WAIT_S)
     late.subscribe(topic, arrived.append)  # whose messages wait for the thread that is held
-    time.sleep(1.0)  # until they are there
+    time.sleep(0.3)  # until they are there
     is_free.set()
     wait_for(lambda: len(arrived) >= 4)
     assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]

@@ -15,7 +15,7 @@ from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, quality_text
 from sonar_gl.live.transport import Topic
-from sonar_gl.live.zenoh_transport import ZenohTransport
+from sonar_gl.live.zenoh_transport import REMOTE_TIMEOUT_MS, ZenohTransport
 from tests.support.listening import LOOPBACK, listening_ports
 from tests.support.live_messages import (
     free_port,
@@ -418,7 +418,7 @@ def test_a_router_that_disappears_and_returns(port, transports, host):
     assert len(tokens) == 6 and fixed == [b"old"]
     received.clear()
     publish_once(transport, latched, b"new")
-    for _ in range(100):
+    for _ in range(20):
         transport.publish(topic, b"meanwhile", 0)
         time.sleep(0.01)
     # peers stay connected with one another; a client reaches nobody
@@ -459,8 +459,10 @@ def test_a_router_of_another_machine_is_warned_of(router, transports, port):
     assert noticed[0].filename == __file__  # of the caller's stack
 
 
-def test_a_router_of_another_machine_must_answer(port, transports):
-    why = f"a zenoh router must answer at tcp/0.0.0.0:{port} (got no answer in 3 s; start it there, or give"
+def test_a_router_of_another_machine_must_answer(port, transports, monkeypatch):
+    assert REMOTE_TIMEOUT_MS == 3000  # docs/ros2.md; the test itself waits less
+    monkeypatch.setattr("sonar_gl.live.zenoh_transport.REMOTE_TIMEOUT_MS", 300)
+    why = f"a zenoh router must answer at tcp/0.0.0.0:{port} (got no answer in 0.3 s; start it there, or give"
     with pytest.raises(MachineError, match=re.escape(why)):
         transports(host="0.0.0.0")
 
@@ -490,8 +492,8 @@ def test_a_closed_transport_leaves_nothing(router, transports):
             use()
 
 
-def test_two_seconds_at_twenty_hertz_lose_nothing():
-    check_soak(soak("zenoh", 2.0, 20.0), 5, 40)
+def test_one_second_at_forty_hertz_loses_nothing():
+    check_soak(soak("zenoh", 1.0, 40.0), 5, 40)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import moderngl
@@ -416,8 +417,14 @@ def test_a_failure_of_the_driver_is_an_error_and_no_black_ping(monkeypatch, fail
         np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
 
 
-@pytest.mark.parametrize("failure", [0x0502, 0x0505, 0x0507])
-@pytest.mark.parametrize("at", range(4))
+# each error at the first call, and one at each of the others
+@pytest.mark.parametrize(
+    "at, failure",
+    [
+        pytest.param(at, failure, marks=pytest.mark.slow if at and failure != 0x0505 else ())
+        for at, failure in product(range(4), (0x0502, 0x0505, 0x0507))
+    ],
+)
 def test_a_failure_in_the_choice_of_samples_is_an_error_and_changes_no_later_choice(monkeypatch, at, failure):
     """The search for the coarsest samples took each error for the driver's limit: other samples, without a word."""
     bodies = [sg.Body("ball", trimesh.creation.icosphere(3, 0.4), sg.pose(6))]

@@ -174,7 +174,10 @@ class GL:
             function = ctypes.CFUNCTYPE(ctypes.c_ubyte)(address)
 
         def call(*arguments):
-            return function(*map(_as_argument, arguments))
+            try:
+                return function(*arguments)
+            except ctypes.ArgumentError:  # of arrays and floats, which are rare
+                return function(*map(_as_argument, arguments))
 
         setattr(self, name, call)
         return call
@@ -231,8 +234,6 @@ class GL:
 
 
 def _as_argument(value):
-    if type(value) is int:  # nearly always
-        return value
     if isinstance(value, np.ndarray):
         return ctypes.c_void_p(value.ctypes.data)
     return ctypes.c_float(value) if isinstance(value, float) else value
@@ -321,7 +322,8 @@ def _attributes(gl: GL) -> dict:
 def changes(before: dict, after: dict) -> dict:
     """Return the values that differ, as a dict from names to (before, after)."""
     names = before.keys() | after.keys()
-    return {n: (before.get(n), after.get(n)) for n in sorted(names) if before.get(n) != after.get(n)}
+    differ = sorted(name for name in names if before.get(name) != after.get(name))
+    return {name: (before.get(name), after.get(name)) for name in differ}
 
 
 VERTEX = b"#version 330\nin vec3 at; void main() { gl_Position = vec4(at, 1.0); }"

@@ -65,7 +65,10 @@ def zenoh_router(port: int):
 
 @contextmanager
 def open_session(mode: str, connect: tuple = (), listen: tuple = ()):
-    """Open a zenoh session with the settings that rmw_zenoh has, and close it in the end."""
+    """Open a zenoh session with the settings that rmw_zenoh has, and close it in the end.
+
+    It does not wait for others to be found, as rmw_zenoh does for half a second: tests wait for what they need.
+    """
     import zenoh
 
     settings = {
@@ -73,6 +76,7 @@ def open_session(mode: str, connect: tuple = (), listen: tuple = ()):
         "connect/endpoints": list(connect),
         "listen/endpoints": list(listen),
         "scouting/multicast/enabled": False,
+        "scouting/delay": 0,  # milliseconds
         "timestamping/enabled": True,
         "routing/router/peers_failover_brokering": False,
     }

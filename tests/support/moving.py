@@ -10,7 +10,7 @@ import sys
 import warnings
 
 import sonar_gl as sg
-from tests.support.soak import resident_bytes
+from tests.support.memory import resident_bytes
 
 SECONDS = 60.0  # pings a second of the motion below
 

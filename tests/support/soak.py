@@ -2,7 +2,6 @@
 
 import ctypes
 import gc
-import os
 import sys
 from dataclasses import replace
 
@@ -11,6 +10,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.memory import return_free_memory
+from tests.support.memory import resident_bytes
 
 SONAR = sg.Sonar("soak", 900e3, 128, 200, 60.0, 20.0, 1.0, 0.5, 20.0)
 N_POSES = 997  # then they repeat
@@ -45,12 +45,6 @@ def run(simulator, n_pings):
         if k % 100 == 0:
             simulator.point_cloud(pose_of(k), 40, 10)
             simulator.gbuffers(pose_of(k))
-
-
-def resident_bytes():
-    """Return the resident memory of this process, bytes (Linux)."""
-    with open("/proc/self/statm") as numbers:
-        return int(numbers.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def settled_bytes():
