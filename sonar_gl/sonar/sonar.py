@@ -40,6 +40,7 @@ CHOICES = {  # field: allowed names
     "pulse_taper": ("uniform", "hamming"),
 }
 MAY_BE_NONE = (
+    "range_limit_m",
     "element_error_db",
     "transmit_width_deg",
     "bandwidth_hz",
@@ -98,6 +99,8 @@ class Sonar:
     source_level_db : level of the transmitted pulse on the projector's axis, dB re 1 µPa at 1 m; None: not known
     self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a surface of
         reflectivity 1 that surrounds the sonar at 1 m; `Noise.self_noise` switches it on
+    range_limit_m : greatest range that the device allows, metres; None: not known. Programs that offer ranges to choose
+        from end there; a range beyond it is no error
 
     Raises
     ------
@@ -136,6 +139,7 @@ class Sonar:
     keeps_n_bins: bool = False
     source_level_db: float | None = None
     self_noise_db: float = -90.0
+    range_limit_m: float | None = None
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
@@ -152,6 +156,7 @@ class Sonar:
             ("beam_width_deg", 1e-3, 180.0, "give degrees"),
             ("range_min_m", 0.0, 1e5, "give metres"),
             ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
+            ("range_limit_m", *RANGE_MAX_BOUNDS_M, "give metres"),
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
             ("element_error_db", -80, -15, "give dB relative to the main lobe, negative"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),

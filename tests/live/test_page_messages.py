@@ -412,6 +412,21 @@ def test_a_view_that_is_closed_ends_the_pricing_of_terms_and_leaves_no_thread(sc
     wait_for(lambda: set(threading.enumerate()) <= before)
 
 
+def test_the_range_ends_where_the_sonar_does_and_stays_where_the_next_sonar_allows_it(session, browser):
+    slider = browser.values[browser.uuid("range, m")]
+    assert (slider["max"], browser.shown("range, m")) == (100.0, 22.0)  # of the P900's data sheet
+    browser.change("sonar", "oculus-m1200d-hf")  # 10 m
+    wait_for(lambda: (slider["max"], slider["value"]) == (10.0, 10.0))
+    assert session.settings.device.range_max_m == 10.0
+    wait_for(lambda: browser.notes)
+    assert browser.notes == ["10 m, since oculus-m1200d-hf does not allow 22 m"]
+    browser.change("range, m", 8.0)
+    wait_for(lambda: session.settings.range_m == 8.0)
+    browser.change("sonar", "p900-45 (given)")
+    wait_for(lambda: slider["max"] == 100.0)
+    assert session.settings.device.range_max_m == 8.0 and len(browser.notes) == 1
+
+
 def test_the_polar_form_has_no_picture_in_3d(session, browser):
     wait_for(lambda: "/sonar/picture" in browser.nodes)
     browser.change("form", "polar")

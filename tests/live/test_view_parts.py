@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,13 +12,15 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.motion import KEYS
+from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
-from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
 SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)
@@ -104,6 +107,37 @@ def test_sonar_looks_where_its_camera_does():
     assert (SONAR_FROM_CAMERA @ ahead).tolist() == [1, 0, 0]
     assert (SONAR_FROM_CAMERA @ right).tolist() == [0, -1, 0]
     assert (SONAR_FROM_CAMERA @ down).tolist() == [0, 0, -1]
+
+
+@pytest.mark.parametrize(
+    "near_m, far_m, limit_m, set_m, expected",
+    [
+        (0.5, 29.9894, 100.0, None, (1.0, 100.0, 0.5, 29.99)),
+        (1.0, 10.0, None, None, (1.2, 40.0, 0.2, 10.0)),  # four times its own
+        (1.0, 10.0, 20.0, 35.0, (1.2, 35.0, 0.2, 35.0)),  # set beyond the data sheet
+        (0.7, 5.0, 5.0, 0.71, (0.71, 5.0, 0.02, 0.71)),
+        (9.999, 10.0, 10.0, None, (10.0, 10.05, 0.05, 10.0)),  # a slider has some length
+        (0.0, 0.002, None, None, (0.00005, 0.008, 0.00005, 0.002)),
+    ],
+)
+def test_the_slider_of_the_range_follows_the_sonar(near_m, far_m, limit_m, set_m, expected):
+    sonar = replace(SONAR, n_bins=1, range_min_m=near_m, range_max_m=far_m, range_limit_m=limit_m)
+    scale = RangeScale.of(LiveSettings(sonar, range_m=set_m))
+    got = scale.low_m, scale.high_m, scale.step_m, scale.shown_m
+    assert got == pytest.approx(expected)  # decimal fractions
+
+
+@pytest.mark.parametrize("name", presets())
+def test_each_preset_takes_every_range_of_its_slider(name):
+    scale = RangeScale.of(LiveSettings(name))
+    assert scale.low_m < scale.shown_m <= scale.high_m
+    for range_m in (scale.low_m, scale.high_m):
+        device = LiveSettings(name, range_m=range_m).device
+        assert device.range_max_m == range_m == allowed_range_m(device, range_m)
+
+
+def test_a_range_that_is_too_near_for_a_sonar_becomes_its_own():
+    assert allowed_range_m(replace(SONAR, range_min_m=2.0), 2.0) == SONAR.range_max_m
 
 
 def test_a_choice_that_the_page_does_not_offer_is_refused():

@@ -47,6 +47,16 @@ def fan_arcs(sonar: Sonar, step_m: float) -> np.ndarray:
     return (np.concatenate(lines) @ sonar.sonar_from_head[:3, :3].T).astype(np.float32)
 
 
+def round_step(about: float) -> float:
+    """Return 1, 2 or 5 times a power of ten near a positive number.
+
+    >>> round_step(6.0), round_step(0.021)
+    (5.0, 0.02)
+    """
+    power = 10.0 ** np.floor(np.log10(about))
+    return float(power * min((1, 2, 5, 10), key=lambda digit: abs(digit * power - about)))
+
+
 def _edges(sonar: Sonar) -> tuple[np.ndarray, list[float], tuple[float, float]]:
     """Return azimuths along an arc, both elevations and both ranges."""
     half = math.radians(sonar.azimuth_fov_deg) / 2

@@ -15,7 +15,7 @@ from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
-from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline, round_step
 from sonar_gl.sonar.sonar import Sonar
 
 # Colours of bodies in turn, RGB: stone and steel first, and none that a picture or a gizmo has.
@@ -227,7 +227,7 @@ class SceneNodes:
         self._outline = scene.add_line_segments(
             "/sonar/outline", fan_outline(device), FAN_COLOR, thickness=2.0, thickness_units="screen"
         )
-        arcs = fan_arcs(device, _round_step(far_m / 5))
+        arcs = fan_arcs(device, round_step(far_m / 5))
         self._arcs = scene.add_line_segments(
             "/sonar/ranges", arcs, (150, 110, 60), thickness=1.0, thickness_units="screen"
         )
@@ -313,12 +313,6 @@ def _extent(device: Sonar) -> tuple:
     return (
         device.azimuth_fov_deg, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
     )  # fmt: skip
-
-
-def _round_step(about_m: float) -> float:
-    """Return 1, 2 or 5 times a power of ten near a length."""
-    power = 10.0 ** np.floor(np.log10(about_m))
-    return float(power * min((1, 2, 5, 10), key=lambda digit: abs(digit * power - about_m)))
 
 
 def _put_if_moved(node, pose: np.ndarray) -> None:
