@@ -2,12 +2,14 @@
 
 import json
 import math
+import re
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import fan_geometry
@@ -18,6 +20,7 @@ from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
 from sonar_gl.sonar.sonar import Sonar, presets
@@ -107,6 +110,19 @@ def test_sonar_looks_where_its_camera_does():
     assert (SONAR_FROM_CAMERA @ ahead).tolist() == [1, 0, 0]
     assert (SONAR_FROM_CAMERA @ right).tolist() == [0, -1, 0]
     assert (SONAR_FROM_CAMERA @ down).tolist() == [0, 0, -1]
+
+
+def test_prices_are_a_table_without_zeros_that_were_not_measured():
+    prices = [
+        Price("absorption", 0.052, 0.1, 0.31, 0.0, True),
+        Price("a < b", 0.0004, 0.0, 0.0, 0.04, False),
+    ]
+    rows = [re.sub("<[^>]*>", "|", row) for row in prices_html(prices).split("</tr>")[1:3]]
+    assert [[cell for cell in row.split("|") if cell] for row in rows] == [
+        ["absorption", "5.2 %", "31 %", "–"],
+        ["a &lt; b", "&lt; 0.1 %", "0 %", "&lt; 0.1 ms"],
+    ]
+    assert prices_html([]) == ""
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
+from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.sonar import Sonar, presets
@@ -254,6 +255,7 @@ class ControlPanel:
             self._price = gui.add_button(
                 "Price the terms", hint="What each changes and costs here; takes seconds."
             )
+            self._prices = gui.add_html("")
         self._connect(
             profile,
             lambda settings: settings.acoustics.profile,
@@ -305,21 +307,11 @@ class ControlPanel:
             raise closed_error("page")
 
     def _hide_prices(self) -> None:
-        for name, handle in self._terms.items():
-            handle.label, handle.hint = name, None
-        self._priced = None
+        self._prices.content, self._priced = "", None
 
     def _show_prices(self, prices: list[Price], of: tuple) -> None:
         """Show the prices of some settings, until these change."""
-        self._priced = of
-        for one in prices:
-            if one.name in self._terms:
-                handle = self._terms[one.name]
-                handle.label = f"{one.name}: {100 * one.changes:.2g} %, {one.time_ms:.2g} ms"
-                handle.hint = (
-                    f"Changes {100 * one.changes:.2g} % of the echo, and {100 * one.changed_bins:.2g} % of the bins by "
-                    f"more than 3 dB; adds {one.time_ms:.2g} ms to a ping."
-                )
+        self._prices.content, self._priced = prices_html(prices), of
 
     def _add_water(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
