@@ -1,5 +1,6 @@
 """The web page of a live session, told by messages as a browser sends them."""
 
+import re
 import threading
 import time
 from contextlib import contextmanager
@@ -100,6 +101,61 @@ def test_a_body_is_dragged_and_put_back(session, browser):
     browser.press("Put all back")
     wait_for(lambda: browser.nodes[node]["position"] == home)
     assert session.bodies()["box"][:3, 3].tolist() == home
+
+
+def words(browser, label):
+    """The text of the HTML that begins with a label; "" for none."""
+    texts = (re.sub("<[^>]*>", " ", str(one.get("content") or "")).strip() for one in browser.values.values())
+    return next((text for text in texts if text.startswith(label)), "")
+
+
+def green_pixels(browser):
+    """How many pixels of the picture have the colour of a selected body's outline, which copper has not."""
+    data = next(one["_data"] for one in browser.values.values() if "_data" in one)
+    red, green, _ = np.moveaxis(
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int), -1, 0
+    )
+    return int((green > red + 60).sum())
+
+
+def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, browser):
+    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    assert words(browser, "selected") == "" and green_pixels(browser) == 0
+    unselect = browser.values[browser.uuid("Unselect")]
+    assert not unselect["visible"]
+    browser.send(
+        type="SceneNodeClickMessage",
+        name=body_node(session, "floor"),
+        instance_index=None,
+        ray_origin=(0.0, 0.0, 40.0),
+        ray_direction=(0.0, 0.0, -1.0),
+        screen_pos=(0.5, 0.5),
+        modifier=None,
+    )
+    wait_for(lambda: "floor" in words(browser, "selected") and unselect["visible"])
+    assert "Drag its arrows" in words(browser, "selected")
+    wait_for(lambda: browser.shown("selected") == "floor")
+    wait_for(lambda: green_pixels(browser) > 20)
+    browser.press("Unselect")
+    wait_for(lambda: session.highlighted == "" and not unselect["visible"])
+    wait_for(lambda: words(browser, "selected") == "" and green_pixels(browser) == 0)
+    assert browser.shown("selected") == "none"
+    assert browser.nodes["/move_body"]["visible"] is False
+
+
+def test_the_page_says_what_the_last_click_has_met(session, page, browser):
+    pixels = session.pixels_of(session.frame, "pylon_square")
+    row, column = np.argwhere(pixels)[0]
+    there = [(column + 0.5) / pixels.shape[1], (row + 0.5) / pixels.shape[0]]
+    browser.tell(pointer=there)
+    wait_for(lambda: "pylon_square" in read_out(browser))  # the page knows of this browser's clicks, none
+    assert "–" in words(browser, "last click")
+    browser.tell(clicks=1, clicked=there)
+    range_m = session.at(session.frame, row, column).range_m
+    wait_for(lambda: f"pylon_square at {range_m:.2f} m, pink in 3D" in words(browser, "last click"))
+    browser.tell(clicks=2, clicked=[0.01, 0.99])  # outside the fan
+    wait_for(lambda: "–" in words(browser, "last click"))
+    assert page.marked is None
 
 
 def test_a_body_that_is_taken_away_is_not_drawn(session, browser):
@@ -333,6 +389,24 @@ def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypa
     wait_for(lambda: "the ping must succeed (got none)" in numbers(browser))
     monkeypatch.undo()
     wait_for(lambda: "the ping must succeed (got none)" not in numbers(browser))
+
+
+def test_the_page_says_that_the_picture_is_of_the_settings_before(session, browser, monkeypatch):
+    wait_for(lambda: "Hz" in words(browser, "ping rate"))
+    may_go_on = threading.Event()
+    made = session_module.picture_of
+
+    def slowly(*values):
+        assert may_go_on.wait(WAIT_S)
+        return made(*values)
+
+    monkeypatch.setattr(session_module, "picture_of", slowly)
+    browser.change("range, m", 12.0)
+    wait_for(lambda: "computing with the new settings" in words(browser, "ping rate"))
+    assert session.frame.settings.range_m != 12.0
+    may_go_on.set()
+    wait_for(lambda: "Hz" in words(browser, "ping rate"))
+    assert session.frame.settings.range_m == 12.0
 
 
 # ---- trajectories -------------------------------------------------------------------------------------------

@@ -14,10 +14,11 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.motion import KEYS
+from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
-from sonar_gl.live.view.control_panel import chosen
+from sonar_gl.live.view.control_panel import HELP_HTML, chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
 from sonar_gl.live.view.price_table import prices_html
@@ -55,6 +56,28 @@ def test_script_and_server_agree_on_names():
     assert all(f"&quot;{key}&quot;" in html for key in KEYS)
     assert "data-keys-move-sonar" in html.split("<img")[0]
     assert "data-keys-move-sonar" not in script_html(False).split("<img")[0]
+
+
+def test_all_keys_are_named_on_the_page():
+    named = re.sub("<[^>]*>", " ", HELP_HTML).lower()
+    for sign, key in zip("←→↑↓", ("arrowleft", "arrowright", "arrowup", "arrowdown"), strict=True):
+        named = named.replace(sign, key)
+    assert [key for key in KEYS if key not in re.findall(r"\w+", named)] == []
+
+
+def test_an_outline_surrounds_pixels_and_changes_no_other():
+    picture = np.random.default_rng(1).integers(0, 200, (60, 80, 3), dtype=np.uint8)
+    row, column = np.ogrid[:60, :80]
+    mask = (abs(row - 30) <= 8) & (abs(column - 40) <= 12)
+    mask[30, 38:41] = False  # a gap, which has no outline of its own
+    around = (abs(row - 30) <= 8 + OUTLINE_WIDTH) & (abs(column - 40) <= 12 + OUTLINE_WIDTH)
+    around &= ~((abs(row - 30) <= 8) & (abs(column - 40) <= 12))
+    before = picture.copy()
+    drawn = outlined(picture, mask, (1, 255, 2))
+    assert (picture == before).all()
+    assert (drawn[around] == (1, 255, 2)).all()
+    assert (drawn[~around] == picture[~around]).all()
+    assert (outlined(picture, np.zeros_like(mask), (1, 255, 2)) == picture).all()
 
 
 def test_outline_is_that_of_the_fan():

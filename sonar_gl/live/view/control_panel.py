@@ -27,6 +27,16 @@ OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
 PANEL_WIDTH = 330  # pixels of the page
+HELP = (
+    ("W S", "ahead, back"),
+    ("A D", "port, starboard"),
+    ("E Q", "up, down"),
+    ("← → ↑ ↓", "turn"),
+    ("mouse in 3D", "drag: turn the view; right button: shift it; wheel: zoom; click: select a body"),
+)
+HELP_HTML = '<div style="padding:0 10px 6px 10px;font-size:12px;line-height:1.5">{}</div>'.format(
+    ", ".join(f"<b>{keys}</b>&nbsp;{what}" for keys, what in HELP)
+)
 
 
 @dataclass(frozen=True)
@@ -150,9 +160,9 @@ class ControlPanel:
                 "moved by",
                 movers,
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
-                hint="W S A D move ahead, back, to port, to starboard, E Q up, down; arrows turn. The browser's camera "
-                "is flown by the same keys and the mouse, and carries the sonar.",
+                hint="The browser's camera is flown by the same keys and the mouse, and carries the sonar.",
             )
+            gui.add_html(HELP_HTML)
             speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
         self._actions.connect_from(
             self._mover,
@@ -336,7 +346,7 @@ class ControlPanel:
         with gui.add_folder("Bodies", expand_by_default=False):
             self._body = gui.add_dropdown(
                 "selected", (NO_BODY, *names), initial_value=NO_BODY,
-                hint="A selected body stands out in the picture, and can be dragged in 3D. A click selects it, too.",
+                hint="Its echoes are outlined, and it can be dragged in 3D. A click at it selects it, too.",
             )  # fmt: skip
             back = gui.add_button("Put all back")
         allowed = {NO_BODY: "", **{name: name for name in names}}

@@ -11,6 +11,7 @@ from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import FanGeometry
 from sonar_gl.sonar.sonar import Sonar
 
+SELECTED_COLOR = (80, 255, 130)  # RGB, of a selected body: no colour map of sonars has green
 ARC_STEP_RAD = math.radians(3.0)  # of the arcs' chords
 
 

@@ -15,12 +15,11 @@ from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
-from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline, round_step
+from sonar_gl.live.view.outline import SELECTED_COLOR, PicturePlane, fan_arcs, fan_outline, round_step
 from sonar_gl.sonar.sonar import Sonar
 
 # Colours of bodies in turn, RGB: stone and steel first, and none that a picture or a gizmo has.
 BODY_COLORS = ((140, 126, 104), (120, 142, 158), (150, 128, 140), (128, 150, 128), (160, 146, 110))
-SELECTED_COLOR = (255, 214, 92)
 FAN_COLOR = (255, 176, 64)
 SURFACE_COLOR = (255, 48, 160)
 SONAR_COLOR = (255, 140, 0)
