@@ -18,9 +18,10 @@ from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
-from sonar_gl.live.view.control_panel import HELP_HTML, chosen
+from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.ping_panel import HELP_HTML
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA

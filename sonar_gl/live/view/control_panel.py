@@ -27,16 +27,6 @@ OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
 PANEL_WIDTH = 330  # pixels of the page
-HELP = (
-    ("W S", "ahead, back"),
-    ("A D", "port, starboard"),
-    ("E Q", "up, down"),
-    ("← → ↑ ↓", "turn"),
-    ("mouse in 3D", "drag: turn the view; right button: shift it; wheel: zoom; click: select a body"),
-)
-HELP_HTML = '<div style="padding:0 10px 6px 10px;font-size:12px;line-height:1.5">{}</div>'.format(
-    ", ".join(f"<b>{keys}</b>&nbsp;{what}" for keys, what in HELP)
-)
 
 
 @dataclass(frozen=True)
@@ -162,7 +152,6 @@ class ControlPanel:
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
                 hint="The browser's camera is flown by the same keys and the mouse, and carries the sonar.",
             )
-            gui.add_html(HELP_HTML)
             speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
         self._actions.connect_from(
             self._mover,

@@ -23,6 +23,16 @@ SELECTED_NOTE = (
     "Green in 3D; its echoes are outlined in the picture. Drag its arrows, squares and arcs in 3D to move and turn it; "
     "Put all back, under Bodies, undoes that. A second click at it unselects it, too."
 )
+HELP = (
+    ("W S", "ahead, back"),
+    ("A D", "port, starboard"),
+    ("E Q", "up, down"),
+    ("← → ↑ ↓", "turn"),
+    ("mouse in 3D", "drag: turn the view, right button: shift it, wheel: zoom, click: select a body"),
+)
+HELP_HTML = '<div style="padding:6px 10px;font-size:12px;line-height:1.5;opacity:.75">{}</div>'.format(
+    "; ".join(f"<b>{keys}</b> {what}" for keys, what in HELP)
+)
 PENDING = "computing with the new settings ..."
 
 
@@ -53,6 +63,7 @@ class PingPanel:
             self.browser_state = server.gui.add_text(FIELD, "")
             if session.track is not None:
                 self._add_time_bar(server)
+            server.gui.add_html(HELP_HTML)
         actions.connect_button(self._unselect, lambda _: on_body(""))
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
