@@ -119,7 +119,7 @@ def green_pixels(browser):
 
 
 def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, browser):
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     assert words(browser, "selected") == "" and green_pixels(browser) == 0
     unselect = browser.values[browser.uuid("Unselect")]
     assert not unselect["visible"]
@@ -160,7 +160,7 @@ def test_the_page_says_what_the_last_click_has_met(session, page, browser):
 
 def test_a_body_that_is_taken_away_is_not_drawn(session, browser):
     node = body_node(session, "box")
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     session.move_body("box", None)
     wait_for(lambda: browser.nodes[node].get("visible") is False)
     session.reset_bodies()
@@ -168,12 +168,12 @@ def test_a_body_that_is_taken_away_is_not_drawn(session, browser):
 
 
 def test_a_click_in_3d_marks_a_surface_and_reads_nothing_again(session, page, browser):
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     # down through the fan at the pylon, 15.5 m ahead and 3.7 m to starboard
     x, y = session.bodies()["pylon_square"][:2, 3].tolist()
     browser.send(
         type="SceneNodeClickMessage",
-        name="/sonar/picture",
+        name="/sonar/picture_0",
         instance_index=None,
         ray_origin=(x - 1.5, y, 40.0),
         ray_direction=(0.0, 0.0, -1.0),
@@ -193,12 +193,12 @@ def placed(node):
 
 
 def test_the_fan_and_its_picture_tilt_with_the_head(session, page, browser):
-    wait_for(lambda: "wxyz" in browser.nodes.get("/sonar/picture", {}))
-    outlines, flat = browser.counts["/sonar/outline"], placed(browser.nodes["/sonar/picture"])
+    wait_for(lambda: "wxyz" in browser.nodes.get("/sonar/picture_0", {}))
+    outlines, flat = browser.counts["/sonar/outline"], placed(browser.nodes["/sonar/picture_0"])
     turn = sg.pose(pitch=np.radians(30.0))  # down
     session.change(sonar=replace(session.settings.sonar, tilt_deg=30.0))
     # float32 at 22 m
-    wait_for(lambda: np.allclose(placed(browser.nodes["/sonar/picture"]), turn @ flat, atol=1e-5))
+    wait_for(lambda: np.allclose(placed(browser.nodes["/sonar/picture_0"]), turn @ flat, atol=1e-5))
     # it is drawn anew; what it is then, test_view_parts.py says
     assert browser.counts["/sonar/outline"] > outlines
 
@@ -206,12 +206,14 @@ def test_the_fan_and_its_picture_tilt_with_the_head(session, page, browser):
     ping = session.next_frame().ping
     beam, bin = np.unravel_index(ping.intensity.argmax(), ping.intensity.shape)
     azimuth_rad, range_m = float(ping.azimuth_rad[beam]), float(ping.range_m[bin])
-    face = sg.pose(pitch=np.radians(30.0 - session.settings.device.elevation_fov_deg / 2))
-    place = session.pose @ face @ [range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), 0, 1]
+    half_rad = np.radians(session.settings.device.elevation_fov_deg / 2)
+    face = sg.pose(pitch=np.radians(30.0) - half_rad)
+    aside_m = range_m * np.sin(azimuth_rad) * np.cos(half_rad)  # of a cone
+    place = session.pose @ face @ [range_m * np.cos(azimuth_rad), aside_m, 0, 1]
     back = (session.pose[:3, 0] + session.pose[:3, 2]) / np.sqrt(2)
     browser.send(
         type="SceneNodeClickMessage",
-        name="/sonar/picture",
+        name="/sonar/picture_0",
         instance_index=None,
         ray_origin=(place[:3] + 30 * back).tolist(),
         ray_direction=(-back).tolist(),
@@ -230,9 +232,9 @@ def test_a_browser_that_is_slow_slows_the_scene_alone_and_no_longer_than_a_bound
     monkeypatch.setattr(page_module, "LONGEST_NODES_S", bound_s)
 
     def counted():
-        return browser.counts["/sonar/picture"], browser.counts[panel]
+        return browser.counts["/sonar/picture_0"], browser.counts[panel]
 
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     panel = next(uuid for uuid, one in browser.values.items() if "_data" in one)
     session.change(noise="speckle=yes")  # equal pictures are not sent again
     with connected(page.url) as slow, telling(slow):
@@ -506,13 +508,13 @@ def test_the_range_ends_where_the_sonar_does_and_stays_where_the_next_sonar_allo
 
 
 def test_the_polar_form_has_no_picture_in_3d(session, browser):
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     browser.change("form", "polar")
     wait_for(lambda: session.frame.settings.form == "polar")
     assert session.frame.picture.shape[:2] == (60, 60)
-    wait_for(lambda: browser.nodes["/sonar/picture"].get("visible") is False)
+    wait_for(lambda: browser.nodes["/sonar/picture_0"].get("visible") is False)
     browser.change("form", "fan")
-    wait_for(lambda: browser.nodes["/sonar/picture"].get("visible"))
+    wait_for(lambda: browser.nodes["/sonar/picture_0"].get("visible"))
 
 
 def test_a_slider_that_is_dragged_is_not_put_back(session, browser):
@@ -523,7 +525,7 @@ def test_a_slider_that_is_dragged_is_not_put_back(session, browser):
 
 
 def test_the_picture_is_that_of_the_last_frame(session, browser):
-    wait_for(lambda: "/sonar/picture" in browser.nodes)
+    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
     before = session.frame.picture.astype(int)
     image = next(one for one in browser.values.values() if "_data" in one)
 

@@ -20,7 +20,7 @@ from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
-from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
@@ -29,6 +29,16 @@ from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
 SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)
+
+
+def ping_of(sonar):
+    """A ping of a sonar, without an echo."""
+    return replace(
+        fan_ping(),
+        intensity=np.zeros((sonar.n_beams, sonar.n_bins), np.float32),
+        azimuth_rad=sonar.azimuth_rad,
+        range_m=sonar.range_m,
+    )
 
 
 def test_state_of_a_browser_is_read():
@@ -105,27 +115,97 @@ def test_arcs_are_ranges_up_to_the_last():
     assert sorted(set(ranges.round(4).ravel().tolist())) == [4.0, 8.0, 10.0]
 
 
+WIDE = replace(SONAR, azimuth_fov_deg=130.0)
+
+
+@pytest.mark.parametrize("sonar, count", [(SONAR, 2), (WIDE, 3), (replace(SONAR, azimuth_fov_deg=360.0), 8)])
 @pytest.mark.parametrize("elevation_rad", [0.0, 0.2])
-def test_a_ray_meets_the_picture_where_its_pixel_lies(elevation_rad):
-    geometry = fan_geometry(fan_ping(), 200)
-    plane = PicturePlane.of(geometry, elevation_rad)
-    azimuth, range_m = geometry.azimuth_edges_rad[1] / 2, 0.7 * geometry.range_edges_m[1]
-    column, row = geometry.pixel(azimuth, range_m)
-    # the plane is tilted about the axis to port: azimuth and range are those within it
-    point = pose(pitch=-elevation_rad) @ [range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0, 1]
+def test_a_ray_meets_the_picture_where_its_pixel_lies(sonar, count, elevation_rad):
+    geometry = fan_geometry(ping_of(sonar), 200)
+    sectors = PictureSector.all_of(geometry, elevation_rad, 100)
+    assert len(sectors) == count
     world_from_head = pose(3, -2, 1, 0.1, 0.2, 0.3)
-    eye, target = np.array([5.0, 4.0, 30.0]), (world_from_head @ point)[:3]
-    place = plane.place_of_ray(np.linalg.inv(world_from_head), eye, target - eye)
-    assert place == pytest.approx(((column + 0.5) / geometry.width, (row + 0.5) / geometry.height), abs=1e-9)
+    eye = np.array([5.0, 4.0, 60.0])
+    (low, high), range_m = geometry.azimuth_edges_rad, 0.7 * geometry.range_edges_m[1]
+    for azimuth in np.linspace(low, high, 24)[1:-1]:
+        column, row = geometry.pixel(azimuth, range_m)
+        number = int((azimuth - low) / (high - low) * count)
+        aside = azimuth - low - (number + 0.5) * (high - low) / count
+        # above the point of the cone, in a plane that is lower by the cosine of the angle from its middle
+        flat_m = range_m * np.cos(elevation_rad)
+        point = [
+            flat_m * np.cos(azimuth),
+            flat_m * np.sin(azimuth),
+            range_m * np.sin(elevation_rad) * np.cos(aside),
+            1,
+        ]
+        target = (world_from_head @ point)[:3]
+        places = [one.place_of_ray(np.linalg.inv(world_from_head), eye, target - eye) for one in sectors]
+        assert places[number] == pytest.approx(
+            ((column + 0.5) / geometry.width, (row + 0.5) / geometry.height), abs=1e-9
+        )
+
+
+@pytest.mark.parametrize("height, rows", [(200, 200), (200, 80), (640, 320)])
+def test_the_picture_of_a_wide_fan_lies_on_its_upper_face_and_has_no_gaps(height, rows):
+    elevation_rad = math.radians(10.0)
+    geometry = fan_geometry(ping_of(WIDE), height)
+    # a picture that has azimuth and range as colours
+    parts = list(geometry.pixel_rows())
+    azimuth, range_m = (
+        np.concatenate([getattr(one, name) for one in parts]) for name in ("azimuth_rad", "range_m")
+    )
+    for sector in PictureSector.all_of(geometry, elevation_rad, rows):
+        pixels = sector.pixels()
+        at = np.rint(pixels.row).astype(int), np.rint(pixels.column).astype(int)
+        at = np.clip(at[0], 0, geometry.height - 1), np.clip(at[1], 0, geometry.width - 1)
+        h, w = sector.shape
+        right, down = np.meshgrid((np.arange(w) + 0.5) / w - 0.5, (np.arange(h) + 0.5) / h - 0.5)
+        in_picture = np.stack([right * sector.width_m, down * sector.height_m, 0 * right, 1 + 0 * right], -1)
+        x, y, z, _ = np.moveaxis(in_picture @ sector.head_from_picture.T, -1, 0)
+        # where the fan's sides are far from each other, a pixel of the picture is a small angle
+        far = (pixels.cover > 0) & (np.hypot(x, y) * geometry.pixels_per_m > 40)
+        pixel_m = math.sqrt(0.5) / geometry.pixels_per_m  # to the nearest pixel, at most
+        off_m = np.hypot(x, y) * abs(azimuth[at] - np.arctan2(y, x))
+        assert off_m[far].max() < 1.1 * pixel_m  # a tangent for an arc
+        assert abs(range_m[at] * math.cos(elevation_rad) - np.hypot(x, y))[far].max() < 1.1 * pixel_m
+        # half of 44 degrees from the middle of a part, and half a pixel more
+        widest_rad = math.radians(22.0) + 0.5 * geometry.pixels_per_m / (40 * sector.rows_per_m)
+        share = z[far] / (np.hypot(x, y)[far] * math.tan(elevation_rad))
+        assert math.cos(widest_rad) < share.min() and share.max() <= 1 + 1e-12
+
+
+def test_parts_of_a_picture_cover_the_fan_once():
+    geometry = fan_geometry(ping_of(WIDE), 400)
+    parts = PictureSector.all_of(geometry, 0.0, 400)
+    area_px = sum(float(one.pixels().cover.sum()) for one in parts)
+    low, high = geometry.azimuth_edges_rad
+    near_px, far_px = (edge * 400 / geometry.range_edges_m[1] for edge in geometry.range_edges_m)
+    # cover is that of an edge along the pixels; a slanted one, and corners, differ by far less than the pixels
+    assert area_px == pytest.approx((high - low) / 2 * (far_px**2 - near_px**2), rel=1e-4)
+
+
+def test_pixels_of_a_part_are_those_of_the_picture():
+    geometry = fan_geometry(ping_of(WIDE), 200)
+    picture = np.zeros((geometry.height, geometry.width, 3), np.uint8)
+    picture[..., 0], picture[..., 1] = np.indices(picture.shape[:2]) % 251
+    pixels = PictureSector.all_of(geometry, 0.1, 100)[0].pixels()
+    shown = pixels.of(picture)
+    row, column = np.argwhere((pixels.cover > 0) & (pixels.column % 251 < 249))[500]
+    # linear between pixels, to a level and the steps of 1/32 that old versions of OpenCV take
+    assert shown[row, column, 0] == pytest.approx(pixels.row[row, column], abs=1)
+    assert shown[row, column, 1] == pytest.approx(pixels.column[row, column] % 251, abs=1)
 
 
 def test_a_ray_beside_the_picture_or_away_from_it_meets_nothing():
-    plane = PicturePlane.of(fan_geometry(fan_ping(), 200), 0.0)
+    geometry = fan_geometry(ping_of(replace(SONAR, azimuth_fov_deg=40.0)), 200)
+    (plane,) = PictureSector.all_of(geometry, 0.0, 200)
     above, down = np.array([5.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0])
     assert plane.place_of_ray(np.eye(4), above, down) is not None
     assert plane.place_of_ray(np.eye(4), above, -down) is None
     assert plane.place_of_ray(np.eye(4), above, np.array([1.0, 0.0, 0.0])) is None
     assert plane.place_of_ray(np.eye(4), np.array([5.0, 1e4, 3.0]), down) is None
+    assert plane.place_of_ray(np.eye(4), np.array([5.0, 4.0, 3.0]), down) is None  # beside the outer beam
 
 
 def test_sonar_looks_where_its_camera_does():
