@@ -204,8 +204,7 @@ class ViewerPage:
         self._ping_panel.switch_keys(self._carrier is None)
 
     def _select(self, name: str) -> None:
-        """Select a body, or none by "" and by the one that is selected."""
-        name = "" if name == self._session.highlighted else name
+        """Select a body; "" for none."""
         self._session.highlight(name)
         self._nodes.select(name)
 

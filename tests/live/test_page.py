@@ -269,23 +269,30 @@ def gizmo_length_m(viewer, point):
 @pytest.mark.slow
 def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     session, mouse, tab = viewer.session, viewer.tab.mouse, viewer.tab
-    home = session.bodies()["pylon_square"]
-    middle = home[:3, 3]
+    home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
+    (pylon,) = (one for one in session.scene.bodies if one.name == "pylon_square")
+    middle = (home @ [*pylon.mesh.bounds.mean(0), 1.0])[:3]  # where the gizmo is
+    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    before = camera.position, camera.look_at
+    camera.position, camera.look_at = middle - 12.0 * np.eye(3)[0] + 8.0 * up, middle
+    wait_for(lambda: np.allclose(camera.look_at, middle, atol=1e-3))  # messages have float32
     new_pictures(tab, 10)
+    mouse.move(*on_canvas(viewer, middle))
     mouse.click(*on_canvas(viewer, middle))
     tab.get_by_role("button", name="Unselect").wait_for(timeout=1000 * WAIT_S)
     assert session.highlighted == "pylon_square"
     new_pictures(tab, 10)
-    gizmo_m, up = gizmo_length_m(viewer, middle), np.array([0.0, 0.0, 1.0])
+    gizmo_m = gizmo_length_m(viewer, middle)
     mouse.move(*on_canvas(viewer, middle + 0.7 * gizmo_m * up))
     mouse.down()
     mouse.move(*on_canvas(viewer, middle + 2.0 * gizmo_m * up), steps=5)
-    wait_for(lambda: (session.bodies()["pylon_square"][:3, 3] - middle) @ up > 0.2 * gizmo_m)
+    wait_for(lambda: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > 0.2 * gizmo_m)
     mouse.up()
-    moved = session.bodies()["pylon_square"][:3, 3] - middle
+    moved = (session.bodies()["pylon_square"] - home)[:3, 3]
     assert moved - (moved @ up) * up == pytest.approx(np.zeros(3), abs=1e-3)  # messages have float32
     tab.get_by_role("button", name="Unselect").click()
     wait_for(lambda: session.highlighted == "")
+    camera.position, camera.look_at = before
 
 
 @pytest.mark.slow

@@ -136,11 +136,16 @@ def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, b
     assert "Drag its arrows" in words(browser, "selected")
     wait_for(lambda: browser.shown("selected") == "floor")
     wait_for(lambda: green_pixels(browser) > 20)
+    # a body around its gizmo, or a picture above, would take the pointer from it
+    around = body_node(session, "floor"), "/sonar/picture_0"
+    assert [browser.nodes[name]["bindings"] for name in around] == [[], []]
+    assert browser.nodes[body_node(session, "box")]["bindings"] != []
     browser.press("Unselect")
     wait_for(lambda: session.highlighted == "" and not unselect["visible"])
     wait_for(lambda: words(browser, "selected") == "" and green_pixels(browser) == 0)
     assert browser.shown("selected") == "none"
     assert browser.nodes["/move_body"]["visible"] is False
+    assert [] not in [browser.nodes[name]["bindings"] for name in around]
 
 
 def test_the_page_says_what_the_last_click_has_met(session, page, browser):

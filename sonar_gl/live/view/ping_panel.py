@@ -21,7 +21,7 @@ NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (
     "Green in 3D; its echoes are outlined in the picture. Drag its arrows, squares and arcs in 3D to move and turn it; "
-    "Put all back, under Bodies, undoes that. A second click at it unselects it, too."
+    "Put all back, under Bodies, undoes that."
 )
 HELP = (
     ("W S", "ahead, back"),

@@ -108,6 +108,7 @@ class SceneNodes:
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_light_ambient("/lights/water", color=WATER_LIGHT, intensity=1.6)
+        self._body_clicked: dict[str, Callable] = {}
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
@@ -181,14 +182,29 @@ class SceneNodes:
 
     def select(self, name: str) -> None:
         """Mark a body, and give it a gizmo; "" for none."""
+        if name == self._selected:
+            return
         for number, (other, node) in enumerate(self._bodies.items()):
             node.color = _selected_color(number) if other == name else _color(number)
+        self._let_through(name)
         self._selected = name
         self._body_gizmo.visible = name in self._bodies
         if name in self._bodies:
             self._center = np.eye(4)
             self._center[:3, 3] = self._middles[name]
             self._follow_body()
+
+    def _let_through(self, name: str) -> None:
+        """Have the pointer reach the gizmo of a body: else the body around it, and a picture above, take its clicks."""
+        for other, node in self._bodies.items():
+            if other == name:
+                node.remove_click_callback()
+            elif other == self._selected:
+                node.on_click(self._body_clicked[other])
+        for part in self._pictures:
+            part.node.remove_click_callback()
+            if not name:
+                part.node.on_click(self._picture_clicked)
 
     def show_gizmo(self, visible: bool) -> None:
         """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
@@ -221,10 +237,11 @@ class SceneNodes:
         )
         put(node, mesh.pose)
 
-        @node.on_click
-        async def _(event):
+        async def clicked(event):
             self._actions.ask(event.client, lambda: on_body(mesh.name))
 
+        node.on_click(clicked)
+        self._body_clicked[mesh.name] = clicked
         return node
 
     def _draw_fan(self, device: Sonar) -> None:
@@ -274,11 +291,12 @@ class SceneNodes:
         )
         put(node, device.sonar_from_head @ sector.head_from_picture)
 
-        @node.on_click
-        async def _(event):
-            self._actions.ask(event.client, lambda: self._click_picture(event))
-
+        if not self._selected:
+            node.on_click(self._picture_clicked)
         return PicturePart(sector, pixels, node)
+
+    async def _picture_clicked(self, event) -> None:
+        self._actions.ask(event.client, lambda: self._click_picture(event))
 
     def _click_picture(self, event) -> None:
         head_from_world = np.linalg.inv(self._device.head_pose(self._pose))
