@@ -82,7 +82,7 @@ class ViewerPage:
         self.marked = None
         self._actions = Actions(self._sync)
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        self._nodes = SceneNodes(server, session, self._actions, self._select, self._click)
+        self._nodes = SceneNodes(server, session, self._actions, self._select)
         self._ping_panel = PingPanel(server, session, self._actions, self._select)
         self._controls = ControlPanel(
             server, session, self._actions, self._move_by, self._select, self._lay_picture

@@ -283,7 +283,7 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     assert session.highlighted == "pylon_square"
     new_pictures(tab, 10)
     gizmo_m = gizmo_length_m(viewer, middle)
-    mouse.move(*on_canvas(viewer, middle + 0.7 * gizmo_m * up))
+    mouse.move(*on_canvas(viewer, middle + 0.93 * gizmo_m * up))
     mouse.down()
     mouse.move(*on_canvas(viewer, middle + 2.0 * gizmo_m * up), steps=5)
     wait_for(lambda: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > 0.2 * gizmo_m)
@@ -296,21 +296,22 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
 
 
 @pytest.mark.slow
-def test_the_gizmo_drags_the_sonar(viewer):
+@pytest.mark.parametrize("axis", [0, 2])  # the first is below the picture
+def test_the_gizmo_drags_the_sonar(viewer, axis):
     session, mouse = viewer.session, viewer.tab.mouse
     start = session.pose
-    up = start[:3, 2]
+    along = start[:3, axis]
     new_pictures(viewer.tab, 10)
     gizmo_m = gizmo_length_m(viewer, start[:3, 3])
-    x, y = on_canvas(viewer, start[:3, 3] + 0.6 * gizmo_m * up)
-    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * up)
+    x, y = on_canvas(viewer, start[:3, 3] + 0.93 * gizmo_m * along)
+    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * along)
     mouse.move(x, y)
     mouse.down()
     mouse.move(to_x, to_y, steps=5)
-    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ up > 0.2 * gizmo_m)
+    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ along > 0.2 * gizmo_m)
     mouse.up()
     moved = session.pose[:3, 3] - start[:3, 3]
-    assert moved - (moved @ up) * up == pytest.approx(
+    assert moved - (moved @ along) * along == pytest.approx(
         np.zeros(3), abs=1e-3
     )  # along its axis; messages have float32
 

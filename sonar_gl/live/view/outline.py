@@ -167,21 +167,6 @@ class PictureSector:
         column, row = self.geometry.pixel(azimuth, range_m)
         return PicturePixels(column.astype(np.float32), row.astype(np.float32), cover)
 
-    def place_of_ray(self, head_from_world, origin, direction) -> tuple[float, float] | None:
-        """Return (right, down), 0..1 of the whole picture, where a ray of the world meets the part; None elsewhere."""
-        picture_from_world = np.linalg.inv(self.head_from_picture) @ head_from_world
-        start = picture_from_world[:3, :3] @ origin + picture_from_world[:3, 3]
-        along = picture_from_world[:3, :3] @ direction
-        if abs(along[2]) < 1e-9 or -start[2] / along[2] <= 0:
-            return None
-        right_m, down_m, _ = start - along * (start[2] / along[2])
-        azimuth, range_m = self._bearing(right_m, down_m)
-        (near_m, far_m), aside = self.geometry.range_edges_m, abs(azimuth - self._middle_rad)
-        if aside > self._half_rad or not near_m <= range_m <= far_m:
-            return None
-        column, row = self.geometry.pixel(azimuth, range_m)
-        return float(column + 0.5) / self.geometry.width, float(row + 0.5) / self.geometry.height
-
     @property
     def _half_rad(self) -> float:
         return (self.azimuths_rad[1] - self.azimuths_rad[0]) / 2

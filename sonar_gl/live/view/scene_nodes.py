@@ -67,9 +67,11 @@ def camera_sonar_pose(camera) -> np.ndarray:
 
 
 class PicturePart(NamedTuple):
-    """A part of the picture in the scene, and its node."""
+    """A part of the picture in the scene, and its node.
 
-    sector: PictureSector
+    It takes no clicks: the gizmo of the sonar and bodies lie below it.
+    """
+
     pixels: PicturePixels
     node: object
 
@@ -83,7 +85,6 @@ class SceneNodes:
     session : LiveSession
     actions : Actions of the page
     on_body : action of a body's name that was clicked
-    on_place : action of (right, down), 0..1 of the picture in the scene, that was clicked
     """
 
     def __init__(
@@ -92,10 +93,8 @@ class SceneNodes:
         session: LiveSession,
         actions: Actions,
         on_body: Callable[[str], None],
-        on_place: Callable[[tuple[float, float]], None],
     ):
         self._server, self._session, self._actions = server, session, actions
-        self._on_place = on_place
         self._pose, self._device, self._selected = None, None, ""
         self._pictures: list[PicturePart] = []
         self._picture_extent = None  # what these depend on
@@ -195,16 +194,12 @@ class SceneNodes:
             self._follow_body()
 
     def _let_through(self, name: str) -> None:
-        """Have the pointer reach the gizmo of a body: else the body around it, and a picture above, take its clicks."""
+        """Have the pointer reach the gizmo of a body: a node that is clicked takes it from what is inside or behind."""
         for other, node in self._bodies.items():
             if other == name:
                 node.remove_click_callback()
             elif other == self._selected:
                 node.on_click(self._body_clicked[other])
-        for part in self._pictures:
-            part.node.remove_click_callback()
-            if not name:
-                part.node.on_click(self._picture_clicked)
 
     def show_gizmo(self, visible: bool) -> None:
         """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
@@ -291,21 +286,7 @@ class SceneNodes:
         )
         put(node, device.sonar_from_head @ sector.head_from_picture)
 
-        if not self._selected:
-            node.on_click(self._picture_clicked)
-        return PicturePart(sector, pixels, node)
-
-    async def _picture_clicked(self, event) -> None:
-        self._actions.ask(event.client, lambda: self._click_picture(event))
-
-    def _click_picture(self, event) -> None:
-        head_from_world = np.linalg.inv(self._device.head_pose(self._pose))
-        ray = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
-        places = [part.sector.place_of_ray(head_from_world, *ray) for part in self._pictures]
-        for place in places:
-            if place is not None:
-                self._on_place(place)
-                return
+        return PicturePart(pixels, node)
 
     def _connect_gizmos(self) -> None:
         gizmo, body_gizmo = self._gizmo, self._body_gizmo
