@@ -27,6 +27,7 @@ OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
 PANEL_WIDTH = 330  # pixels of the page
+SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,8 @@ class ControlPanel:
             profile = gui.add_dropdown("profile", tuple(PROFILES), initial_value=settings.acoustics.profile)
             noise = gui.add_dropdown("noise", (*NOISES, OTHER), initial_value=_shown_noise(settings))
             for name in term_names():
-                self._terms[name] = gui.add_checkbox(name, settings.is_on(name))
+                label = SHORT_LABELS.get(name, name)
+                self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
             self._price = gui.add_button(
                 "Price the terms", hint="What each changes and costs here; takes seconds."
             )
