@@ -28,9 +28,9 @@ HELP = (
     ("A D", "port, starboard"),
     ("E Q", "up, down"),
     ("← → ↑ ↓", "turn"),
-    ("mouse in 3D", "drag: turn the view, right button: shift it, wheel: zoom, click: select a body"),
+    ("click", "at a body in 3D to select it"),
 )
-HELP_HTML = '<div style="padding:6px 10px;font-size:12px;line-height:1.5;opacity:.75">{}</div>'.format(
+HELP_HTML = '<div style="padding:2px 10px;font-size:12px;line-height:1.5;opacity:.75">{}</div>'.format(
     "; ".join(f"<b>{keys}</b> {what}" for keys, what in HELP)
 )
 PENDING = "computing with the new settings ..."
@@ -68,7 +68,6 @@ class PingPanel:
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
         self.read(None)
-        self.show_click(None, None)
 
     def show(self, frame: LiveFrame) -> None:
         """Show the picture of a frame."""
@@ -97,12 +96,13 @@ class PingPanel:
 
     def show_click(self, reading: Reading | None, surface: Surface | None) -> None:
         """Show what the last click in the picture has met; None outside the fan."""
-        text = NOTHING
+        content = ""
         if reading is not None:
             seen = surface is not None and len(surface.points_m)
             text = f"{reading.body or 'no body'} at {reading.range_m:.2f} m, "
             text += "pink in 3D" if seen else "no surface in the main lobe"
-        self._clicked.content = _rows_html([[("last click", text, 7)]])
+            content = _rows_html([[("last click", text, 7)]])
+        self._clicked.content = content
 
     def show_selected(self, name: str) -> None:
         """Show which body is selected, and what can be done with it; "" for none."""
