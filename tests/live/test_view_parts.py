@@ -225,6 +225,12 @@ def test_each_preset_takes_every_range_of_its_slider(name):
         assert device.range_max_m == range_m == allowed_range_m(device, range_m)
 
 
+def test_a_range_beyond_the_limit_of_a_sonar_becomes_the_limit():
+    limited = replace(SONAR, range_limit_m=20.0)
+    assert [allowed_range_m(limited, range_m) for range_m in (15.0, 20.0, 20.5)] == [15.0, 20.0, 20.0]
+    assert allowed_range_m(SONAR, 500.0) == 500.0  # no limit is known
+
+
 def test_a_range_that_is_too_near_for_a_sonar_becomes_its_own():
     assert allowed_range_m(replace(SONAR, range_min_m=2.0), 2.0) == SONAR.range_max_m
 
