@@ -890,6 +890,25 @@ MUTATIONS = (
         ("test_publisher",),
     ),
     Mutation(
+        "live/range of another sonar", "min(range_m, sonar.range_limit_m)", "range_m", ("test_view_parts",)
+    ),
+    Mutation("live/outline over its body", "np.uint8)) > closed", "np.uint8)) > 0", ("test_view_parts",)),
+    Mutation(
+        "live/picture on the lower face",
+        "pose(pitch=-self.elevation_rad) @ flat",
+        "pose(pitch=self.elevation_rad) @ flat",
+        ("test_view_parts",),
+    ),
+    Mutation(
+        "live/sign of new settings",
+        "is_pending = state.settings is not frame.settings",
+        "is_pending = False",
+        ("test_page_messages",),
+    ),
+    Mutation(
+        "live/pointer at a selected body", "node.remove_click_callback()", "pass", ("test_page_messages",)
+    ),
+    Mutation(
         "live/readiness of a slow ping", "is_ready=self._work is None", "is_ready=True", ("test_publisher",)
     ),
     Mutation(

@@ -29,6 +29,7 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 WITHOUT_OPENGL = "pings are drawn by the CPU; graphics cards and sonars inside other programs need OpenGL"
+WITHOUT_CARD = " in place of OpenGL, as there is no graphics card"
 TOLERANCE = 0.01  # of the wall's total echo: the default tolerance of a ping
 
 
@@ -47,7 +48,7 @@ def check_scenes():
 
 
 def check_egl():
-    """List the devices that EGL offers, with the one in use and those that do not work."""
+    """List the devices that EGL offers, which of them OpenGL would draw by, and those that do not work."""
     try:
         names = gl.egl_devices()
     except OSError as why:
@@ -63,7 +64,7 @@ def check_egl():
         used = gl.chosen_device()[0] or 0
     except Error:  # which the check of OpenGL reports
         used = None
-    devices = [f"{one}{', used' if one.index == used else ''}" for one in found]
+    devices = [f"{one}{', chosen for OpenGL' if one.index == used else ''}" for one in found]
     cure = "install a driver; on Debian or Ubuntu Mesa's: apt-get install libegl-mesa0 libgl1-mesa-dri"
     count = f"{len(found)} device{'s' * (len(found) != 1)}"
     return bool(found) or None, ": ".join([count, "; ".join(devices)] if devices else [count]), cure
@@ -96,10 +97,8 @@ def check_raster_engine():
     sonar = Sonar("doctor", 900e3, 16, 100, 10.0, 4.0, 0.625, 0.55, 10.55)
     with Simulator(Scene([]), sonar, Acoustics.ideal(), Sampling(1, 8)) as simulator:
         info = simulator.gl_info
-    why = (
-        "" if check_engine(None) != "auto" or info["engine"] == "opengl" else ", as there is no graphics card"
-    )
-    return True, f"{info['engine']}: {info['renderer']}, {info['version']}{why}", ""
+    why = "" if check_engine(None) != "auto" or info["engine"] == "opengl" else WITHOUT_CARD
+    return True, f"{info['engine']}: {info['renderer']}, {info['version']}; it draws pings{why}", ""
 
 
 def check_compiled_functions():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
+from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.output import echo
@@ -22,7 +23,6 @@ from sonar_gl.sonar.sonar import load_sonar
 
 def view(scene_name: str, options) -> None:
     """Show the page for --duration, or until Ctrl-C."""
-    load_viser()  # before anything that takes long
     load_numba()
     session = session_from(scene_name, options)
     warn_of_host(options.host)
@@ -39,7 +39,6 @@ def session_from(scene_name: str, options) -> LiveSession:
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
     sonar = sonar_from(options, scene)
-    acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
     named = None if options.sonar is None else load_sonar(options.sonar)
     source = SceneSource(
         scene_name,
@@ -56,7 +55,7 @@ def session_from(scene_name: str, options) -> LiveSession:
         sonar=named or scene.sonar or load_sonar(DEFAULT_SONAR),
         range_m=options.range,
         n_bins=options.bins,
-        acoustics=acoustics,
+        acoustics=acoustics or Acoustics.physical(),
         noise=noise,
         tolerance=options.tolerance,
         engine=None if engine == "auto" else engine,
@@ -68,4 +67,8 @@ def session_from(scene_name: str, options) -> LiveSession:
     if options.counts is not None:
         settings = settings.changed(counts=settings.law.parse_changes("--counts", options.counts))
     track = None if times_s is None else PoseTrack(poses, times_s)
+    load_viser()  # after the user's mistakes, and before pings
+    if acoustics is None:
+        needed = needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
+        settings = settings.changed(acoustics=needed)
     return LiveSession(scene, settings, poses[0], track, options.out, source, options.job)

@@ -48,19 +48,17 @@ class OculusModel:
     ----------
     part_number : that the device announces, OculusPartNumberType in Oculus.h
     presets : names of the sonars in low and in high frequency mode
-    greatest_m : greatest range of each, metres; include/liboculus/Constants.h
     """
 
     part_number: int
     presets: tuple[str, str]
-    greatest_m: tuple[float, float]
 
 
 MODELS = {
-    "m370s": OculusModel(1041, ("oculus-m370s", "oculus-m370s"), (200.0, 200.0)),
-    "m750d": OculusModel(1032, ("oculus-m750d-lf", "oculus-m750d-hf"), (120.0, 40.0)),
-    "m1200d": OculusModel(1042, ("oculus-m1200d-lf", "oculus-m1200d-hf"), (40.0, 10.0)),
-    "m3000d": OculusModel(2203, ("oculus-m3000d-lf", "oculus-m3000d-hf"), (30.0, 5.0)),
+    "m370s": OculusModel(1041, ("oculus-m370s", "oculus-m370s")),
+    "m750d": OculusModel(1032, ("oculus-m750d-lf", "oculus-m750d-hf")),
+    "m1200d": OculusModel(1042, ("oculus-m1200d-lf", "oculus-m1200d-hf")),
+    "m3000d": OculusModel(2203, ("oculus-m3000d-lf", "oculus-m3000d-hf")),
 }
 
 
@@ -85,7 +83,8 @@ class OculusHead:
             if the range is beyond that of the device.
         """
         is_high = fire.mode == HIGH_FREQUENCY
-        preset, greatest_m = load_sonar(self.model.presets[is_high]), self.model.greatest_m[is_high]
+        preset = load_sonar(self.model.presets[is_high])
+        greatest_m = preset.range_limit_m
         range_m = fire.range_m(greatest_m)
         if not preset.range_min_m < range_m <= greatest_m:
             raise Error(

@@ -82,8 +82,8 @@ class ViewerPage:
         self.marked = None
         self._actions = Actions(self._sync)
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        self._nodes = SceneNodes(server, session, self._actions, self._select, self._click)
-        self._ping_panel = PingPanel(server, session, self._actions)
+        self._nodes = SceneNodes(server, session, self._actions, self._select)
+        self._ping_panel = PingPanel(server, session, self._actions, self._select)
         self._controls = ControlPanel(
             server, session, self._actions, self._move_by, self._select, self._lay_picture
         )
@@ -204,8 +204,7 @@ class ViewerPage:
         self._ping_panel.switch_keys(self._carrier is None)
 
     def _select(self, name: str) -> None:
-        """Select a body, or none by "" and by the one that is selected."""
-        name = "" if name == self._session.highlighted else name
+        """Select a body; "" for none."""
         self._session.highlight(name)
         self._nodes.select(name)
 
@@ -220,6 +219,7 @@ class ViewerPage:
         if reading is not None:
             self.marked = self._session.surface_of(frame, reading.beam, reading.bin)
         self._nodes.mark(self.marked, 0.0 if reading is None else reading.range_m)
+        self._ping_panel.show_click(reading, self.marked)
 
     def _reading(self, frame: LiveFrame, place: tuple[float, float]) -> Reading | None:
         """Return what stands at a place of a frame's picture."""
@@ -233,6 +233,7 @@ class ViewerPage:
         self._show_mover()
         self._controls.sync()
         self._controls.show_body(self._session.highlighted)
+        self._ping_panel.show_selected(self._session.highlighted)
 
     def _show_mover(self) -> None:
         is_following = self._session.state().is_following

@@ -12,6 +12,9 @@ from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, colorize, fan_g
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.ping import Ping
 
+OUTLINE_WIDTH = 2  # pixels: a JPEG has the colours of thinner lines washed out
+OUTLINE_GAP = 7  # pixels
+
 
 class PixelBins(NamedTuple):
     """Which bin each pixel shows: beam and bin, (H, W) int32 each, -1 outside the fan."""
@@ -63,6 +66,24 @@ def _fan_bins(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> Pixe
         bin_ = ((range_m - inner_m) / (outer_m - inner_m) * shape[1]).astype(int).clip(0, shape[1] - 1)
         beams[rows], bins[rows] = np.where(inside, (beam, bin_), -1)
     return PixelBins(beams, bins)
+
+
+def outlined(picture: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+    """Return a copy of a picture with an outline around some of its pixels, which keep their colours.
+
+    Gaps of a few pixels between them, as speckle leaves, are not outlined.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8
+    mask : (H, W) bool
+    color : RGB, 0..255
+    """
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((OUTLINE_GAP,) * 2, np.uint8))
+    around = cv2.dilate(closed, np.ones((1 + 2 * OUTLINE_WIDTH,) * 2, np.uint8)) > closed
+    out = picture.copy()
+    out[around] = color
+    return out
 
 
 def pixels_of(mask: np.ndarray, bins: PixelBins) -> np.ndarray:

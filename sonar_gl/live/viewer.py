@@ -143,7 +143,6 @@ def view(
     Error
         if the extra is missing, or an argument is wrong. Exceptions of `on_ping` are raised again if `block`.
     """
-    load_viser()  # before anything that takes long
     load_numba()
     source = None
     if not isinstance(scene, Scene):
@@ -157,8 +156,9 @@ def view(
     if isinstance(pose, (str, Path)):
         times_s, poses = read_poses(pose)
         track, pose = PoseTrack(poses, times_s), None
-    warn_of_host(host)
     wanted = LiveSettings(sonar).changed(**settings)
+    load_viser()  # after the user's mistakes, and before the first ping
+    warn_of_host(host)
     opened = LiveView(LiveSession(scene, wanted, pose, track, folder, source), host, port, on_ping)
     if block:
         with opened:

@@ -40,6 +40,7 @@ CHOICES = {  # field: allowed names
     "pulse_taper": ("uniform", "hamming"),
 }
 MAY_BE_NONE = (
+    "range_limit_m",
     "element_error_db",
     "transmit_width_deg",
     "bandwidth_hz",
@@ -103,6 +104,8 @@ class Sonar:
         beam straight ahead, where it is strongest; None: none. It belongs to the self-noise
     common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
         channels that have it in common
+    range_limit_m : greatest range that the device allows, metres; None: not known. Programs that offer ranges to choose
+        from end there; a range beyond it is no error
 
     Raises
     ------
@@ -143,6 +146,7 @@ class Sonar:
     self_noise_db: float = -90.0
     common_noise_db: float | None = None
     common_noise_width_deg: float = 3.0
+    range_limit_m: float | None = None
 
     def __post_init__(self):
         location = f"sonar {self.name!r}"
@@ -159,6 +163,7 @@ class Sonar:
             ("beam_width_deg", 1e-3, 180.0, "give degrees"),
             ("range_min_m", 0.0, 1e5, "give metres"),
             ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
+            ("range_limit_m", *RANGE_MAX_BOUNDS_M, "give metres"),
             ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
             ("element_error_db", -80, -15, "give dB relative to the main lobe, negative"),
             ("transmit_width_deg", 1e-3, 180, "give degrees"),

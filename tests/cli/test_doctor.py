@@ -154,6 +154,23 @@ def test_no_opengl_is_told_with_its_cure_and_status_1_where_it_is_asked_for(monk
         assert any(line.startswith(f"FAIL {what} {why}") for line in lines)
 
 
+@pytest.mark.parametrize(
+    "wanted, told",
+    [
+        ("cpu", r"cpu: CPU, Numba [\d.]+; it draws pings"),
+        (
+            "auto",
+            r"cpu: CPU, Numba [\d.]+; it draws pings in place of OpenGL, as there is no graphics card|opengl: .*",
+        ),
+        ("opengl", r"opengl: .*; it draws pings"),
+    ],
+)
+def test_the_engine_that_draws_is_told_and_why_no_other(monkeypatch, wanted, told):
+    monkeypatch.setenv("SONAR_GL_ENGINE", wanted)
+    ok, detail, _ = system_checks.check_raster_engine()
+    assert ok and re.fullmatch(told, detail)
+
+
 def test_command_is_quiet_about_cures_when_all_is_well(monkeypatch, well):
     monkeypatch.setattr(doctor, "examine", lambda: list(well.values()))
     result = CliRunner().invoke(cli.main, ["doctor"])
@@ -324,11 +341,11 @@ def test_doctor_lists_devices_and_which_is_used(several, monkeypatch, nothing_to
     ok, detail, _ = system_checks.check_egl()
     assert ok and detail == (
         "3 devices: 0 /dev/dri/card0 (not to be used: eglInitialize failed (0x3001)); "
-        f"1 {renderer()}, used; 2 /dev/dri/card1 (not to be used: eglInitialize failed (0x3001))"
+        f"1 {renderer()}, chosen for OpenGL; 2 /dev/dri/card1 (not to be used: eglInitialize failed (0x3001))"
     )
     monkeypatch.setenv("SONAR_GL_DEVICE", "first")
     findings = {finding.what: finding for finding in examine()}
-    assert findings["EGL"].ok and ", used" not in findings["EGL"].detail
+    assert findings["EGL"].ok and ", chosen for OpenGL" not in findings["EGL"].detail
     assert (
         findings["OpenGL"].ok is False
         and "got first, by --device or the variable SONAR_GL_DEVICE" in findings["OpenGL"].detail
@@ -361,7 +378,9 @@ def test_commands_take_a_device(several, monkeypatch, tmp_path):
         assert os.environ["SONAR_GL_DEVICE"] == "2"  # as it was
     del several[:]
     result = CliRunner().invoke(cli.main, ["doctor", "--device", "1"])
-    assert result.exit_code == 0 and f"1 {gl.devices()[1].name}, used; 2 " in result.output, result.output
+    assert result.exit_code == 0 and f"1 {gl.devices()[1].name}, chosen for OpenGL; 2 " in result.output, (
+        result.output
+    )
     assert os.environ["SONAR_GL_DEVICE"] == "2"
     result = CliRunner().invoke(cli.main, ["plan", *ping, "--device", "7"])
     told = "error: the OpenGL device must be 0 to 2 (got 7, by --device or the variable SONAR_GL_DEVICE; there are 3: "

@@ -52,6 +52,20 @@ def run(*words):
     return CliRunner().invoke(main, ["ros2", *words])
 
 
+def test_a_mistake_of_the_user_is_told_before_a_missing_extra(monkeypatch):
+    for name in ("cyclonedds", "zenoh", "foxglove", "rosbags"):
+        monkeypatch.setitem(sys.modules, name, None)  # importing it now fails
+    for kind in ("dds", "zenoh", "foxglove"):
+        for words in (["nosuchscene"], ["pylon", "--sonar", "nosuch"], ["pylon", "--rate", "-1"]):
+            done = run(*words, "--transport", kind)
+            assert done.exit_code == 2 and " to add it: " not in done.output
+            assert (
+                "got 'nosuch" in done.output
+                or "no bundled scene 'nosuch" in done.output
+                or "-1" in done.output
+            )
+
+
 def test_it_publishes_in_real_time_until_the_duration_has_passed(transports):
     found = run("pylon", *FAST, "--duration", "0.6", "--rate", "10")
     assert found.exit_code == 0, found.output

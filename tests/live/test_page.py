@@ -19,6 +19,7 @@ from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.scene_nodes import GIZMO_PIXELS
 from tests.support.browser import COUNT_PICTURES, MissingBrowserError, open_browser
 
 viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
@@ -256,22 +257,61 @@ def on_canvas(viewer, point):
     )
 
 
+def gizmo_length_m(viewer, point):
+    """The length in the world of a gizmo's arrow at a point: so many pixels at its distance."""
+    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    ahead = camera.look_at - camera.position
+    depth_m = (point - camera.position) @ ahead / np.linalg.norm(ahead)
+    height = viewer.tab.locator("canvas").first.bounding_box()["height"]
+    return GIZMO_PIXELS * depth_m * 2 * math.tan(camera.fov / 2) / height
+
+
 @pytest.mark.slow
-def test_the_gizmo_drags_the_sonar(viewer):
+def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
+    session, mouse, tab = viewer.session, viewer.tab.mouse, viewer.tab
+    home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
+    (pylon,) = (one for one in session.scene.bodies if one.name == "pylon_square")
+    middle = (home @ [*pylon.mesh.bounds.mean(0), 1.0])[:3]  # where the gizmo is
+    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    before = camera.position, camera.look_at
+    camera.position, camera.look_at = middle - 12.0 * np.eye(3)[0] + 8.0 * up, middle
+    wait_for(lambda: np.allclose(camera.look_at, middle, atol=1e-3))  # messages have float32
+    new_pictures(tab, 10)
+    mouse.move(*on_canvas(viewer, middle))
+    mouse.click(*on_canvas(viewer, middle))
+    tab.get_by_role("button", name="Unselect").wait_for(timeout=1000 * WAIT_S)
+    assert session.highlighted == "pylon_square"
+    new_pictures(tab, 10)
+    gizmo_m = gizmo_length_m(viewer, middle)
+    mouse.move(*on_canvas(viewer, middle + 0.93 * gizmo_m * up))
+    mouse.down()
+    mouse.move(*on_canvas(viewer, middle + 2.0 * gizmo_m * up), steps=5)
+    wait_for(lambda: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > 0.2 * gizmo_m)
+    mouse.up()
+    moved = (session.bodies()["pylon_square"] - home)[:3, 3]
+    assert moved - (moved @ up) * up == pytest.approx(np.zeros(3), abs=1e-3)  # messages have float32
+    tab.get_by_role("button", name="Unselect").click()
+    wait_for(lambda: session.highlighted == "")
+    camera.position, camera.look_at = before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [0, 2])  # the first is below the picture
+def test_the_gizmo_drags_the_sonar(viewer, axis):
     session, mouse = viewer.session, viewer.tab.mouse
     start = session.pose
-    gizmo_m = 0.1 * session.settings.device.range_max_m
-    up = start[:3, 2]
+    along = start[:3, axis]
     new_pictures(viewer.tab, 10)
-    x, y = on_canvas(viewer, start[:3, 3] + 0.6 * gizmo_m * up)
-    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * up)
+    gizmo_m = gizmo_length_m(viewer, start[:3, 3])
+    x, y = on_canvas(viewer, start[:3, 3] + 0.93 * gizmo_m * along)
+    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * along)
     mouse.move(x, y)
     mouse.down()
     mouse.move(to_x, to_y, steps=5)
-    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ up > 0.2 * gizmo_m)
+    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ along > 0.2 * gizmo_m)
     mouse.up()
     moved = session.pose[:3, 3] - start[:3, 3]
-    assert moved - (moved @ up) * up == pytest.approx(
+    assert moved - (moved @ along) * along == pytest.approx(
         np.zeros(3), abs=1e-3
     )  # along its axis; messages have float32
 

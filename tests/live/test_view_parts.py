@@ -2,25 +2,43 @@
 
 import json
 import math
+import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.motion import KEYS
+from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined
+from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
-from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
+from sonar_gl.live.view.ping_panel import HELP_HTML
+from sonar_gl.live.view.price_table import prices_html
+from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
-from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
 SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)
+
+
+def ping_of(sonar):
+    """A ping of a sonar, without an echo."""
+    return replace(
+        fan_ping(),
+        intensity=np.zeros((sonar.n_beams, sonar.n_bins), np.float32),
+        azimuth_rad=sonar.azimuth_rad,
+        range_m=sonar.range_m,
+    )
 
 
 def test_state_of_a_browser_is_read():
@@ -51,6 +69,28 @@ def test_script_and_server_agree_on_names():
     assert "data-keys-move-sonar" not in script_html(False).split("<img")[0]
 
 
+def test_all_keys_are_named_on_the_page():
+    named = re.sub("<[^>]*>", " ", HELP_HTML).lower()
+    for sign, key in zip("←→↑↓", ("arrowleft", "arrowright", "arrowup", "arrowdown"), strict=True):
+        named = named.replace(sign, key)
+    assert [key for key in KEYS if key not in re.findall(r"\w+", named)] == []
+
+
+def test_an_outline_surrounds_pixels_and_changes_no_other():
+    picture = np.random.default_rng(1).integers(0, 200, (60, 80, 3), dtype=np.uint8)
+    row, column = np.ogrid[:60, :80]
+    mask = (abs(row - 30) <= 8) & (abs(column - 40) <= 12)
+    mask[30, 38:41] = False  # a gap, which has no outline of its own
+    around = (abs(row - 30) <= 8 + OUTLINE_WIDTH) & (abs(column - 40) <= 12 + OUTLINE_WIDTH)
+    around &= ~((abs(row - 30) <= 8) & (abs(column - 40) <= 12))
+    before = picture.copy()
+    drawn = outlined(picture, mask, (1, 255, 2))
+    assert (picture == before).all()
+    assert (drawn[around] == (1, 255, 2)).all()
+    assert (drawn[~around] == picture[~around]).all()
+    assert (outlined(picture, np.zeros_like(mask), (1, 255, 2)) == picture).all()
+
+
 def test_outline_is_that_of_the_fan():
     ends = fan_outline(SONAR).reshape(-1, 3)
     ranges = np.linalg.norm(ends, axis=1)
@@ -75,27 +115,66 @@ def test_arcs_are_ranges_up_to_the_last():
     assert sorted(set(ranges.round(4).ravel().tolist())) == [4.0, 8.0, 10.0]
 
 
-@pytest.mark.parametrize("elevation_rad", [0.0, 0.2])
-def test_a_ray_meets_the_picture_where_its_pixel_lies(elevation_rad):
-    geometry = fan_geometry(fan_ping(), 200)
-    plane = PicturePlane.of(geometry, elevation_rad)
-    azimuth, range_m = geometry.azimuth_edges_rad[1] / 2, 0.7 * geometry.range_edges_m[1]
-    column, row = geometry.pixel(azimuth, range_m)
-    # the plane is tilted about the axis to port: azimuth and range are those within it
-    point = pose(pitch=-elevation_rad) @ [range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0, 1]
-    world_from_head = pose(3, -2, 1, 0.1, 0.2, 0.3)
-    eye, target = np.array([5.0, 4.0, 30.0]), (world_from_head @ point)[:3]
-    place = plane.place_of_ray(np.linalg.inv(world_from_head), eye, target - eye)
-    assert place == pytest.approx(((column + 0.5) / geometry.width, (row + 0.5) / geometry.height), abs=1e-9)
+WIDE = replace(SONAR, azimuth_fov_deg=130.0)
 
 
-def test_a_ray_beside_the_picture_or_away_from_it_meets_nothing():
-    plane = PicturePlane.of(fan_geometry(fan_ping(), 200), 0.0)
-    above, down = np.array([5.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0])
-    assert plane.place_of_ray(np.eye(4), above, down) is not None
-    assert plane.place_of_ray(np.eye(4), above, -down) is None
-    assert plane.place_of_ray(np.eye(4), above, np.array([1.0, 0.0, 0.0])) is None
-    assert plane.place_of_ray(np.eye(4), np.array([5.0, 1e4, 3.0]), down) is None
+@pytest.mark.parametrize("height, rows", [(200, 200), (200, 80), (640, 320)])
+def test_the_picture_of_a_wide_fan_lies_on_its_upper_face_and_has_no_gaps(height, rows):
+    elevation_rad = math.radians(10.0)
+    geometry = fan_geometry(ping_of(WIDE), height)
+    # a picture that has azimuth and range as colours
+    parts = list(geometry.pixel_rows())
+    azimuth, range_m = (
+        np.concatenate([getattr(one, name) for one in parts]) for name in ("azimuth_rad", "range_m")
+    )
+    for sector in PictureSector.all_of(geometry, elevation_rad, rows):
+        pixels = sector.pixels()
+        at = np.rint(pixels.row).astype(int), np.rint(pixels.column).astype(int)
+        at = np.clip(at[0], 0, geometry.height - 1), np.clip(at[1], 0, geometry.width - 1)
+        h, w = sector.shape
+        right, down = np.meshgrid((np.arange(w) + 0.5) / w - 0.5, (np.arange(h) + 0.5) / h - 0.5)
+        in_picture = np.stack([right * sector.width_m, down * sector.height_m, 0 * right, 1 + 0 * right], -1)
+        x, y, z, _ = np.moveaxis(in_picture @ sector.head_from_picture.T, -1, 0)
+        # where the fan's sides are far from each other, a pixel of the picture is a small angle
+        far = (pixels.cover > 0) & (np.hypot(x, y) * geometry.pixels_per_m > 40)
+        pixel_m = math.sqrt(0.5) / geometry.pixels_per_m  # to the nearest pixel, at most
+        off_m = np.hypot(x, y) * abs(azimuth[at] - np.arctan2(y, x))
+        assert off_m[far].max() < 1.1 * pixel_m  # a tangent for an arc
+        assert abs(range_m[at] * math.cos(elevation_rad) - np.hypot(x, y))[far].max() < 1.1 * pixel_m
+        # half of 44 degrees from the middle of a part, and half a pixel more
+        widest_rad = math.radians(22.0) + 0.5 * geometry.pixels_per_m / (40 * sector.rows_per_m)
+        share = z[far] / (np.hypot(x, y)[far] * math.tan(elevation_rad))
+        assert math.cos(widest_rad) < share.min() and share.max() <= 1 + 1e-12
+
+
+def test_parts_of_a_picture_cover_the_fan_once():
+    geometry = fan_geometry(ping_of(WIDE), 400)
+    parts = PictureSector.all_of(geometry, 0.0, 400)
+    area_px = sum(float(one.pixels().cover.sum()) for one in parts)
+    low, high = geometry.azimuth_edges_rad
+    near_px, far_px = (edge * 400 / geometry.range_edges_m[1] for edge in geometry.range_edges_m)
+    # cover is that of an edge along the pixels; a slanted one, and corners, differ by far less than the pixels
+    assert area_px == pytest.approx((high - low) / 2 * (far_px**2 - near_px**2), rel=1e-4)
+
+
+def test_pixels_of_a_part_are_those_of_the_picture():
+    geometry = fan_geometry(ping_of(WIDE), 200)
+    picture = np.zeros((geometry.height, geometry.width, 3), np.uint8)
+    picture[..., 0], picture[..., 1] = np.indices(picture.shape[:2]) % 251
+    pixels = PictureSector.all_of(geometry, 0.1, 100)[0].pixels()
+    shown = pixels.of(picture)
+    row, column = np.argwhere((pixels.cover > 0) & (pixels.column % 251 < 249))[500]
+    # linear between pixels, to a level and the steps of 1/32 that old versions of OpenCV take
+    assert shown[row, column, 0] == pytest.approx(pixels.row[row, column], abs=1)
+    assert shown[row, column, 1] == pytest.approx(pixels.column[row, column] % 251, abs=1)
+
+
+@pytest.mark.parametrize("fov_deg, count", [(2.0, 1), (45.0, 1), (60.0, 2), (130.0, 3), (360.0, 8)])
+def test_no_part_of_a_picture_is_wider_than_45_degrees(fov_deg, count):
+    geometry = fan_geometry(ping_of(replace(SONAR, azimuth_fov_deg=fov_deg)), 200)
+    parts = PictureSector.all_of(geometry, 0.2, 100)
+    assert len(parts) == count
+    assert (parts[0].azimuths_rad[0], parts[-1].azimuths_rad[1]) == pytest.approx(geometry.azimuth_edges_rad)
 
 
 def test_sonar_looks_where_its_camera_does():
@@ -104,6 +183,56 @@ def test_sonar_looks_where_its_camera_does():
     assert (SONAR_FROM_CAMERA @ ahead).tolist() == [1, 0, 0]
     assert (SONAR_FROM_CAMERA @ right).tolist() == [0, -1, 0]
     assert (SONAR_FROM_CAMERA @ down).tolist() == [0, 0, -1]
+
+
+def test_prices_are_a_table_without_zeros_that_were_not_measured():
+    prices = [
+        Price("absorption", 0.052, 0.1, 0.31, 0.0, True),
+        Price("a < b", 0.0004, 0.0, 0.0, 0.04, False),
+    ]
+    rows = [re.sub("<[^>]*>", "|", row) for row in prices_html(prices).split("</tr>")[1:3]]
+    assert [[cell for cell in row.split("|") if cell] for row in rows] == [
+        ["absorption", "5.2 %", "31 %", "–"],
+        ["a &lt; b", "&lt; 0.1 %", "0 %", "&lt; 0.1 ms"],
+    ]
+    assert prices_html([]) == ""
+
+
+@pytest.mark.parametrize(
+    "near_m, far_m, limit_m, set_m, expected",
+    [
+        (0.5, 29.9894, 100.0, None, (1.0, 100.0, 0.5, 29.99)),
+        (1.0, 10.0, None, None, (1.2, 40.0, 0.2, 10.0)),  # four times its own
+        (1.0, 10.0, 20.0, 35.0, (1.2, 35.0, 0.2, 35.0)),  # set beyond the data sheet
+        (0.7, 5.0, 5.0, 0.71, (0.71, 5.0, 0.02, 0.71)),
+        (9.999, 10.0, 10.0, None, (10.0, 10.05, 0.05, 10.0)),  # a slider has some length
+        (0.0, 0.002, None, None, (0.00005, 0.008, 0.00005, 0.002)),
+    ],
+)
+def test_the_slider_of_the_range_follows_the_sonar(near_m, far_m, limit_m, set_m, expected):
+    sonar = replace(SONAR, n_bins=1, range_min_m=near_m, range_max_m=far_m, range_limit_m=limit_m)
+    scale = RangeScale.of(LiveSettings(sonar, range_m=set_m))
+    got = scale.low_m, scale.high_m, scale.step_m, scale.shown_m
+    assert got == pytest.approx(expected)  # decimal fractions
+
+
+@pytest.mark.parametrize("name", presets())
+def test_each_preset_takes_every_range_of_its_slider(name):
+    scale = RangeScale.of(LiveSettings(name))
+    assert scale.low_m < scale.shown_m <= scale.high_m
+    for range_m in (scale.low_m, scale.high_m):
+        device = LiveSettings(name, range_m=range_m).device
+        assert device.range_max_m == range_m == allowed_range_m(device, range_m)
+
+
+def test_a_range_beyond_the_limit_of_a_sonar_becomes_the_limit():
+    limited = replace(SONAR, range_limit_m=20.0)
+    assert [allowed_range_m(limited, range_m) for range_m in (15.0, 20.0, 20.5)] == [15.0, 20.0, 20.0]
+    assert allowed_range_m(SONAR, 500.0) == 500.0  # no limit is known
+
+
+def test_a_range_that_is_too_near_for_a_sonar_becomes_its_own():
+    assert allowed_range_m(replace(SONAR, range_min_m=2.0), 2.0) == SONAR.range_max_m
 
 
 def test_a_choice_that_the_page_does_not_offer_is_refused():

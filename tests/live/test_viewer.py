@@ -114,11 +114,28 @@ def test_without_its_extra_view_says_how_to_add_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)  # importing it now fails
     for module in (viewer, command):
         monkeypatch.setattr(module, "load_viser", page.load_viser)
-        monkeypatch.setattr(module, "load_numba", None)  # nothing is done before
+        monkeypatch.setattr(module, "LiveSession", None)  # no ping before
+    monkeypatch.setattr(command, "needed_acoustics", None)
     with pytest.raises(sg.Error, match=r"the page needs viser .* to add it: "):
         sg.view("pylon")
-    done = run("view", "pylon")
-    assert done.exit_code == 2 and done.output.startswith("error: the page needs viser")
+    for words in ([], ["--acoustics", "needed"]):
+        done = run("view", "pylon", *words)
+        assert done.exit_code == 2 and "error: the page needs viser" in done.output
+    # a mistake of the user comes first: that can be mended without installing anything
+    for words in (["nosuchscene"], ["pylon", "--sonar", "nosuch"], ["pylon", "--tolerance", "7"]):
+        done = run("view", *words)
+        assert done.exit_code == 2 and "viser" not in done.output and done.output.count("error: ") == 1
+    with pytest.raises(sg.Error, match="no bundled scene"):
+        sg.view("nosuchscene")
+    with pytest.raises(sg.Error, match="unknown setting"):
+        sg.view("pylon", no_setting=7)
+
+
+def test_the_command_takes_the_needed_terms():
+    done = run(
+        "view", "pylon", "--acoustics", "needed", "--tolerance", "0.2", "--range", "12", "--bins", "60"
+    )
+    assert done.exit_code == 0, done.output
 
 
 def test_the_command_opens_a_page_with_what_its_options_say(pages):

@@ -1,5 +1,6 @@
 """Presets, sonars from files, and the message about each mistake in them."""
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -46,6 +47,16 @@ def test_presets_are_complete_and_plausible(name):
     # with a lens at the lower frequency, which use every other element
     has_gaps = sonar.azimuth_fov_deg / sonar.n_beams > sonar.beam_width_deg * 1.01
     assert has_gaps == (name in ("didson-lf", "aris-3000-lf", "aris-1800-lf", "aris-1200"))
+
+
+def test_the_limit_of_the_range_is_the_one_that_the_source_of_a_preset_states():
+    without = [name for name, sonar in presets().items() if sonar.range_limit_m is None]
+    assert without == ["demarco-2015"]  # a simulated sonar
+    for name, sonar in presets().items():
+        if name not in without:
+            assert sonar.range_max_m <= sonar.range_limit_m
+            # such as "2-100 m", "up to 200 m"; widths in degrees and resolutions have other units
+            assert re.search(rf"(?<![\d.]){sonar.range_limit_m:g} m\b", sonar.source), name
 
 
 @pytest.mark.parametrize(("name", "fov", "n_beams"), [("45", 45, 256), ("90", 90, 512), ("130", 130, 768)])
@@ -263,6 +274,7 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
             {"tilt_deg": 100},
             "sonar 'a': tilt_deg must lie in -90..90 (got 100; give degrees, positive down)",
         ),
+        ({"range_limit_m": 0}, "sonar 'a': range_limit_m must lie in 0.001..100000 (got 0; give metres)"),
         (
             {"ping_rate_max_hz": 0},
             "sonar 'a': ping_rate_max_hz must lie in 0.001..10000 (got 0; give pings per second)",

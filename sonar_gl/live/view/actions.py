@@ -59,6 +59,15 @@ class Actions:
                 value = handle.value
                 self.ask(event.client, lambda: action(value), id(handle))
 
+    def connect_from(self, handle, action: Callable) -> None:
+        """As `connect`, but for an action of the browser (a viser.ClientHandle) and the value."""
+
+        @handle.on_update
+        async def _(event):
+            if event.client is not None:
+                value = handle.value
+                self.ask(event.client, lambda: action(event.client, value), id(handle))
+
     def connect_button(self, handle, action: Callable) -> None:
         """Have an action of the browser (a viser.ClientHandle) done when a button is clicked there."""
 

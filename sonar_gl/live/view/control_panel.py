@@ -14,6 +14,8 @@ from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
+from sonar_gl.live.view.price_table import prices_html
+from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.sonar import Sonar, presets
 
@@ -24,8 +26,8 @@ NOISES = ("none", "demarco2015", "physical")
 OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
-MAX_RANGE_M = 150.0
 PANEL_WIDTH = 330  # pixels of the page
+SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class ControlPanel:
         settings = self._session.settings
         if self._priced is not None and self._priced != _priced_by(settings):
             self._hide_prices()
+        self._scale_range(settings)
         for handle, shown in self._shown:
             value = shown(settings)
             if handle.value != value and not self._actions.waits(id(handle)):
@@ -104,6 +107,13 @@ class ControlPanel:
         label = "Stop recording" if is_recording else "Record"
         if self._record.label != label:
             self._record.label = label
+
+    def _scale_range(self, settings: LiveSettings) -> None:
+        """Have the slider of the range end where the sonar does."""
+        scale, slider = RangeScale.of(settings), self._range
+        if (slider.min, slider.max, slider.step) != (scale.low_m, scale.high_m, scale.step_m):
+            slider.min, slider.max, slider.step = scale.low_m, scale.high_m, scale.step_m
+            slider.precision = scale.decimals
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
@@ -141,21 +151,13 @@ class ControlPanel:
                 "moved by",
                 movers,
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
-                hint="W S A D move ahead, back, to port, to starboard, E Q up, down; arrows turn. The browser's camera "
-                "is flown by the same keys and the mouse, and carries the sonar.",
+                hint="The browser's camera is flown by the same keys and the mouse, and carries the sonar.",
             )
             speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
-
-        @self._mover.on_update
-        async def _(event):
-            if event.client is not None:
-                value = self._mover.value
-                self._actions.ask(
-                    event.client,
-                    lambda: on_mover(event.client, chosen(value, movers, "what moves the sonar")),
-                    id(self._mover),
-                )
-
+        self._actions.connect_from(
+            self._mover,
+            lambda client, value: on_mover(client, chosen(value, movers, "what moves the sonar")),
+        )
         self._connect(speed, lambda _settings: self.steps.speed_m_s, self._set_speed)
 
     def _set_speed(self, value) -> None:
@@ -166,19 +168,21 @@ class ControlPanel:
         with gui.add_folder("Sonar"):
             shown = self._name_of_sonar(settings.sonar)
             sonar = gui.add_dropdown("sonar", tuple(self._sonars), initial_value=shown)
-            range_m = gui.add_slider("range, m", 1.0, MAX_RANGE_M, 0.5, _shown_range(settings))
+            scale = RangeScale.of(settings)
+            self._range = gui.add_slider(
+                "range, m", scale.low_m, scale.high_m, scale.step_m, _shown_range(settings),
+                hint="Up to the greatest that the sonar allows, where that is known.",
+            )  # fmt: skip
+            self._range.precision = scale.decimals
             tolerance = gui.add_slider(
                 "tolerance, %", 0.5, 20.0, 0.5, _shown_tolerance(settings),
                 hint="Largest share of the echo that may lie in wrong bins.",
             )  # fmt: skip
             rate = gui.add_slider("pings per s", 1.0, 60.0, 1.0, _shown_rate(settings), hint="At most.")
             engine = gui.add_dropdown("engine", ENGINES, initial_value=settings.engine or "auto")
-        self._connect(
-            sonar,
-            lambda settings: self._shown_sonar(sonar, settings.sonar),
-            lambda name: session.change(sonar=chosen(name, self._sonars, "sonar")),
-        )
-        self._connect(range_m, _shown_range, lambda value: session.change(range_m=float(value)))
+        self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
+        self._actions.connect_from(sonar, self._change_sonar)
+        self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
         self._connect(tolerance, _shown_tolerance, lambda value: session.change(tolerance=float(value) / 100))
         self._connect(rate, _shown_rate, lambda value: session.change(max_rate_hz=float(value)))
         self._connect(
@@ -186,6 +190,15 @@ class ControlPanel:
             lambda settings: settings.engine or "auto",
             lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
         )
+
+    def _change_sonar(self, client, name: str) -> None:
+        """Take another sonar, at the range that is set, or else at the nearest that it allows, and say so."""
+        sonar, range_m = chosen(name, self._sonars, "sonar"), self._session.settings.device.range_max_m
+        allowed_m = allowed_range_m(sonar, range_m)
+        own = allowed_m == sonar.range_max_m  # no range beside that of the sonar in command lines
+        self._session.change(sonar=sonar, range_m=None if own else allowed_m)
+        if allowed_m != range_m:
+            tell(client, "Range", f"{allowed_m:g} m, since {name} does not allow {range_m:g} m")
 
     def _shown_sonar(self, dropdown, sonar: Sonar) -> str:
         """Return what the dropdown shows for a sonar; it offers all that a session has had."""
@@ -238,10 +251,12 @@ class ControlPanel:
             profile = gui.add_dropdown("profile", tuple(PROFILES), initial_value=settings.acoustics.profile)
             noise = gui.add_dropdown("noise", (*NOISES, OTHER), initial_value=_shown_noise(settings))
             for name in term_names():
-                self._terms[name] = gui.add_checkbox(name, settings.is_on(name))
+                label = SHORT_LABELS.get(name, name)
+                self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
             self._price = gui.add_button(
                 "Price the terms", hint="What each changes and costs here; takes seconds."
             )
+            self._prices = gui.add_html("")
         self._connect(
             profile,
             lambda settings: settings.acoustics.profile,
@@ -293,21 +308,11 @@ class ControlPanel:
             raise closed_error("page")
 
     def _hide_prices(self) -> None:
-        for name, handle in self._terms.items():
-            handle.label, handle.hint = name, None
-        self._priced = None
+        self._prices.content, self._priced = "", None
 
     def _show_prices(self, prices: list[Price], of: tuple) -> None:
         """Show the prices of some settings, until these change."""
-        self._priced = of
-        for one in prices:
-            if one.name in self._terms:
-                handle = self._terms[one.name]
-                handle.label = f"{one.name}: {100 * one.changes:.2g} %, {one.time_ms:.2g} ms"
-                handle.hint = (
-                    f"Changes {100 * one.changes:.2g} % of the echo, and {100 * one.changed_bins:.2g} % of the bins by "
-                    f"more than 3 dB; adds {one.time_ms:.2g} ms to a ping."
-                )
+        self._prices.content, self._priced = prices_html(prices), of
 
     def _add_water(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -332,7 +337,7 @@ class ControlPanel:
         with gui.add_folder("Bodies", expand_by_default=False):
             self._body = gui.add_dropdown(
                 "selected", (NO_BODY, *names), initial_value=NO_BODY,
-                hint="A selected body stands out in the picture, and can be dragged in 3D. A click selects it, too.",
+                hint="Its echoes are outlined, and it can be dragged in 3D. A click at it selects it, too.",
             )  # fmt: skip
             back = gui.add_button("Put all back")
         allowed = {NO_BODY: "", **{name: name for name in names}}
@@ -379,7 +384,7 @@ def _raise(why: Exception) -> None:
 
 
 def _shown_range(settings: LiveSettings) -> float:
-    return min(max(settings.device.range_max_m, 1.0), MAX_RANGE_M)
+    return RangeScale.of(settings).shown_m
 
 
 def _shown_tolerance(settings: LiveSettings) -> float:

@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from html import escape
 
-import numpy as np
-
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.live.frame import LiveFrame, LiveState, Reading
+from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
+from sonar_gl.live.pictures import outlined
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, script_html
+from sonar_gl.live.view.outline import SELECTED_COLOR
 
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL_WIDTH = 430  # pixels of the page
-HIGHLIGHT_SHARE = 0.55  # brightness that pixels outside a highlighted body keep
 ROW = "display:flex;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
 NOTHING = "–"
+UNSELECT = "Unselect"
+SELECTED_NOTE = (
+    "Green in 3D; its echoes are outlined in the picture. Drag its arrows, squares and arcs in 3D to move and turn it; "
+    "Put all back, under Bodies, undoes that."
+)
+HELP = (
+    ("W S", "ahead, back"),
+    ("A D", "port, starboard"),
+    ("E Q", "up, down"),
+    ("← → ↑ ↓", "turn"),
+    ("click", "at a body in 3D to select it"),
+)
+HELP_HTML = '<div style="padding:2px 10px;font-size:12px;line-height:1.5;opacity:.75">{}</div>'.format(
+    "; ".join(f"<b>{keys}</b> {what}" for keys, what in HELP)
+)
+PENDING = "computing with the new settings ..."
 
 
 class PingPanel:
@@ -28,9 +44,10 @@ class PingPanel:
     server : viser.ViserServer
     session : LiveSession
     actions : Actions
+    on_body : action of the name of a body that is selected; "" for none
     """
 
-    def __init__(self, server, session: LiveSession, actions: Actions):
+    def __init__(self, server, session: LiveSession, actions: Actions, on_body: Callable[[str], None]):
         self._session, self._actions = session, actions
         panel = server.gui.add_panel()
         with panel.add_tab("Ping"):
@@ -38,11 +55,16 @@ class PingPanel:
                 session.frame.picture, format="jpeg", jpeg_quality=JPEG_QUALITY
             )
             self._under = server.gui.add_html("")
+            self._clicked = server.gui.add_html("")
+            self._selected = server.gui.add_html("")
+            self._unselect = server.gui.add_button(UNSELECT, visible=False)
             self._numbers = server.gui.add_html("")
             self._script = server.gui.add_html(script_html(keys_move_sonar=True))
             self.browser_state = server.gui.add_text(FIELD, "")
             if session.track is not None:
                 self._add_time_bar(server)
+            server.gui.add_html(HELP_HTML)
+        actions.connect_button(self._unselect, lambda _: on_body(""))
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
         self.read(None)
@@ -50,9 +72,8 @@ class PingPanel:
     def show(self, frame: LiveFrame) -> None:
         """Show the picture of a frame."""
         picture = frame.picture
-        if frame.highlight is not None and frame.highlight.any():
-            dim = (picture * HIGHLIGHT_SHARE).astype(np.uint8)
-            picture = np.where(frame.highlight[..., None], picture | 32, dim)
+        if frame.highlight is not None:
+            picture = outlined(picture, frame.highlight, SELECTED_COLOR)
         self._image.image = picture
 
     def show_numbers(self, frame: LiveFrame, state: LiveState) -> None:
@@ -72,6 +93,22 @@ class PingPanel:
     def read(self, reading: Reading | None) -> None:
         """Show what stands under the pointer; None outside the fan."""
         self._under.content = _reading_html(reading)
+
+    def show_click(self, reading: Reading | None, surface: Surface | None) -> None:
+        """Show what the last click in the picture has met; None outside the fan."""
+        content = ""
+        if reading is not None:
+            seen = surface is not None and len(surface.points_m)
+            text = f"{reading.body or 'no body'} at {reading.range_m:.2f} m, "
+            text += "pink in 3D" if seen else "no surface in the main lobe"
+            content = _rows_html([[("last click", text, 7)]])
+        self._clicked.content = content
+
+    def show_selected(self, name: str) -> None:
+        """Show which body is selected, and what can be done with it; "" for none."""
+        content = "" if not name else _rows_html([[("selected", name, 7)]]) + _note_html(SELECTED_NOTE)
+        if self._selected.content != content:
+            self._selected.content, self._unselect.visible = content, bool(name)
 
     def switch_keys(self, move_sonar: bool) -> None:
         """Have keys move the sonar, or else the browser's camera."""
@@ -109,8 +146,11 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     x, y, z, roll, pitch, yaw = pose_numbers(frame.pose)
     angles = " ".join(f"{math.degrees(angle):.1f}°" for angle in (roll, pitch, yaw))
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
+    is_pending = state.settings is not frame.settings
     rows = [
-        [
+        [("ping rate", PENDING, 7)]
+        if is_pending
+        else [
             ("ping rate", f"{frame.rate_hz:.1f} Hz", 7),
             ("samples", f"{frame.samples:,}".replace(",", "\u2009"), 5),
         ],
@@ -119,8 +159,12 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
         [("roll pitch yaw", angles, 7)],
     ]
     text = state.problem or " ".join(frame.notes)
-    problem = f'<div style="padding:0 10px 6px 10px;color:#ff8a80;font-size:12.5px">{escape(text)}</div>'
-    return '<hr style="opacity:.2;margin:0 10px 4px 10px">' + _rows_html(rows) + (problem if text else "")
+    problem = _note_html(text, "#ff8a80") if text else ""
+    return '<hr style="opacity:.2;margin:0 10px 4px 10px">' + _rows_html(rows) + problem
+
+
+def _note_html(text: str, color: str = "inherit") -> str:
+    return f'<div style="padding:0 10px 6px 10px;color:{color};font-size:12.5px">{escape(text)}</div>'
 
 
 def _reading_html(reading: Reading | None) -> str:

@@ -4,30 +4,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
-from sonar_gl.imaging.fan_image import fan_geometry
+from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
 from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
-from sonar_gl.live.view.outline import PicturePlane, fan_arcs, fan_outline
+from sonar_gl.live.view.outline import (
+    SELECTED_COLOR,
+    PicturePixels,
+    PictureSector,
+    fan_arcs,
+    fan_outline,
+    round_step,
+)
 from sonar_gl.sonar.sonar import Sonar
 
 # Colours of bodies in turn, RGB: stone and steel first, and none that a picture or a gizmo has.
 BODY_COLORS = ((140, 126, 104), (120, 142, 158), (150, 128, 140), (128, 150, 128), (160, 146, 110))
-SELECTED_COLOR = (255, 214, 92)
 FAN_COLOR = (255, 176, 64)
 SURFACE_COLOR = (255, 48, 160)
 SONAR_COLOR = (255, 140, 0)
 WATER_TOP, WATER_BOTTOM = (38, 88, 116), (4, 18, 32)
 WATER_LIGHT = (205, 222, 232)  # what the water scatters: without it, walls would be black
+GIZMO_PIXELS = 90.0  # of the screen: length of an arrow
 PLANE_HEIGHT = (
-    320  # pixels of the picture that lies in the scene; a PNG, whose pixels outside the fan are clear
+    320  # pixels of the picture in the scene up to the last range; PNGs, which are clear outside the fan
 )
 SONAR_FROM_CAMERA = np.array(
     [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
@@ -58,6 +66,16 @@ def camera_sonar_pose(camera) -> np.ndarray:
     return out
 
 
+class PicturePart(NamedTuple):
+    """A part of the picture in the scene, and its node.
+
+    It takes no clicks: the gizmo of the sonar and bodies lie below it.
+    """
+
+    pixels: PicturePixels
+    node: object
+
+
 class SceneNodes:
     """The nodes of viser's scene that show a session.
 
@@ -67,7 +85,6 @@ class SceneNodes:
     session : LiveSession
     actions : Actions of the page
     on_body : action of a body's name that was clicked
-    on_place : action of (right, down), 0..1 of the picture in the scene, that was clicked
     """
 
     def __init__(
@@ -76,12 +93,11 @@ class SceneNodes:
         session: LiveSession,
         actions: Actions,
         on_body: Callable[[str], None],
-        on_place: Callable[[tuple[float, float]], None],
     ):
         self._server, self._session, self._actions = server, session, actions
-        self._on_place = on_place
-        self._pose, self._device, self._plane, self._selected = None, None, None, ""
-        self._picture_extent = None  # what the node of the picture depends on
+        self._pose, self._device, self._selected = None, None, ""
+        self._pictures: list[PicturePart] = []
+        self._picture_extent = None  # what these depend on
         self._is_dragging = self._is_dragging_body = False
         scene = server.scene
         blend = np.linspace(0, 1, 64)[:, None, None]
@@ -91,6 +107,7 @@ class SceneNodes:
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_light_ambient("/lights/water", color=WATER_LIGHT, intensity=1.6)
+        self._body_clicked: dict[str, Callable] = {}
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
@@ -98,12 +115,10 @@ class SceneNodes:
         self._home = {mesh.name: mesh.pose for mesh in meshes}
         self._poses = dict(self._home)
         self._sonar = scene.add_frame("/sonar", show_axes=False)
-        self._outline = self._arcs = self._housing = self._picture = self._surface = None
-        self._gizmo = scene.add_transform_controls("/move_sonar", scale=1.0, depth_test=False)
+        self._outline = self._arcs = self._housing = self._surface = None
+        self._gizmo = self._add_gizmo("/move_sonar")
         put(self._gizmo, session.pose)
-        self._body_gizmo = scene.add_transform_controls(
-            "/move_body", scale=1.0, depth_test=False, visible=False
-        )
+        self._body_gizmo = self._add_gizmo("/move_body", visible=False)
         self._center = np.eye(4)
         self._connect_gizmos()
         self.shows_picture = True
@@ -136,25 +151,18 @@ class SceneNodes:
     def show_picture(self, frame: LiveFrame) -> None:
         """Lay the fan image of a frame into the scene; nothing of a polar picture."""
         if not self.shows_picture or frame.settings.form != "fan":
-            if self._picture is not None:
-                self._picture.visible = False
+            for part in self._pictures:
+                part.node.visible = False
             return
-        geometry = fan_geometry(frame.ping, frame.picture.shape[0])
-        plane = PicturePlane.of(geometry, math.radians(frame.settings.device.elevation_fov_deg) / 2)
-        step = max(1, round(frame.picture.shape[0] / PLANE_HEIGHT))
-        colors = frame.picture[::step, ::step]
-        inside = np.concatenate([rows.inside for rows in geometry.pixel_rows()])[::step, ::step]
-        # dark water lets the scene through, echoes do not
-        alpha = np.where(inside, np.maximum(120, colors.max(2)), 0).astype(np.uint8)
-        image = np.dstack([colors, alpha])
-        sonar_from_picture = frame.settings.device.sonar_from_head @ plane.head_from_picture
-        extent = plane.width_m, plane.height_m, *sonar_from_picture.ravel()
-        if self._picture is None or extent != self._picture_extent:
-            self._plane, self._picture_extent = plane, extent
-            self._add_picture(sonar_from_picture, image)
-        else:
-            self._picture.image = image
-            self._picture.visible = True
+        geometry, device = fan_geometry(frame.ping, frame.picture.shape[0]), frame.settings.device
+        extent = geometry, device.elevation_fov_deg, device.tilt_deg
+        if extent != self._picture_extent:
+            self._picture_extent = extent
+            self._add_pictures(geometry, device, frame.picture)
+            return
+        for part in self._pictures:
+            part.node.image = _see_through(part.pixels, frame.picture)
+            part.node.visible = True
 
     def mark(self, surface: Surface | None, range_m: float) -> None:
         """Mark the points of a surface at a range, or none."""
@@ -173,14 +181,25 @@ class SceneNodes:
 
     def select(self, name: str) -> None:
         """Mark a body, and give it a gizmo; "" for none."""
+        if name == self._selected:
+            return
         for number, (other, node) in enumerate(self._bodies.items()):
-            node.color = SELECTED_COLOR if other == name else _color(number)
+            node.color = _selected_color(number) if other == name else _color(number)
+        self._let_through(name)
         self._selected = name
         self._body_gizmo.visible = name in self._bodies
         if name in self._bodies:
             self._center = np.eye(4)
             self._center[:3, 3] = self._middles[name]
             self._follow_body()
+
+    def _let_through(self, name: str) -> None:
+        """Have the pointer reach the gizmo of a body: a node that is clicked takes it from what is inside or behind."""
+        for other, node in self._bodies.items():
+            if other == name:
+                node.remove_click_callback()
+            elif other == self._selected:
+                node.on_click(self._body_clicked[other])
 
     def show_gizmo(self, visible: bool) -> None:
         """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
@@ -213,10 +232,11 @@ class SceneNodes:
         )
         put(node, mesh.pose)
 
-        @node.on_click
-        async def _(event):
+        async def clicked(event):
             self._actions.ask(event.client, lambda: on_body(mesh.name))
 
+        node.on_click(clicked)
+        self._body_clicked[mesh.name] = clicked
         return node
 
     def _draw_fan(self, device: Sonar) -> None:
@@ -227,7 +247,7 @@ class SceneNodes:
         self._outline = scene.add_line_segments(
             "/sonar/outline", fan_outline(device), FAN_COLOR, thickness=2.0, thickness_units="screen"
         )
-        arcs = fan_arcs(device, _round_step(far_m / 5))
+        arcs = fan_arcs(device, round_step(far_m / 5))
         self._arcs = scene.add_line_segments(
             "/sonar/ranges", arcs, (150, 110, 60), thickness=1.0, thickness_units="screen"
         )
@@ -235,31 +255,38 @@ class SceneNodes:
         self._housing = scene.add_box(
             "/sonar/housing", SONAR_COLOR, dimensions=(size, 1.4 * size, 0.8 * size)
         )
-        self._gizmo.scale = self._body_gizmo.scale = 0.1 * far_m
 
-    def _add_picture(self, sonar_from_picture: np.ndarray, image: np.ndarray) -> None:
-        self._picture = self._server.scene.add_image(
-            "/sonar/picture",
-            image,
-            self._plane.width_m,
-            self._plane.height_m,
+    def _add_gizmo(self, name: str, visible: bool = True) -> object:
+        """Add a gizmo that is as large on the screen however far it is."""
+        return self._server.scene.add_transform_controls(
+            name, scale=GIZMO_PIXELS, fixed=True, depth_test=False, visible=visible
+        )
+
+    def _add_pictures(self, geometry: FanGeometry, device: Sonar, picture: np.ndarray) -> None:
+        for part in self._pictures:
+            part.node.remove()
+        rows, elevation_rad = min(geometry.height, PLANE_HEIGHT), math.radians(device.elevation_fov_deg) / 2
+        self._pictures = [
+            self._add_picture(f"/sonar/picture_{number}", sector, device, picture)
+            for number, sector in enumerate(PictureSector.all_of(geometry, elevation_rad, rows))
+        ]
+
+    def _add_picture(
+        self, name: str, sector: PictureSector, device: Sonar, picture: np.ndarray
+    ) -> PicturePart:
+        pixels = sector.pixels()
+        node = self._server.scene.add_image(
+            name,
+            _see_through(pixels, picture),
+            sector.width_m,
+            sector.height_m,
             format="png",
             cast_shadow=False,
             receive_shadow=False,
         )
-        put(self._picture, sonar_from_picture)
+        put(node, device.sonar_from_head @ sector.head_from_picture)
 
-        @self._picture.on_click
-        async def _(event):
-            self._actions.ask(event.client, lambda: self._click_picture(event))
-
-    def _click_picture(self, event) -> None:
-        head = self._device.head_pose(self._pose)
-        place = self._plane.place_of_ray(
-            np.linalg.inv(head), np.asarray(event.ray_origin), np.asarray(event.ray_direction)
-        )
-        if place is not None:
-            self._on_place(place)
+        return PicturePart(pixels, node)
 
     def _connect_gizmos(self) -> None:
         gizmo, body_gizmo = self._gizmo, self._body_gizmo
@@ -299,8 +326,20 @@ class SceneNodes:
         )
 
 
+def _see_through(pixels: PicturePixels, picture: np.ndarray) -> np.ndarray:
+    """Return a part of a picture, (h, w, 4) uint8 RGBA: dark water lets the scene through, echoes do not."""
+    colors = pixels.of(picture)
+    alpha = (pixels.cover * np.maximum(120, colors.max(2))).astype(np.uint8)
+    return np.dstack([colors, alpha])
+
+
 def _color(number: int) -> tuple[int, int, int]:
     return BODY_COLORS[number % len(BODY_COLORS)]
+
+
+def _selected_color(number: int) -> tuple[int, int, int]:
+    """Return half the colour of a body, since a floor all of another colour would drown the scene."""
+    return tuple((own + marked) // 2 for own, marked in zip(_color(number), SELECTED_COLOR, strict=True))
 
 
 def _middle(mesh: BrowserMesh) -> np.ndarray:
@@ -313,12 +352,6 @@ def _extent(device: Sonar) -> tuple:
     return (
         device.azimuth_fov_deg, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
     )  # fmt: skip
-
-
-def _round_step(about_m: float) -> float:
-    """Return 1, 2 or 5 times a power of ten near a length."""
-    power = 10.0 ** np.floor(np.log10(about_m))
-    return float(power * min((1, 2, 5, 10), key=lambda digit: abs(digit * power - about_m)))
 
 
 def _put_if_moved(node, pose: np.ndarray) -> None:
