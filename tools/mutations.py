@@ -125,8 +125,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/plane in the strip's middle",
-        "q[m] + along_u[m] * (uc - u[0]",
-        "q[m] - along_u[m] * (uc - u[0]",
+        "q[m] + along_u[m] * (uc - u0",
+        "q[m] - along_u[m] * (uc - u0",
         FOOTPRINTS,
     ),
     Mutation(

@@ -157,19 +157,35 @@ def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
     q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
     v_ray, echo = work[V_RAY], work[ECHO]
     u, v, columns = lattice.u, lattice.v, lattice.columns
-    lowest, highest = 0, -1
-    for m in range(n):
-        j = bottom_row + m
-        i = int(nearest - step * j)
-        v_ray[m] = v[0] + v[1] * i + v[2] * j
-        q[m] = rest[m] = along_v[m] = along_u[m] = echo[m] = 0.0
-        if 0 <= i < columns and plane_echo[j, i, 0] > 0:
-            q[m], along_u[m], along_v[m] = plane_echo[j, i, 0], plane_echo[j, i, 1], plane_echo[j, i, 2]
-            rest[m] = q[m] + along_u[m] * (uc - u[0] - u[1] * i - u[2] * j) - along_v[m] * v_ray[m]
-            if plane_echo[j, i, 3] > 0:
-                echo[m] = plane_echo[j, i, 3]
-                lowest, highest = m if highest < 0 else lowest, m
-    return lowest, highest
+    begin, end = 0, n  # rows in which the strip lies in the window
+    while begin < end and not 0 <= int(nearest - step * (bottom_row + begin)) < columns:
+        begin += 1
+    while begin < end and not 0 <= int(nearest - step * (bottom_row + end - 1)) < columns:
+        end -= 1
+    for m in range(uint64(0), uint64(begin)):
+        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
+    for m in range(uint64(end), uint64(n)):
+        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
+    # nothing but the reads, each of another row and so of slow memory: the shorter this loop, the more are under way
+    for m in range(uint64(begin), uint64(end)):
+        j = np.int32(m) + np.int32(bottom_row)
+        row, i = uint64(j), uint64(np.int32(nearest - step * j))
+        q[m], along_u[m] = plane_echo[row, i, 0], plane_echo[row, i, 1]
+        along_v[m], echo[m] = plane_echo[row, i, 2], plane_echo[row, i, 3]
+    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
+    for m in range(uint64(n)):
+        j = np.int32(m) + np.int32(bottom_row)
+        i = np.int32(nearest - step * j)
+        v_ray[m] = v0 + vi * i + vj * j
+        is_met = q[m] > 0.0
+        q[m], echo[m] = q[m] if is_met else 0.0, max(echo[m], 0.0) if is_met else 0.0
+        along_u[m], along_v[m] = along_u[m] if is_met else 0.0, along_v[m] if is_met else 0.0
+        rest[m] = q[m] + along_u[m] * (uc - u0 - ui * i - uj * j) - along_v[m] * v_ray[m]
+    while begin < end and echo[begin] == 0.0:
+        begin += 1
+    while begin < end and echo[end - 1] == 0.0:
+        end -= 1
+    return (begin, end - 1) if begin < end else (0, -1)
 
 
 @compiled
