@@ -228,8 +228,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "if intensity[b, k] < least:",
-        "if intensity[b, k] < 0.0:",
+        "np.uint16(0) if intensity[b, k] < least else",
+        "np.uint16(0) if intensity[b, k] < 0.0 else",
         LABELS,
     ),
     Mutation(
