@@ -239,8 +239,8 @@ class ImageSources:
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
 
-        Of several bodies in one plane, such as slabs side by side, it is the one that may return most. A plane is (4,)
-        normal and offset in the sonar's frame, the offset positive.
+        Of several bodies in one plane, such as a floor and what stands on it, it is the largest. A plane is (4,) normal
+        and offset in the sonar's frame, the offset positive.
         """
         found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
         if not found:
@@ -262,7 +262,7 @@ class ImageSources:
         counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
         counts &= np.abs(distances_m) > BIAS_M
         kept: list[int] = []
-        for n in sorted(np.flatnonzero(counts), key=lambda n: -reflected[n]):
+        for n in sorted(np.flatnonzero(counts), key=lambda n: -found[n].area_m2):
             # an image source is that of all surfaces in its plane: a second one would return their echo twice
             beside = [m for m in kept if found[m].body is not None and found[n].body is not None]
             if not any(_are_alike(planes[m], planes[n]) for m in beside):
