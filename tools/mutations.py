@@ -127,8 +127,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/plane in the strip's middle",
-        "q[m] + along_u[m] * (uc - u[0]",
-        "q[m] - along_u[m] * (uc - u[0]",
+        "q[m] + along_u[m] * (uc - u0",
+        "q[m] - along_u[m] * (uc - u0",
         FOOTPRINTS,
     ),
     Mutation(
@@ -230,8 +230,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "if intensity[b, k] < least:",
-        "if intensity[b, k] < 0.0:",
+        "np.uint16(0) if intensity[b, k] < least else",
+        "np.uint16(0) if intensity[b, k] < 0.0 else",
         LABELS,
     ),
     Mutation(

@@ -389,7 +389,7 @@ class Beamformer:
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, self._find_labels(runs, view.sectors, gain, n_bodies, background)
 
-    def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> kernels.Runs:
+    def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> tuple:
         if self._labeller is None:
             self._labeller = self._make_labeller()
         if columns is not None:
@@ -400,7 +400,7 @@ class Beamformer:
             self._share_wide_columns(columns)
         return runs
 
-    def _find_labels(self, runs: kernels.Runs, samples, gain, n_bodies: int, background) -> Labels:
+    def _find_labels(self, runs: tuple, samples, gain, n_bodies: int, background) -> Labels:
         mask, unshadowed = None, None
         if background is not None:
             mask, alone = background

@@ -157,19 +157,35 @@ def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
     q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
     v_ray, echo = work[V_RAY], work[ECHO]
     u, v, columns = lattice.u, lattice.v, lattice.columns
-    lowest, highest = 0, -1
-    for m in range(n):
-        j = bottom_row + m
-        i = int(nearest - step * j)
-        v_ray[m] = v[0] + v[1] * i + v[2] * j
-        q[m] = rest[m] = along_v[m] = along_u[m] = echo[m] = 0.0
-        if 0 <= i < columns and plane_echo[j, i, 0] > 0:
-            q[m], along_u[m], along_v[m] = plane_echo[j, i, 0], plane_echo[j, i, 1], plane_echo[j, i, 2]
-            rest[m] = q[m] + along_u[m] * (uc - u[0] - u[1] * i - u[2] * j) - along_v[m] * v_ray[m]
-            if plane_echo[j, i, 3] > 0:
-                echo[m] = plane_echo[j, i, 3]
-                lowest, highest = m if highest < 0 else lowest, m
-    return lowest, highest
+    begin, end = 0, n  # rows in which the strip lies in the window
+    while begin < end and not 0 <= int(nearest - step * (bottom_row + begin)) < columns:
+        begin += 1
+    while begin < end and not 0 <= int(nearest - step * (bottom_row + end - 1)) < columns:
+        end -= 1
+    for m in range(uint64(0), uint64(begin)):
+        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
+    for m in range(uint64(end), uint64(n)):
+        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
+    # nothing but the reads, each of another row and so of slow memory: the shorter this loop, the more are under way
+    for m in range(uint64(begin), uint64(end)):
+        j = np.int32(m) + np.int32(bottom_row)
+        row, i = uint64(j), uint64(np.int32(nearest - step * j))
+        q[m], along_u[m] = plane_echo[row, i, 0], plane_echo[row, i, 1]
+        along_v[m], echo[m] = plane_echo[row, i, 2], plane_echo[row, i, 3]
+    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
+    for m in range(uint64(n)):
+        j = np.int32(m) + np.int32(bottom_row)
+        i = np.int32(nearest - step * j)
+        v_ray[m] = v0 + vi * i + vj * j
+        is_met = q[m] > 0.0
+        q[m], echo[m] = q[m] if is_met else 0.0, max(echo[m], 0.0) if is_met else 0.0
+        along_u[m], along_v[m] = along_u[m] if is_met else 0.0, along_v[m] if is_met else 0.0
+        rest[m] = q[m] + along_u[m] * (uc - u0 - ui * i - uj * j) - along_v[m] * v_ray[m]
+    while begin < end and echo[begin] == 0.0:
+        begin += 1
+    while begin < end and echo[end - 1] == 0.0:
+        end -= 1
+    return (begin, end - 1) if begin < end else (0, -1)
 
 
 @compiled
@@ -928,6 +944,68 @@ class Runs(NamedTuple):
     pools: tuple
 
 
+@compiled
+def sort_runs(stores, n_columns, wide_edges, wide_shares):
+    """Return the Runs of both halves, by body and column; each column takes its share of the run of a wide one.
+
+    Parameters
+    ----------
+    stores : of each half, tuple of RunStore
+    n_columns : of the fan
+    wide_edges, wide_shares : as in `share_wide_columns`
+
+    Returns
+    -------
+    plain tuple of Runs
+    """
+    first, second = RunStore(*stores[0]), RunStore(*stores[1])
+    n_first, n_all = first.n_runs, first.n_runs + second.n_runs
+    # in their order, one for each column: which run, its column, its body
+    n, highest = 0, 0
+    for i in range(n_all):
+        run = first.runs[i] if i < n_first else second.runs[i - n_first]
+        wide = run[COLUMN] - n_columns
+        n += 1 if wide < 0 else wide_edges[wide + 1] - wide_edges[wide]
+        highest = max(highest, run[BODY])
+    entry = np.empty((3, n), np.int64)
+    n = 0
+    for i in range(n_all):
+        run = first.runs[i] if i < n_first else second.runs[i - n_first]
+        wide = run[COLUMN] - n_columns
+        begin, end = (run[COLUMN], run[COLUMN] + 1) if wide < 0 else (wide_edges[wide], wide_edges[wide + 1])
+        for column in range(begin, end):
+            entry[0, n], entry[1, n], entry[2, n] = i, column, run[BODY]
+            n += 1
+    # by counting, and by the least significant key first: runs of one body and column stay in their order
+    order, sorted_ = np.arange(n), np.empty(n, np.int64)
+    for key, n_keys in ((1, n_columns), (2, highest + 1)):
+        places = np.zeros(n_keys + 1, np.int64)
+        for i in range(n):
+            places[entry[key, i] + 1] += 1
+        for k in range(n_keys):
+            places[k + 1] += places[k]
+        for i in range(n):
+            at = entry[key, order[i]]
+            sorted_[places[at]] = order[i]
+            places[at] += 1
+        order, sorted_ = sorted_, order
+    table, owner, share = np.empty((n, RUN), np.int64), np.empty(n, np.int64), np.empty(n, np.float32)
+    bodies, begins, n_bodies = np.empty(highest + 1, np.int64), np.empty(highest + 2, np.int64), 0
+    for i in range(n):
+        k = entry[0, order[i]]
+        run = first.runs[k] if k < n_first else second.runs[k - n_first]
+        for number in range(RUN):
+            table[i, number] = run[number]
+        is_wide, column = run[COLUMN] >= n_columns, entry[1, order[i]]
+        table[i, COLUMN], owner[i] = column, int(k >= n_first)
+        share[i] = wide_shares[column] if is_wide else np.float32(1.0)
+        if i == 0 or table[i, BODY] != table[i - 1, BODY]:
+            bodies[n_bodies], begins[n_bodies] = table[i, BODY], i
+            n_bodies += 1
+    begins[n_bodies] = n
+    return bodies[:n_bodies], begins[: n_bodies + 1], table, owner, share, (first.pool, second.pool)
+
+
 class StrongestEcho(NamedTuple):
     """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
 
@@ -943,7 +1021,7 @@ class StrongestEcho(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """The runs of all bodies in one block of bins, side by side.
+    """The runs of all bodies in one block of bins, side by side; those of one body in one column are added up.
 
     begins : (m + 1,) where the runs of each body begin and end
     column : (n,) of each run, rising in each body, counted on from the tiles' first column
@@ -982,17 +1060,17 @@ def _pack_panel(panel, runs, k0, n_columns, origin, end):
                     continue
                 pool, share = runs.pools[runs.owner[n]], runs.share[n]
                 low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
-                at = uint64(n_packed * TILE_ROW)
-                if high - low < TILE_BINS:
-                    for k in range(uint64(TILE_ROW)):
-                        moments[at + k] = 0.0
+                # main lobe and side lobes, and wide columns, make several runs of one body in one column
+                if n_packed == panel.begins[m] or panel.column[n_packed - 1] != x:
+                    panel.column[n_packed] = x
+                    n_packed += 1
+                    for k in range(uint64((n_packed - 1) * TILE_ROW), uint64(n_packed * TILE_ROW)):
+                        moments[k] = 0.0
                 for moment in range(MOMENTS):
                     from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
-                    to = at + uint64(moment * TILE_BINS) + low
+                    to = uint64((n_packed - 1) * TILE_ROW + moment * TILE_BINS) + low
                     for k in range(high - low):
-                        moments[to + k] = share * pool[from_ + k]
-                panel.column[n_packed] = x
-                n_packed += 1
+                        moments[to + k] += share * pool[from_ + k]
     panel.begins[runs.bodies.shape[0]] = n_packed
 
 
@@ -1026,15 +1104,13 @@ def _weigh_runs(panel, first, past, start, weights, w, rows):
 
 
 @inlined
-def _begin_comparison(rows, body, best, total, body_id):
-    """Begin with the first body in a tile's beams; arguments as of `_compare`."""
-    for k in range(uint64(rows.shape[0])):
-        best[k] = rows[k]
+def _begin_comparison(best, body, total, body_id):
+    """Begin with the first body in a tile's beams, whose moments `best` holds; arguments as of `_compare`."""
     for r in range(TILE_BEAMS):
         at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
         for k in range(uint64(TILE_BINS)):
-            total[bins + k] = rows[at + k]
-            body_id[bins + k] = body if rows[at + k] > np.float32(0.0) else np.int32(0)
+            total[bins + k] = best[at + k]
+            body_id[bins + k] = body if best[at + k] > np.float32(0.0) else np.int32(0)
 
 
 @inlined
@@ -1063,15 +1139,12 @@ def _compare(rows, body, best, total, body_id, stronger):
 
 
 @inlined
-def _sum_echo(rows, at, gain, k0, n):
-    """Return the sum of a beam's echo times the gain."""
-    at, k0, first, second = uint64(at), uint64(k0), 0.0, 0.0
-    for k in range(uint64(0), uint64(n - n % 2), uint64(2)):  # two: each addition waits for the one before
-        first += np.float64(rows[at + k]) * gain[k0 + k]
-        second += np.float64(rows[at + k + uint64(1)]) * gain[k0 + k + uint64(1)]
-    if n % 2:
-        first += np.float64(rows[at + uint64(n - 1)]) * gain[k0 + uint64(n - 1)]
-    return first + second
+def _add_echo(rows, echo, m):
+    """Add the echo in a tile's beams to that of a body in these bins, row `m` of (m, TILE_BINS) float64."""
+    m = uint64(m)
+    for k in range(uint64(TILE_BINS)):
+        low = rows[k] + rows[uint64(TILE_ROW) + k]
+        echo[m, k] += low + (rows[uint64(2 * TILE_ROW) + k] + rows[uint64(3 * TILE_ROW) + k])
 
 
 @inlined
@@ -1121,6 +1194,7 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
     rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
     total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
     body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
+    echo = np.zeros((runs.bodies.shape[0], TILE_BINS))
     for k0 in range(0, K, TILE_BINS):
         n_bins = min(TILE_BINS, K - k0)
         _pack_panel(panel, runs, k0, n_columns, origin, end)
@@ -1137,22 +1211,27 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
                 past = panel.begins[m] + np.searchsorted(columns, pasts[t])
                 if first == past:
                     continue
-                _weigh_runs(panel, first, past, start, tiles.weights[t], w, rows)
+                mine = best if is_first else rows
+                _weigh_runs(panel, first, past, start, tiles.weights[t], w, mine)
+                _add_echo(mine, echo, m)
+                if is_background[body]:
+                    for b in range(b0, b1):
+                        for k in range(n_bins):
+                            strongest.background[b, k0 + k] += mine[(b - b0) * TILE_ROW + k]
                 if is_first:
-                    _begin_comparison(rows, np.int32(body), best, total, body_id)
+                    _begin_comparison(best, np.int32(body), total, body_id)
                 else:
                     _compare(rows, np.int32(body), best, total, body_id, stronger)
                 is_first = False
-                for b in range(b0, b1):
-                    at = (b - b0) * TILE_ROW
-                    body_echo[body] += _sum_echo(rows, at, gain, k0, n_bins)
-                    if is_background[body]:
-                        for k in range(n_bins):
-                            strongest.background[b, k0 + k] += rows[at + k]
             if is_first:
                 best[:], total[:], body_id[:] = 0.0, 0.0, 0
             for b in range(b0, b1):
                 _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
+        for m in range(runs.bodies.shape[0]):
+            if panel.begins[m] < panel.begins[m + 1]:
+                for k in range(TILE_BINS):
+                    body_echo[runs.bodies[m]] += echo[m, k] * (gain[k0 + k] if k < n_bins else 0.0)
+                    echo[m, k] = 0.0
 
 
 # ---- image sources: multipath echoes by way of a planar reflector ---------------------------------------

@@ -65,11 +65,19 @@ def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels
 @compiled
 def _remove_faint(intensity, least, body_id, share, elevation_rad, incidence_rad, true_range_m):
     """Set the labels of bins below `least` to those of bins without echo; all arrays (B, K)."""
+    # a loop for each array, without branches, so that the compiler can vectorise them
+    nothing, unknown = np.float32(0.0), np.float32(np.nan)
     for b in range(intensity.shape[0]):
         for k in range(intensity.shape[1]):
-            if intensity[b, k] < least:
-                body_id[b, k], share[b, k] = 0, np.float32(0.0)
-                elevation_rad[b, k] = incidence_rad[b, k] = true_range_m[b, k] = np.float32(np.nan)
+            body_id[b, k] = np.uint16(0) if intensity[b, k] < least else body_id[b, k]
+        for k in range(intensity.shape[1]):
+            share[b, k] = nothing if intensity[b, k] < least else share[b, k]
+        for k in range(intensity.shape[1]):
+            elevation_rad[b, k] = unknown if intensity[b, k] < least else elevation_rad[b, k]
+        for k in range(intensity.shape[1]):
+            incidence_rad[b, k] = unknown if intensity[b, k] < least else incidence_rad[b, k]
+        for k in range(intensity.shape[1]):
+            true_range_m[b, k] = unknown if intensity[b, k] < least else true_range_m[b, k]
 
 
 class Labeller:
@@ -87,6 +95,7 @@ class Labeller:
 
     def __init__(self, fan: Fan, shape, tiles, parts, bins, elevation_pattern, workspace: Workspace):
         self._fan, self._bins = fan, bins
+        self._wide = fan.n_columns, fan.wide_edges, fan.wide_shares
         self._elevation_pattern = elevation_pattern
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
         self._tiles, self._parts, self._workspace, pools = tiles, parts, workspace, workspace.pools
@@ -99,8 +108,8 @@ class Labeller:
         strips,
         run: Callable,
         columns: ColumnSums | None = None,
-    ) -> kernels.Runs:
-        """Return the sums of each body, which stay as they are until the next call.
+    ) -> tuple:
+        """Return the sums of each body, a plain tuple of kernels.Runs, which stay as they are until the next call.
 
         Parameters
         ----------
@@ -120,11 +129,11 @@ class Labeller:
             room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
 
         run(work)
-        return _sorted_runs(room.stores, self._fan)
+        return kernels.sort_runs(tuple(tuple(store) for store in room.stores), *self._wide)
 
     def find(
         self,
-        runs: kernels.Runs,
+        runs: tuple,
         run: Callable,
         gain: np.ndarray,
         n_bodies: int,
@@ -152,7 +161,7 @@ class Labeller:
 
         def pick(half):
             kernels.find_strongest(
-                tuple(runs),
+                runs,
                 self._tiles,
                 self._parts[half],
                 self._fan.n_columns,
@@ -177,26 +186,3 @@ class Labeller:
             body_echo=body_echo.sum(axis=0),
             shadow=shadow,
         )
-
-
-def _sorted_runs(stores: Sequence[kernels.RunStore], fan: Fan) -> kernels.Runs:
-    """Return the runs of both halves, by body and column; each column takes its share of the run of a wide one."""
-    table = np.concatenate([store.runs[: store.n_runs] for store in stores])
-    owner = np.repeat([0, 1], [store.n_runs for store in stores])
-    share = np.ones(len(table), np.float32)
-    if fan.n_wide_columns:
-        column = table[:, kernels.COLUMN]
-        first = np.append(np.arange(fan.n_columns), fan.wide_edges[:-1])[column]
-        count = np.append(np.ones(fan.n_columns, np.int64), np.diff(fan.wide_edges))[column]
-        of_run = np.repeat(np.arange(len(table)), count)
-        columns = first[of_run] + np.arange(len(of_run)) - (np.cumsum(count) - count)[of_run]
-        share = np.where(column[of_run] < fan.n_columns, np.float32(1), fan.wide_shares[columns])
-        table, owner = table[of_run], owner[of_run]
-        table[:, kernels.COLUMN] = columns
-    # one sort of whole numbers: columns are fewer than 2^32, and mostly in order
-    order = np.argsort((table[:, kernels.BODY] << 32) + table[:, kernels.COLUMN], kind="stable")
-    table, owner, share = table[order], owner[order], share[order]
-    begins = np.flatnonzero(np.diff(table[:, kernels.BODY], prepend=-1))
-    bodies = table[begins, kernels.BODY]
-    pools = tuple(store.pool for store in stores)
-    return kernels.Runs(bodies, np.append(begins, len(table)), table, owner, share, pools)

@@ -238,9 +238,10 @@ class ImageSources:
         return out
 
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
-        """Return the reflectors that may return more than the tolerance, each with its plane.
+        """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
 
-        A plane is (4,) normal and offset in the sonar's frame, the offset positive.
+        Of several bodies in one plane, such as a floor and what stands on it, it is the largest. A plane is (4,) normal
+        and offset in the sonar's frame, the offset positive.
         """
         found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
         if not found:
@@ -261,12 +262,25 @@ class ImageSources:
         )
         counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
         counts &= np.abs(distances_m) > BIAS_M
-        return [(found[n], planes[n]) for n in np.flatnonzero(counts)]
+        kept: list[int] = []
+        for n in sorted(np.flatnonzero(counts), key=lambda n: -found[n].area_m2):
+            # an image source is that of all surfaces in its plane: a second one would return their echo twice
+            beside = [m for m in kept if found[m].body is not None and found[n].body is not None]
+            if not any(_are_alike(planes[m], planes[n]) for m in beside):
+                kept.append(n)
+        return [(found[n], planes[n]) for n in sorted(kept)]
 
     def _ceiling(self, pose) -> np.ndarray:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
         z = self._scene.surface_z_m
         return np.zeros(4) if z is None else np.append(pose[2, :3], z - pose[2, 3])
+
+
+def _are_alike(a, b) -> bool:
+    """Return whether two planes, (4,) normal and offset, are one to the echoes of image sources."""
+    return bool(
+        np.abs(a[:3] - b[:3]).max() < kernels.SAME_PLANE and abs(a[3] - b[3]) < kernels.SAME_PLANE * a[3]
+    )
 
 
 def every_row(samples: SectorSamples, step: int) -> SectorSamples:

@@ -29,12 +29,14 @@ class PlanarReflector:
     body : index into `scene.bodies`; None for the water's surface
     normal, offset_m : the plane is normal · x = offset_m, in the body's frame or the world's
     reflection_coefficient : (N_SINES,) of the intensity, by the sine of the grazing angle from 0 to 1
+    area_m2 : of the faces in this plane
     """
 
     body: int | None
     normal: np.ndarray
     offset_m: float
     reflection_coefficient: np.ndarray
+    area_m2: float
 
     def in_world(self, poses) -> tuple[np.ndarray, float]:
         """Return the normal and offset in the world, for (n, 4, 4) world_from_body poses of all bodies."""
@@ -82,8 +84,8 @@ def _coefficient_of_body(body: Body, wavenumber_rad_m: float) -> np.ndarray | No
     return tabulate_reflection(float(np.mean(body.reflectivity)), DEFAULT_ROUGHNESS_M, wavenumber_rad_m)
 
 
-def find_planes(surface) -> list[tuple[np.ndarray, float]]:
-    """Return unit normal and offset, metres, of the planes that hold enough of a mesh, the largest first.
+def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
+    """Return unit normal, offset, metres, and area, m², of the planes that hold enough of a mesh, the largest first.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def find_planes(surface) -> list[tuple[np.ndarray, float]]:
         remaining &= ~coplanar
         if area[coplanar].sum() < max(MIN_AREA_M2, MIN_AREA_SHARE * area.sum()):
             break  # the largest of the remaining faces is smaller still
-        out.append((normal, float(offset)))
+        out.append((normal, float(offset), float(area[coplanar].sum())))
     return out
 
 
@@ -126,10 +128,10 @@ def planar_reflectors(
     if scene.surface_z_m is not None:
         roughness_m = max(scene.surface_roughness_m, wave_height_m)
         coefficient = tabulate_reflection(1.0, roughness_m, wavenumber_rad_m)
-        out.append(PlanarReflector(None, np.array([0.0, 0.0, 1.0]), scene.surface_z_m, coefficient))
+        out.append(PlanarReflector(None, np.array([0.0, 0.0, 1.0]), scene.surface_z_m, coefficient, np.inf))
     for index, body in enumerate(scene.bodies):
         coefficient = _coefficient_of_body(body, wavenumber_rad_m)
         if coefficient is not None and coefficient.max() > 0:
             planes = find_planes(body.surface)
-            out += [PlanarReflector(index, normal, offset, coefficient) for normal, offset in planes]
+            out += [PlanarReflector(index, *plane[:2], coefficient, plane[2]) for plane in planes]
     return out

@@ -273,6 +273,40 @@ def test_multipath_with_a_table_of_beams(perfect):
     assert np.abs(cut - whole).sum() < 0.03 * whole.sum()
 
 
+def test_slabs_in_one_plane_reflect_like_one_slab(perfect):
+    """A floor of two slabs, side by side, has the multipath of a floor of one: the echo by way of it arrives once."""
+    perfect("floor", "left", "right")
+    whole = slab("floor", sg.pose(0, 0, -3.5))
+    halves = [slab("left", sg.pose(0, 100, -3.5)), slab("right", sg.pose(0, -100, -3.5))]
+    target, pose = box(11.0, 0.3, -2.0, 0.2, 0.1, 0.4), sg.pose(0, 0, -1)
+    one, two = (multipath_echo(sg.Scene([*floor, target]), pose) for floor in ([whole], halves))
+    assert one.sum() > 0
+    # other triangles, whose planes in float32 differ in the last digits
+    assert np.abs(two - one).sum() < 1e-4 * one.sum()
+
+
+def test_a_smooth_plate_in_the_plane_of_the_floor_is_not_taken_for_the_floor(monkeypatch):
+    """The plate lies behind the sonar: the floor alone reflects, by its own coefficient."""
+
+    def find(scene, wavenumber):
+        share = {"floor": 0.5, "plate": 1.0}
+        reflectors = [r for r in planar_reflectors(scene, wavenumber) if scene.bodies[r.body].name in share]
+        shares = [share[scene.bodies[r.body].name] for r in reflectors]
+        return [
+            replace(r, reflection_coefficient=np.full(N_SINES, one))
+            for r, one in zip(reflectors, shares, strict=True)
+        ]
+
+    monkeypatch.setattr(multipath, "planar_reflectors", find)
+    floor, target = slab("floor", sg.pose(0, 0, -3.5)), box(11.0, 0.3, -2.0, 0.2, 0.1, 0.4)
+    plate = slab("plate", sg.pose(-20, 0, -3.5), size=4.0)
+    without, beside = (
+        multipath_echo(sg.Scene([floor, target, *more]), sg.pose(0, 0, -1)) for more in ([], [plate])
+    )
+    assert without.sum() > 0
+    np.testing.assert_array_equal(beside, without)
+
+
 def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):
     scene, pose, _ = SCENES["floor, rolled and pitched"]
     perfect("floor")
@@ -305,7 +339,7 @@ def test_a_tank_has_its_walls_as_planar_reflectors():
     # the broad faces of the slabs; the ends of the box, 0.48 m², are too small
     sizes = [len(find_planes(body.surface)) for body in tank.bodies]
     assert sizes == [2, 2, 2, 4]
-    normals = [normal @ [0, 0, 1] for normal, _ in find_planes(tank.bodies[0].surface)[:2]]
+    normals = [normal @ [0, 0, 1] for normal, _, _ in find_planes(tank.bodies[0].surface)[:2]]
     assert sorted(normals) == [-1, 1]
 
 
@@ -353,10 +387,12 @@ def test_parallel_planes_are_apart_and_parts_of_one_plane_are_not():
     treads = [trimesh.creation.box((1.0, 1.5, 0.2)) for _ in range(3)]
     for number, tread in enumerate(treads):
         tread.apply_translation((number, 0, 0.3 * number))
-    normals, offsets = zip(*find_planes(trimesh.util.concatenate(treads)), strict=True)
+    normals, offsets, areas_m2 = zip(*find_planes(trimesh.util.concatenate(treads)), strict=True)
     assert all(abs(normal[2]) == 1 for normal in normals)
     # tops at 0.1, 0.4 and 0.7 m; the normals of the undersides point down. Coordinates are float64
     np.testing.assert_allclose(sorted(offsets), [-0.5, -0.2, 0.1, 0.1, 0.4, 0.7], atol=1e-12)
+
+    assert areas_m2 == pytest.approx([1.5] * 6)
 
     # of three tiles each is too small for a reflector; on one level they are large enough together
     side = 0.9 * np.sqrt(MIN_AREA_M2)
@@ -365,7 +401,7 @@ def test_parallel_planes_are_apart_and_parts_of_one_plane_are_not():
     for step_m, expected in ((0.0, [2.0]), (0.01, [])):
         tiles = [corners + np.array([2 * k, 0, 2.0 + step_m * k]) for k in range(3)]
         planes = find_planes(trimesh.Trimesh(np.concatenate(tiles), faces, process=False))
-        np.testing.assert_allclose([offset for _, offset in planes], expected, atol=1e-12)
+        np.testing.assert_allclose([offset for _, offset, _ in planes], expected, atol=1e-12)
 
 
 def test_curved_bodies_and_terrain_are_not_reflectors():
