@@ -44,8 +44,8 @@ def perfect(monkeypatch):
     """Return a function that makes the named bodies and the water's surface the only reflectors, with |R|² = 1."""
 
     def choose(*names):
-        def find(scene, wavenumber):
-            reflectors = planar_reflectors(scene, wavenumber)
+        def find(scene, wavenumber, wave_height_m):
+            reflectors = planar_reflectors(scene, wavenumber, wave_height_m)
             named = [r for r in reflectors if r.body is None or scene.bodies[r.body].name in names]
             return [replace(r, reflection_coefficient=np.ones(N_SINES)) for r in named]
 
@@ -288,9 +288,13 @@ def test_slabs_in_one_plane_reflect_like_one_slab(perfect):
 def test_a_smooth_plate_in_the_plane_of_the_floor_is_not_taken_for_the_floor(monkeypatch):
     """The plate lies behind the sonar: the floor alone reflects, by its own coefficient."""
 
-    def find(scene, wavenumber):
+    def find(scene, wavenumber, wave_height_m):
         share = {"floor": 0.5, "plate": 1.0}
-        reflectors = [r for r in planar_reflectors(scene, wavenumber) if scene.bodies[r.body].name in share]
+        reflectors = [
+            r
+            for r in planar_reflectors(scene, wavenumber, wave_height_m)
+            if scene.bodies[r.body].name in share
+        ]
         shares = [share[scene.bodies[r.body].name] for r in reflectors]
         return [
             replace(r, reflection_coefficient=np.full(N_SINES, one))
@@ -548,8 +552,8 @@ def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
         monkeypatch.setattr(
             multipath,
             "planar_reflectors",
-            lambda s, k, loss=loss: [
-                replace(r, reflection_coefficient=loss) for r in planar_reflectors(s, k) if r.body == 0
+            lambda s, k, h, loss=loss: [
+                replace(r, reflection_coefficient=loss) for r in planar_reflectors(s, k, h) if r.body == 0
             ],
         )
         out.append(multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(8, 1500)).sum(axis=0))
