@@ -237,8 +237,8 @@ def test_the_client_of_an_oculus_prints_results_and_paints_one(scene, tmp_path):
         assert re.match(rf"ping {number}: 256 beams, \d+ ranges from 0.0\d to 1[12].\d\d m; ", line), line
         check_ball(line)
         later = re.search(r"; (\d+) ms after the last$", line)
-        # ten pings a second at most, and times are rounded to the millisecond
-        assert (later is None) == (number == 0) and (later is None or int(later[1]) >= 99)
+        # ten pings a second at most, but one that begins late is nearer to the next
+        assert (later is None) == (number == 0) and (later is None or int(later[1]) >= 50)
     check_picture(tmp_path / "oculus_client.png")
 
 
