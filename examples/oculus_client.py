@@ -61,7 +61,9 @@ def next_result(connection):
         if mark != OCULUS_ID:
             raise ConnectionError("this is no Oculus")
         message = head + read_exactly(connection, size)
-        if kind == RESULT and version != 2:
+        if kind == RESULT and version == 2:
+            raise ConnectionError("results of version 2, which another program asks for, are not read here")
+        if kind == RESULT:
             return message
 
 
@@ -134,7 +136,11 @@ if __name__ == "__main__":
     try:
         with suppress(KeyboardInterrupt):
             main(found)
-    except OSError as why:
+    except TimeoutError:  # of the connection, or of its results
+        parser.exit(
+            2, f"error: an Oculus must answer at {found.host}:{found.port}; is --range beyond its limit?\n"
+        )
+    except (OSError, OverflowError) as why:
         parser.exit(2, f"error: an Oculus must answer at {found.host}:{found.port} (got {why})\n")
     except sg.Error as why:
         parser.exit(2, f"error: {why}\n")

@@ -62,7 +62,7 @@ if __name__ == "__main__":
     parser.add_argument("--topic", default="/rov/pose")
     parser.add_argument("--transport", choices=("dds", "zenoh"), default="dds")
     parser.add_argument("--router", default="tcp/127.0.0.1:7447", help="of zenoh")
-    parser.add_argument("--domain", type=int, default=int(os.environ.get("ROS_DOMAIN_ID") or 0))
+    parser.add_argument("--domain", type=int, default=os.environ.get("ROS_DOMAIN_ID", "").strip() or "0")
     try:
         with suppress(KeyboardInterrupt):
             main(parser.parse_args())

@@ -34,5 +34,11 @@ def main(options):
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--port", type=int, default=7447)
-    with suppress(KeyboardInterrupt):
-        main(parser.parse_args())
+    found = parser.parse_args()
+    try:
+        with suppress(KeyboardInterrupt):
+            main(found)
+    except zenoh.ZError as why:
+        parser.exit(
+            2, f"error: a router must be able to listen at port {found.port}; does one run? (got {why})\n"
+        )

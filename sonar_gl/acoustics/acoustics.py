@@ -257,7 +257,7 @@ class Acoustics:
         Raises
         ------
         Error
-            if it is no Water, or the ranges that the sonar shows would change.
+            if it is no Water, or the ranges that the sonar shows or, with multipath, the waves would change.
 
         >>> Acoustics.physical(tvg_k=30.0).in_water(Water(temperature_c=4.0)).water.temperature_c
         4.0
@@ -269,6 +269,12 @@ class Acoustics:
                 "the speed of sound must not change where sonar_sound_speed_m_s is set, since echoes would be "
                 f"shown at other ranges (got {water.sound_speed():.2f} for {self.water.sound_speed():.2f} m/s; leave "
                 "sonar_sound_speed_m_s out, or make one Simulator for each water)"
+            )
+        if self.multipath != "none" and water.wave_height_m() != self.water.wave_height_m():
+            raise Error(
+                "the wind must not change where there is multipath, since waves decide whether the surface is a mirror "
+                f'(got wind_speed_m_s = {water.wind_speed_m_s} for {self.water.wind_speed_m_s}; give multipath="none", '
+                "or make one Simulator for each wind)"
             )
         return out
 

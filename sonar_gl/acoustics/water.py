@@ -149,7 +149,12 @@ BOUNDS = (  # field, least and greatest value, hint for messages
     ("sound_speed_m_s", 1000, 2000, "give metres per second, about 1500 in water"),
     ("volume_backscatter_db", -200, 0, "give dB re 1/m, usual are -90 to -50"),
     ("scatterer_density_m3", 1e-6, 1e12, "give a number per cubic metre"),
-    ("wind_speed_m_s", 0, 30, "give metres per second, 7 is a moderate breeze"),
+    (
+        "wind_speed_m_s",
+        1,
+        30,
+        "give metres per second, 7 is a moderate breeze; leave it out for a calm surface",
+    ),
 )
 
 

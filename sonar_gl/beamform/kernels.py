@@ -142,7 +142,9 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
         bottom_row = max(int((v_low - bottom) / rise) - 2, 0)
-        n = min(int((v_high - bottom) / rise) + 3, R - 1) - bottom_row + 1
+        n = max(
+            min(int((v_high - bottom) / rise) + 3, R - 1) - bottom_row + 1, 0
+        )  # 0: the window lies above or below
         first, last = _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
         if first <= last:
             work[BORDER, 0], work[BORDER, n] = v_low, v_high

@@ -38,7 +38,8 @@ def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Lab
     Parameters
     ----------
     labels : its arrays are overwritten
-    direct : (B, K) float32, echo of bodies before the matched filter
+    direct : (B, K) float32, echo of bodies before the matched filter; what bubbles and far side lobes return in it
+        counts as the strongest body's
     other : (B, K) float32, the echo without body, likewise
     """
     weaker = labels.share * direct < other

@@ -67,6 +67,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     with ThreadPoolExecutor(1, "simulation") as simulation:
         settings = scene, sonar, acoustics, noise, PoseTrack(poses, times_s), options.tolerance, options.seed
         head = simulation.submit(SimulatedHead, *settings).result()
+        server = None
         try:
             # the first ping after an installation compiles for half a minute, which no program would wait for
             simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()
@@ -74,7 +75,8 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
             line = f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
             asyncio.run(asyncio.wait_for(_listen(server, line), options.duration))
         except (KeyboardInterrupt, asyncio.TimeoutError):
-            pass
+            if server is None:  # before it listened
+                raise
         except OSError as why:
             raise Error(
                 f"the emulator must be able to listen at {options.host} (got {_reason(why)}; is another program "

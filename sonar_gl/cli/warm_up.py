@@ -193,8 +193,9 @@ def _work_without_opengl():
     for noise in NOISES:
         add_noise(replace(ping, texture_deviation=ping.intensity), noise, 0)
     add_noise(replace(ping, sonar=WIDE_BEAMS), Noise.physical(), 0)
-    murky = Acoustics.physical(water=Water(volume_backscatter_db=-60.0, scatterer_density_m3=10.0))
-    add_noise(replace(ping, acoustics=murky, volume=ping.intensity), Noise.physical(), 0)
+    for density_m3 in (10.0, 1000.0):  # few scatterers in all bins, and many in the last ones
+        murky = Acoustics.physical(water=Water(volume_backscatter_db=-60.0, scatterer_density_m3=density_m3))
+        add_noise(replace(ping, acoustics=murky, volume=ping.intensity), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)
     # a batch leaves out dark cells, in an array of its own, which is not read-only

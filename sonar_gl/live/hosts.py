@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import time
 
@@ -20,13 +21,18 @@ def wait_until_free(host: str, port: int, limit_s: float) -> bool:
 
 
 def _is_free(host: str, port: int) -> bool:
-    """Return whether a server could listen at a port now."""
-    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    with socket.socket(family, kind, protocol) as probe:
-        # as servers have it: connections that have ended do not keep the port
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    """Return whether no address of a name has a port in use; one at which nobody can listen is not in use."""
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError:
+        return True
+    for family, kind, protocol, _, address in addresses:
         try:
-            probe.bind(address)
-        except OSError:
-            return False
+            with socket.socket(family, kind, protocol) as probe:
+                # as servers have it: connections that have ended do not keep the port
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+        except OSError as why:
+            if why.errno == errno.EADDRINUSE:
+                return False
     return True

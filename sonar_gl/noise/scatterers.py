@@ -24,7 +24,7 @@ SUPPORT = 4.0  # a beam is cut here, in λ/L: at the 4th null, as beams are else
 POINTS = 256  # of the table of a beam's response per λ/L; linear interpolation errs by less than 1e-5
 ELEVATIONS = 4096  # at which the pattern in elevation is tabulated
 # Mean number of scatterers in a resolution cell from which on they are speckle: the contrast of the intensity exceeds
-# that of speckle by 2.5 %, since its square does by one part in the number.
+# that of speckle by less than 3 %, since its square does by about one part in the number.
 MANY = 20.0
 
 

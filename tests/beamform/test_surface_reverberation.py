@@ -196,11 +196,21 @@ def test_waves_end_multipath_by_the_surface():
 
 def test_water_from_text_and_wrong_winds():
     assert sg.Water.parse("wind_speed_m_s=7").wind_speed_m_s == 7
-    assert sg.Water(wind_speed_m_s=0.0).wave_height_m() == sg.Water().wave_height_m() == 0
-    with pytest.raises(Error, match="water: wind_speed_m_s must lie in 0"):
+    assert sg.Water().wave_height_m() == 0
+    # facets are never smoother than at 1 m/s: a calm surface, which is a mirror, would scatter as well
+    with pytest.raises(Error, match="leave it out for a calm surface"):
+        sg.Water(wind_speed_m_s=0.0)
+    with pytest.raises(Error, match="water: wind_speed_m_s must lie in 1"):
         sg.Water(wind_speed_m_s=-1.0)
     with pytest.raises(Error, match="wind_speed_m_s describes the water"):
         sg.Acoustics.physical(wind_speed_m_s=7.0)
+
+
+def test_the_wind_of_a_ping_must_be_that_of_the_simulator_where_the_surface_may_be_a_mirror():
+    calm = sg.Acoustics.physical(multipath="incoherent")
+    with pytest.raises(Error, match="the wind must not change where there is multipath"):
+        calm.in_water(WINDY)
+    assert replace(calm, multipath="none").in_water(WINDY).water is WINDY
 
 
 def test_the_reference_refuses_it():

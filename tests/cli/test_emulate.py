@@ -47,3 +47,15 @@ def test_a_device_that_listens_says_so_once(device):
     status, _, errors = run("emulate", device, "pylon", "--port", "0", "--duration", "0.1")
     assert status == 0
     assert errors.count("Ctrl-C stops it") == 1
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
+    """The first ping may compile for half a minute."""
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SimulatedHead, "ping", interrupt)
+    status, _, errors = run("emulate", device, "pylon", "--port", "0")
+    assert status == 130 and "Traceback" not in errors

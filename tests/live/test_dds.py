@@ -434,7 +434,7 @@ def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_tra
     with published_meanwhile(open_transport(), topic_of(f"{name}_held")):
         assert holds.wait(WAIT_S)
     late.subscribe(topic, arrived.append)  # whose messages wait for the thread that is held
-    time.sleep(0.3)  # until they are there
+    time.sleep(1.0)  # until they are there
     is_free.set()
     wait_for(lambda: len(arrived) >= 4)
     assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]

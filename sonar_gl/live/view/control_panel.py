@@ -192,7 +192,7 @@ class ControlPanel:
         )
 
     def _change_sonar(self, client, name: str) -> None:
-        """Take another sonar, at the range that is set, or else at the nearest that it allows, and say so."""
+        """Take another sonar, at the range that is set, or else at one that it allows, and say so."""
         sonar, range_m = chosen(name, self._sonars, "sonar"), self._session.settings.device.range_max_m
         allowed_m = allowed_range_m(sonar, range_m)
         own = allowed_m == sonar.range_max_m  # no range beside that of the sonar in command lines

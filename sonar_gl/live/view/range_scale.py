@@ -9,7 +9,7 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.outline import round_step
 from sonar_gl.sonar.sonar import Sonar
 
-# Greatest range on offer over the sonar's own, where no data sheet states the greatest: the mean of the presets is 3.6
+# Greatest range on offer over the sonar's own, where it has no limit: the mean of the presets is 3.2
 UNKNOWN_LIMIT_FACTOR = 4.0
 STEPS = 200  # of the slider, about
 
@@ -51,7 +51,7 @@ class RangeScale:
 
 
 def allowed_range_m(sonar: Sonar, range_m: float) -> float:
-    """Return a range if a sonar allows it, else the nearest that it does, metres.
+    """Return a range if a sonar allows it, else its limit, or its own range for one that is too near, metres.
 
     >>> from sonar_gl.sonar.sonar import load_sonar
     >>> allowed_range_m(load_sonar("aris-3000"), 30.0), allowed_range_m(load_sonar("p900-45"), 30.0)

@@ -157,8 +157,8 @@ class SceneNodes:
         geometry, device = fan_geometry(frame.ping, frame.picture.shape[0]), frame.settings.device
         extent = geometry, device.elevation_fov_deg, device.tilt_deg
         if extent != self._picture_extent:
-            self._picture_extent = extent
             self._add_pictures(geometry, device, frame.picture)
+            self._picture_extent = extent
             return
         for part in self._pictures:
             part.node.image = _see_through(part.pixels, frame.picture)
@@ -263,7 +263,8 @@ class SceneNodes:
         )
 
     def _add_pictures(self, geometry: FanGeometry, device: Sonar, picture: np.ndarray) -> None:
-        for part in self._pictures:
+        before, self._pictures = self._pictures, []
+        for part in before:
             part.node.remove()
         rows, elevation_rad = min(geometry.height, PLANE_HEIGHT), math.radians(device.elevation_fov_deg) / 2
         self._pictures = [
