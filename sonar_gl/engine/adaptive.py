@@ -41,7 +41,7 @@ CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
 # as much as so many more, also in a check. By the pings of `tools/bench live`.
-MOST_COST, RECENT, FIXED_SAMPLES = 2.1, 100, 45_000
+MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 45_000
 
 
 class LastCheck(NamedTuple):
