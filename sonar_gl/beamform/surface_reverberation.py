@@ -21,9 +21,8 @@ from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
 from sonar_gl.beamform.water_surface import WaterSurface, on_rays, whole_sectors
 from sonar_gl.sonar.samples import SectorSamples
 
-NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(
-    8
-)  # in each bin: near the vertical it spans some degrees
+# in each bin: near the vertical it spans some degrees
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 MAX_CHANGE = 0.01  # of π σ / sin² g within a bin, up to which all samples have the mean of the bin
 
 
