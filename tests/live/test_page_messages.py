@@ -94,7 +94,7 @@ def numbers(browser):
 def test_a_body_is_dragged_and_put_back(session, browser):
     node, home = body_node(session, "box"), session.bodies()["box"][:3, 3].tolist()
     browser.change("selected", "box")
-    wait_for(lambda: session.highlighted == "box")
+    wait_for(lambda: browser.nodes["/move_body"]["visible"])  # as a user does
     browser.drag("/move_body", *ELSEWHERE)
     moved = wait_for(lambda: browser.nodes[node]["position"] != home and browser.nodes[node]["position"])
     assert moved == pytest.approx(session.bodies()["box"][:3, 3])

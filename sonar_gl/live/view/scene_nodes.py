@@ -187,11 +187,11 @@ class SceneNodes:
             node.color = _selected_color(number) if other == name else _color(number)
         self._let_through(name)
         self._selected = name
-        self._body_gizmo.visible = name in self._bodies
         if name in self._bodies:
             self._center = np.eye(4)
             self._center[:3, 3] = self._middles[name]
             self._follow_body()
+        self._body_gizmo.visible = name in self._bodies  # last: from now on it can be dragged
 
     def _let_through(self, name: str) -> None:
         """Have the pointer reach the gizmo of a body: a node that is clicked takes it from what is inside or behind."""
