@@ -20,6 +20,7 @@ from sonar_gl.core.key_values import parse_fields
 
 BARE = {
     "beam_pattern": "box",
+    "conical_beams": False,
     "far_side_lobes": False,
     "transmit_beam": False,
     "elevation_pattern": "box",
@@ -36,6 +37,7 @@ PROFILES = {  # name: values of the fields that are None
     "physical": {
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
+        "conical_beams": True,
         "far_side_lobes": True,
         "transmit_beam": True,
         "elevation_pattern": "line_array",
@@ -54,6 +56,7 @@ CHOICES = {  # field: allowed names
     "multipath": ("none", "incoherent", "coherent"),
 }
 SWITCHES = (
+    "conical_beams",
     "far_side_lobes",
     "transmit_beam",
     "pulse",
@@ -111,6 +114,9 @@ class Acoustics:
         counts as 1 mm and the product stays within 10^±30. None: by profile.
     beam_pattern : "box", "line_array", "gaussian" or None
         Receive beam pattern in azimuth. None: by profile.
+    conical_beams : bool or None
+        Whether one straight array receives along cones about its axis, as far as the sonar has one and its beams are
+        no boxes (see `has_cones`); False: beams are upright. None: by profile.
     far_side_lobes : bool or None
         Whether beams of a line array receive beyond their 4th null: all side lobes in azimuth over the whole fan, and
         the floor of the sonar's `element_error_db`. None: by profile.
@@ -160,6 +166,7 @@ class Acoustics:
     profile: str = "physical"
     range_law: str | None = None
     beam_pattern: str | None = None
+    conical_beams: bool | None = None
     far_side_lobes: bool | None = None
     water: Water = DEFAULT_WATER
     tvg_k: float = 20.0
@@ -419,6 +426,17 @@ class Acoustics:
             floor=self._floor(sonar),
             **settings,
         )
+
+    def has_cones(self, sonar) -> bool:
+        """Return whether beams are cones: those of one straight array, but boxes.
+
+        Lenses, curved arrays and arrays of several faces have upright beams; so have fans that look along their own
+        array.
+        """
+        if not self.conical_beams or self.beam_pattern == "box":
+            return False
+        widest_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
+        return sonar.is_straight_array and widest_deg <= MAX_STEER_DEG
 
     def far_pattern(self, sonar) -> FarPattern | None:
         """Return what beams receive beyond `receive_support_rad`; None if nothing."""

@@ -17,11 +17,17 @@ from sonar_gl.core.extras import missing_extra
 
 
 class Aperture(NamedTuple):
-    """The directions of the rays: azimuths from `start_rad`, `span_rad` wide; sine of the highest elevation."""
+    """The directions of the rays: azimuths from `start_rad`, `span_rad` wide; sine of the highest elevation.
+
+    With `are_cones` the azimuths are those at which a line array shows the directions of a cone about its axis, which
+    rays lie around evenly; with `max_tan` the tangent of the greatest true azimuth.
+    """
 
     start_rad: float
     span_rad: float
     max_sine: float
+    are_cones: bool = False
+    max_tan: float = 0.0
 
 
 class Rays(NamedTuple):
@@ -29,16 +35,18 @@ class Rays(NamedTuple):
 
     Attributes
     ----------
-    azimuth_rad : (n,) float64
+    azimuth_rad : (n,) float64, where the sonar shows the ray
     origin : (n, 3) float32, metres, `start_m` from the sonar along the ray
     direction : (n, 3) float32, unit vectors in the sonar frame
     start_m : range at which the rays start, metres
+    share : (n,) float64, of the solid angle for which a ray stands, over the mean that upright beams have
     """
 
     azimuth_rad: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     start_m: float
+    share: np.ndarray
 
 
 class Hits(NamedTuple):
@@ -192,6 +200,13 @@ def _scramble(x, key):
 
 
 @compiled
+def _end_of_cone(azimuth, aperture):
+    """Return the angle around a cone, from the horizon, at which the highest elevation or greatest azimuth lies."""
+    above = math.asin(min(aperture.max_sine / math.cos(azimuth), 1.0))
+    return min(above, math.acos(min(abs(math.tan(azimuth)) / aperture.max_tan, 1.0)))
+
+
+@compiled
 def generate_rays(rays, first, block, log2_blocks, keys, aperture):
     """Overwrite `rays` with consecutive rays of one block of azimuth, from a scrambled (0, 2)-sequence.
 
@@ -223,10 +238,18 @@ def generate_rays(rays, first, block, log2_blocks, keys, aperture):
         azimuth = aperture.start_rad + aperture.span_rad * ((across + 0.5) / 4294967296.0)
         sine = aperture.max_sine * ((up + 0.5) / 2147483648.0 - 1.0)
         cosine = math.sqrt(1.0 - sine * sine)
-        rays.azimuth_rad[n] = azimuth
-        rays.direction[n, 0] = cosine * math.cos(azimuth)
-        rays.direction[n, 1] = cosine * math.sin(azimuth)
-        rays.direction[n, 2] = sine
+        rays.azimuth_rad[n], rays.share[n] = azimuth, 1.0
+        if aperture.are_cones:
+            end = _end_of_cone(azimuth, aperture)
+            turn, level = end * sine / aperture.max_sine, math.cos(azimuth)
+            rays.share[n] = level * end / aperture.max_sine
+            rays.direction[n, 0] = level * math.cos(turn)
+            rays.direction[n, 1] = math.sin(azimuth)
+            rays.direction[n, 2] = level * math.sin(turn)
+        else:
+            rays.direction[n, 0] = cosine * math.cos(azimuth)
+            rays.direction[n, 1] = cosine * math.sin(azimuth)
+            rays.direction[n, 2] = sine
         for axis in range(3):
             rays.origin[n, axis] = rays.start_m * rays.direction[n, axis]
         bit, number = log2_blocks, first + n + 1

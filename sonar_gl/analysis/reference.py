@@ -35,6 +35,7 @@ from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import NEAR_M
 from sonar_gl.sonar.sampling import WORST_BODY
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, MAX_CONE_RAD
 from sonar_gl.sonar.sonar import Sonar
 
 AGREEMENT = 10  # the difference of the two halves is this many times smaller than the error that they judge
@@ -317,6 +318,9 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     start, stop = axes[0] - support_rad, axes[-1] + support_rad
     if stop - start >= 2 * np.pi:
         start, stop = -np.pi, np.pi
+    are_cones = acoustics.has_cones(sonar)
+    if are_cones:
+        start, stop = max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
     span = stop - start
     true_range_sonar = acoustics.true_range_sonar(sonar)
     max_sine = np.sin(np.radians(acoustics.max_elevation_deg(sonar)))
@@ -337,6 +341,10 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     if elevation is not None:
         height *= elevation(max_sine * middles).mean()
     beam_sr = np.broadcast_to(mean_pattern * 2 * support_rad * height, len(axes))
+    if are_cones:
+        beam_sr = _solid_angles(
+            node_azimuths, pattern, axes, support_rad * (not all_lobes), max_sine, elevation
+        )
 
     def make_block(low_rad: float, high_rad: float) -> _Block:
         first = max(np.searchsorted(node_azimuths, low_rad, side="right") - 1, 0)
@@ -355,7 +363,7 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
 
     log2_blocks = int(np.clip(np.ceil(np.log2(len(node_azimuths) / 8)), 3, 10))
     return _Fan(
-        aperture=Aperture(start, span, max_sine),
+        aperture=Aperture(start, span, max_sine, are_cones, np.tan(MAX_AZIMUTH_RAD)),
         bins=Bins(
             true_range_sonar.range_min_m,
             1 / true_range_sonar.bin_size_m,
@@ -367,6 +375,27 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
         transmit=acoustics.transmit_pattern(sonar),
         elevation=elevation,
     )
+
+
+def _solid_angles(shown_rad, pattern, axes_rad, support_rad, max_sine, elevation) -> np.ndarray:
+    """Return the solid angle of each beam that receives along cones, over its patterns, (B,).
+
+    Parameters
+    ----------
+    shown_rad : (N,) azimuths at which cones are shown, rising
+    support_rad : of the receive pattern; 0 = without end
+    elevation : of `_Fan`
+    """
+    above = np.arcsin(np.minimum(max_sine / np.cos(shown_rad), 1))
+    ends = np.minimum(above, np.arccos(np.abs(np.tan(shown_rad)) / np.tan(MAX_AZIMUTH_RAD)))
+    around = ends[:, None] * ((np.arange(1024) + 0.5) / 512 - 1)
+    power = 1.0 if elevation is None else elevation(np.cos(shown_rad)[:, None] * np.sin(around)).mean(axis=1)
+    per_rad = 2 * ends * np.cos(shown_rad) * power
+    received = pattern(shown_rad, axes_rad[:, None]) * per_rad
+    if support_rad:
+        received = np.where(np.abs(shown_rad - axes_rad[:, None]) <= support_rad, received, 0)
+    parts = np.diff(shown_rad, prepend=shown_rad[0], append=shown_rad[-1])
+    return received @ ((parts[:-1] + parts[1:]) / 2)
 
 
 def _wrap(azimuth_rad, first_rad):
@@ -389,8 +418,8 @@ class _Half:
         self.beam_sums = np.zeros((fan.n_beams, len(fan.bins.gain)))
         self.body_sums = np.zeros(scene.n_bodies + 1)
         self._scene, self._fan, self._keys = scene, fan, seeds.generate_state(4, np.uint32)
-        self._rays = Rays(np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32), NEAR_M)
-        self._ones, self._done = np.ones(BATCH), 0  # rays of each block
+        self._rays = Rays(np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32), NEAR_M, np.empty(BATCH))
+        self._done = 0  # rays of each block
         first_azimuth = [self._generate(block, 0, 1).azimuth_rad[0] for block in range(len(fan.blocks))]
         self._numbers = np.argsort(first_azimuth)  # of the blocks in the sequence
 
@@ -411,8 +440,8 @@ class _Half:
         self._done = per_block
 
     def _weights(self, rays: Rays) -> np.ndarray:
-        """Return the product of the transmit and the two-way elevation pattern for each ray."""
-        fan, weights = self._fan, self._ones[: len(rays.azimuth_rad)]
+        """Return each ray's share of solid angle times its transmit and two-way elevation pattern."""
+        fan, weights = self._fan, rays.share
         if fan.transmit is not None:
             weights = weights * fan.transmit(rays.azimuth_rad)
         if fan.elevation is not None:
@@ -421,7 +450,7 @@ class _Half:
 
     def _generate(self, block: int, first: int, count: int) -> Rays:
         """Return `count` rays of a block from index `first` on, valid until the next call."""
-        azimuth, origin, direction, start_m = self._rays
-        rays = Rays(azimuth[:count], origin[:count], direction[:count], start_m)
+        azimuth, origin, direction, start_m, share = self._rays
+        rays = Rays(azimuth[:count], origin[:count], direction[:count], start_m, share[:count])
         generate_rays(rays, first, block, self._fan.log2_blocks, self._keys, self._fan.aperture)
         return rays

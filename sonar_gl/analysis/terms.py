@@ -100,6 +100,12 @@ TERMS = (
         off={"beam_pattern": "box"},
     ),
     Term(
+        "conical beams",
+        on=_field_on("conical_beams", True, off=False),
+        off={"conical_beams": False},
+        acts_with=lambda acoustics, sonar: sonar.is_straight_array,
+    ),
+    Term(
         "far side lobes",
         on=_field_on("far_side_lobes", True, off=False),
         off={"far_side_lobes": False},

@@ -18,7 +18,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import SHEAR
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, cone_end_rad
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
@@ -28,6 +28,8 @@ NO_GAIN = np.empty(0, np.float32)
 # Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
 # where the aperture is 4 degrees or more.
 ELEVATIONS = 8193
+# Cones, and places around each, at which the elevation pattern is integrated.
+CONES, AROUND = 129, 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +118,35 @@ def beam_weights(
     height = 2 * fan.max_sine
     if elevation_pattern is not None:
         height *= elevation_pattern(fan.max_sine * np.linspace(-1, 1, 2 * ELEVATIONS - 1)[1::2]).mean()
-    width_rad = received.sum(axis=1)
+    columns_sr = np.diff(fan.column_edges_rad) * height
+    of_beams = (first[:, None] - origin + np.arange(width)) % n_columns
+    if fan.are_cones:
+        columns_sr = np.diff(fan.column_edges_rad) * _cone_heights(fan, elevation_pattern)
+    # an upright column of the same width holds as much of the elevation pattern
+    as_upright = columns_sr / (np.diff(fan.column_edges_rad) * height)
+    width_rad = (received * as_upright[of_beams]).sum(axis=1)
     if transmit_pattern is not None:
         received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
     # the sums of a column hold its whole width in azimuth
     share = received / np.diff(edges)[first[:, None] + np.arange(width)]
     weights = np.ascontiguousarray(share / (width_rad * height)[:, None], np.float32)
-    return BeamWeights(first - origin, weights, width_rad, height)
+    return BeamWeights(first - origin, weights, width_rad, height, columns_sr)
+
+
+def _cone_heights(fan: Fan, elevation_pattern: Callable | None) -> np.ndarray:
+    """Return the integral of the elevation pattern over cones, per radian across, of each column, (C,).
+
+    The direction at angle t around the cone that is shown at azimuth β is (cos β cos t, sin β, cos β sin t), and its
+    solid angle cos β dβ dt.
+    """
+    edges = fan.column_edges_rad
+    shown = np.linspace(edges[0], edges[-1], CONES)
+    ends = cone_end_rad(shown, fan.max_sine)
+    around = ends[:, None] * (2 * np.arange(AROUND) + 1 - AROUND) / AROUND
+    power = 1.0
+    if elevation_pattern is not None:
+        power = elevation_pattern(np.cos(shown)[:, None] * np.sin(around)).mean(axis=1)
+    return np.interp((edges[1:] + edges[:-1]) / 2, shown, 2 * ends * np.cos(shown) * power)
 
 
 def make_beamformer(
@@ -154,6 +178,7 @@ def make_beamformer(
         shear,
         max_column_width,
         *((acoustics.dense_elevation_deg(sonar), acoustics.max_elevation_deg(sonar)) if side_lobes else ()),
+        are_cones=acoustics.has_cones(sonar),
     )
     workspace = workspace or Workspace()
     far_pattern, transmit, edges = (
@@ -210,7 +235,7 @@ class Beamformer:
         sines = np.linspace(-1, 1, ELEVATIONS)
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._tiles, self._height = tuple(weights.tiles), weights.height
+        self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
@@ -249,9 +274,12 @@ class Beamformer:
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
         strips = zip(*self.strips, strict=True)
-        of_sectors = [[np.concatenate(arrays) for arrays in zip(*halves, strict=True)] for halves in strips]
+        of_sectors = [
+            [np.concatenate(arrays) for arrays in zip(*(half[:-1] for half in halves), strict=True)]
+            for halves in strips
+        ]
         return tuple(
-            [_within(mirrored[column], u, width, half) for column, u, width in of_sectors]
+            [_within((mirrored[column], *rest), self.fan.are_cones, half) for column, *rest in of_sectors]
             for half in self._halves
         )
 
@@ -259,7 +287,7 @@ class Beamformer:
     def even_response(self) -> np.ndarray:
         """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
         columns = self._column_sums()
-        columns.sums[:] = (self._height * np.diff(self.fan.column_edges_rad))[:, None]
+        columns.sums[:] = self._columns_sr[:, None]
         columns.spans[:] = 0, columns.sums.shape[1]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0  # sums of samples only clear the columns that beams receive
@@ -270,7 +298,7 @@ class Beamformer:
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""
         weights = self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
-        return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips)
+        return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
     def _column_sums(self) -> ColumnSums:
         fan = self.fan
@@ -324,6 +352,8 @@ class Beamformer:
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
         edges_rad, edges_m, columns = self.fan.column_edges_rad, self._bins[0], self._column_sums()
+        if self.fan.are_cones:
+            points = _shown_points(points)
         arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
         return self.weigh(gain)
@@ -423,7 +453,7 @@ class Beamformer:
     def _rows(self, samples) -> float:
         """Return about how many rows of strips there are in all."""
         pairs = zip(self.fan.sectors, samples, strict=True)
-        return sum(len(s.strips.u) / s.columns * one.plane_echo[..., 0].size for s, one in pairs)
+        return sum(len(s.strips.middle) / s.columns * one.plane_echo[..., 0].size for s, one in pairs)
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
@@ -486,10 +516,19 @@ def _half_of(n: int, half: int) -> tuple[int, int]:
 def _strips_within(strips, half: Sequence[tuple[int, int]], received) -> tuple:
     """Return a plain kernels.StripTable of the strips in half of the columns, as far as a beam receives them."""
     mine = received[strips.column]
-    return _within(strips.column[mine], strips.u[mine], strips.width[mine], half)
+    arrays = strips.column, strips.middle, strips.width, strips.v_low, strips.v_high
+    return _within([one[mine] for one in arrays], strips.are_cones, half)
 
 
-def _within(column, u, width, half: Sequence[tuple[int, int]]) -> tuple:
+def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
     """Return a plain kernels.StripTable of the strips in some columns, each from the first to before the last."""
+    column = arrays[0]
     mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
-    return column[mine], u[mine], width[mine]
+    return *(one[mine] for one in arrays), are_cones
+
+
+def _shown_points(points: np.ndarray) -> np.ndarray:
+    """Return point scatterers at the azimuths at which a line array shows them, those beside or behind it left out."""
+    ahead = points[np.abs(points[:, 0]) < MAX_AZIMUTH_RAD]
+    level = np.sqrt(np.maximum(1 - ahead[:, 1] ** 2, 0))
+    return np.column_stack([np.arcsin(np.sin(ahead[:, 0]) * level), ahead[:, 1:]])

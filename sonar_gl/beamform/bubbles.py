@@ -172,7 +172,10 @@ def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose,
     r = np.maximum(np.linalg.norm(positions, axis=1), 1e-6)
     sine, azimuth = positions[:, 2] / r, np.arctan2(positions[:, 1], positions[:, 0])
     edges, top = fan.column_edges_rad, fan.max_sine
-    off = np.abs(_wrapped(azimuth - (edges[0] + edges[-1]) / 2))
+    shown = azimuth
+    if fan.are_cones:  # those behind the array are in no view of the fan
+        shown = np.arcsin(np.clip(positions[:, 1] / r, -1, 1))
+    off = np.abs(_wrapped(shown - (edges[0] + edges[-1]) / 2))
     reach = np.maximum(SHADOW_M / (2 * np.maximum(r, MIN_RANGE_M)), CELL_RAD)  # of a bubble's shadow
     near = (off < (edges[-1] - edges[0]) / 2 + reach) & (np.abs(sine) < top + reach)
     near &= r < fan.sonar.range_max_m

@@ -331,7 +331,8 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     far = per_block @ by_moment
     columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
     of_support = far[np.arange(B)[:, None], columns]
-    beyond_rad = far @ widths - (of_support * widths[columns]).sum(axis=1)
+    as_upright_rad = near.columns_sr / near.height
+    beyond_rad = far @ as_upright_rad - (of_support * as_upright_rad[columns]).sum(axis=1)
     width_rad = near.width_rad + beyond_rad
     transmitted = np.ones(C)
     if transmit_pattern is not None:

@@ -30,7 +30,8 @@ SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well belo
 
 class Lattice(NamedTuple):
     """Directions of a sector's samples: (3,) u and (3,) v, and the tangents of its lowest and highest elevation;
-    see `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs.
+    see `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs. Then sine and
+    cosine of the azimuth of its middle.
     """
 
     u: np.ndarray
@@ -38,16 +39,21 @@ class Lattice(NamedTuple):
     tan_low: float
     tan_high: float
     columns: int
+    sine: float
+    cosine: float
 
 
 class StripTable(NamedTuple):
-    """Strips of a sector, (P,) arrays by rising azimuth: column of the fan, middle and width in u; see
-    `Strips`.
+    """Strips of a sector, (P,) arrays: column of the fan, middle, width, and v of the lower and the upper end; whether
+    they are strips of cones. See `Strips`.
     """
 
     column: np.ndarray
-    u: np.ndarray
+    middle: np.ndarray
     width: np.ndarray
+    v_low: np.ndarray
+    v_high: np.ndarray
+    are_cones: bool
 
 
 class BinTable(NamedTuple):
@@ -75,31 +81,34 @@ class BinTable(NamedTuple):
 class Strip(NamedTuple):
     """One strip, and the samples of it that returned an echo.
 
-    column, u, width : as in `StripTable`
-    nearest, step : the sample of row j nearest to the strip is column int(nearest − step j) of the window
+    column, width : as in `StripTable`
     bottom_row : row of the window that is row 0 of `work`
     first, last : samples of `work` with an echo, from `first` to before `last`
+    are_cones, sine, cosine : of `StripTable` and `Lattice`
     """
 
     column: int
-    u: float
     width: float
-    nearest: float
-    step: float
     bottom_row: int
     first: int
     last: int
+    are_cones: bool
+    sine: float
+    cosine: float
 
 
-# Rows of `work`, one entry per sample of a strip. Found by `_gather_samples`: 1/x on the ray, 0 where it met
-# nothing; the plane that it met, in the middle of the strip: 1/x at v = 0 and its slopes along v and u; v of
-# the ray; the echo per steradian. By `_find_borders`: v where the sample's footprint begins. By
+# Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `_lay_on_cone`: column of the sample in
+# the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip is
+# curved; v of the ray. By `_gather_samples`: 1/x on the ray, 0 where it met nothing; the plane that it met: 1/x on that
+# line at v = 0, its slope along the line, with v, and its slope along u; the echo per steradian. By
+# `_find_borders`: v where the sample's footprint begins. By
 # `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r. By
 # `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and
 # incidence, radians.
-Q, REST, ALONG_V, ALONG_U, V_RAY, ECHO, BORDER = range(7)
-ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(7, 18)
+SAMPLE, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(10)
+ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(10, 21)
 FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE + 1
+LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `_lay_on_cone`
 
 
 def bin_table(bin_edges_m: np.ndarray) -> BinTable:
@@ -133,56 +142,136 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
     lattice, strips : Lattice and StripTable
     q_unseen : of BinTable
     """
-    u, v, R, uc = lattice.u, lattice.v, plane_echo.shape[0], strips.u[p]
-    level = math.sqrt(1.0 + uc * uc)
-    v_low, v_high = lattice.tan_low * level, lattice.tan_high * level
-    nearest, step = (uc - u[0]) / u[1] + 0.5, u[2] / u[1]
-    last_row, bottom_row, first, last = nearest - step * R, 0, 0, -1
-    if max(nearest, last_row) > -1.0 and min(nearest, last_row) < lattice.columns:  # not beside the window
+    u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
+    v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
+    low_u = high_u = least_u = most_u = middle
+    if strips.are_cones:
+        low_u = _u_on_cone(middle, 1.0 + v_low * v_low, lattice.sine, lattice.cosine)
+        high_u = _u_on_cone(middle, 1.0 + v_high * v_high, lattice.sine, lattice.cosine)
+        level_u = _u_on_cone(middle, 1.0, lattice.sine, lattice.cosine) if v_low * v_high < 0.0 else low_u
+        least_u, most_u = min(low_u, high_u, level_u), max(low_u, high_u, level_u)
+    leftmost, rightmost = (least_u - u[0]) / u[1] + 0.5, (most_u - u[0]) / u[1] + 0.5
+    bottom_row, first, last = 0, 0, -1
+    # not beside the window
+    if max(rightmost, rightmost - step * R) > -1.0 and min(leftmost, leftmost - step * R) < lattice.columns:
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
-        bottom, rise = v[0] + v[1] * nearest, v[2] - v[1] * step
-        bottom_row = max(int((v_low - bottom) / rise) - 2, 0)
+        low_v, high_v, rise = (
+            v[0] + v[1] * ((low_u - u[0]) / u[1] + 0.5),
+            v[0] + v[1] * ((high_u - u[0]) / u[1] + 0.5),
+            v[2] - v[1] * step,
+        )
+        bottom_row = max(int((v_low - low_v) / rise) - 2, 0)
         n = max(
-            min(int((v_high - bottom) / rise) + 3, R - 1) - bottom_row + 1, 0
+            min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0
         )  # 0: the window lies above or below
-        first, last = _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
+        if strips.are_cones:
+            _lay_on_cone(work, lattice, middle, low_u, bottom_row, n)
+        else:
+            _lay_upright(work, lattice, middle, bottom_row, n)
+        first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
             work[BORDER, 0], work[BORDER, n] = v_low, v_high
             _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_low, v_high)
     last = max(last + 1, first)
-    return Strip(strips.column[p], uc, strips.width[p], nearest, step, bottom_row, first, last)
+    geometry = strips.are_cones, lattice.sine, lattice.cosine
+    return Strip(strips.column[p], strips.width[p], bottom_row, first, last, *geometry)
 
 
 @compiled
-def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n):
-    """Gather the samples of a strip from row `bottom_row` on; return the first and the last with an echo."""
-    q, rest, along_v, along_u = work[Q], work[REST], work[ALONG_V], work[ALONG_U]
-    v_ray, echo = work[V_RAY], work[ECHO]
-    u, v, columns = lattice.u, lattice.v, lattice.columns
-    begin, end = 0, n  # rows in which the strip lies in the window
-    while begin < end and not 0 <= int(nearest - step * (bottom_row + begin)) < columns:
-        begin += 1
-    while begin < end and not 0 <= int(nearest - step * (bottom_row + end - 1)) < columns:
-        end -= 1
-    for m in range(uint64(0), uint64(begin)):
-        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
-    for m in range(uint64(end), uint64(n)):
-        q[m] = along_u[m] = along_v[m] = echo[m] = 0.0
-    # nothing but the reads, each of another row and so of slow memory: the shorter this loop, the more are under way
-    for m in range(uint64(begin), uint64(end)):
-        j = np.int32(m) + np.int32(bottom_row)
-        row, i = uint64(j), uint64(np.int32(nearest - step * j))
-        q[m], along_u[m] = plane_echo[row, i, 0], plane_echo[row, i, 1]
-        along_v[m], echo[m] = plane_echo[row, i, 2], plane_echo[row, i, 3]
-    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
+def _u_on_cone(k, w, sine, cosine):
+    """Return u where the cone of sine k about the array's axis has v² = w - 1, in the sector of this azimuth.
+
+    The direction (1, −u, v) of the sector has (sine − cosine u) / √(u² + w) along the array: a quadratic equation.
+    """
+    root = math.sqrt(max(sine * sine + w * (cosine * cosine - k * k), 0.0))
+    if sine * k > 0.0:  # of the two forms of its solution the one whose divisor is no difference
+        return (sine * sine - k * k * w) / (sine * cosine + k * root)
+    return (sine * cosine - k * root) / (cosine * cosine - k * k)
+
+
+@compiled
+def _lay_upright(work, lattice, middle, bottom_row, n):
+    """Find the samples nearest to an upright strip, n rows from `bottom_row` on."""
+    sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
+    u, v = lattice.u, lattice.v
+    nearest, step, v0, vi, vj = (middle - u[0]) / u[1] + 0.5, u[2] / u[1], v[0], v[1], v[2]
     for m in range(uint64(n)):
         j = np.int32(m) + np.int32(bottom_row)
         i = np.int32(nearest - step * j)
+        sample[m] = i
+        line_u[m], tilt[m] = middle, 0.0
         v_ray[m] = v0 + vi * i + vj * j
-        is_met = q[m] > 0.0
+
+
+@compiled
+def _lay_on_cone(work, lattice, k, some_u, bottom_row, n):
+    """Find the samples nearest to the strip of the cone of sine k, n rows from `bottom_row` on.
+
+    Along the cone, x and all of sine, cosine, u and v as in `_u_on_cone`, dv is −(cosine (1 + v²) + sine u) du over
+    (sine − cosine u) v.
+
+    some_u : of the strip anywhere
+    """
+    sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
+    u, v, sine, cosine = lattice.u, lattice.v, lattice.sine, lattice.cosine
+    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
+    square, turn = sine * sine, cosine * cosine - k * k
+    # of `_u_on_cone`, (over + per_w w + per_root root) / (under + under_root root)
+    is_aside = sine * k > 0.0
+    over, per_w, per_root = (square, -k * k, 0.0) if is_aside else (sine * cosine, 0.0, -k)
+    under, under_root = (sine * cosine, k) if is_aside else (turn, 0.0)
+    for m in range(uint64(n)):
+        j = float(np.int32(m) + np.int32(bottom_row))
+        start, level = u0 + uj * j, v0 + vj * j
+        vc, uc, i = level, 0.0, (some_u - start) / ui
+        for _ in range(2):  # rows rise but little from side to side
+            vc = level + vi * i
+            w = 1.0 + vc * vc
+            root = math.sqrt(max(square + w * turn, 0.0))
+            uc = (over + per_w * w + per_root * root) / (under + under_root * root)
+            i = (uc - start) / ui
+        i = math.floor(i + 0.5)
+        vc = level + vi * i
+        w = 1.0 + vc * vc
+        root = math.sqrt(max(square + w * turn, 0.0))
+        uc = (over + per_w * w + per_root * root) / (under + under_root * root)
+        slope = -(sine - cosine * uc) * vc / max(cosine * w + sine * uc, LEAST_AHEAD)
+        sample[m], v_ray[m] = i, vc
+        line_u[m], tilt[m] = uc - slope * vc, slope
+
+
+@compiled
+def _gather_samples(work, plane_echo, lattice, bottom_row, n):
+    """Gather the samples of a strip, n rows from `bottom_row` on; return the first and the last with an echo."""
+    sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
+    q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
+    u, columns = lattice.u, lattice.columns
+    begin, end = (
+        0,
+        n,
+    )  # rows in which the strip lies in the window, but for a curved one that leaves it in between
+    while begin < end and not 0 <= sample[begin] < columns:
+        begin += 1
+    while begin < end and not 0 <= sample[end - 1] < columns:
+        end -= 1
+    for m in range(uint64(0), uint64(begin)):
+        q[m] = along_u[m] = along[m] = echo[m] = 0.0
+    for m in range(uint64(end), uint64(n)):
+        q[m] = along_u[m] = along[m] = echo[m] = 0.0
+    # nothing but the reads, each of another row and so of slow memory: the shorter this loop, the more are under way
+    for m in range(uint64(begin), uint64(end)):
+        j = np.int32(m) + np.int32(bottom_row)
+        row, i = uint64(j), uint64(min(max(np.int32(sample[m]), 0), columns - 1))
+        q[m], along_u[m] = plane_echo[row, i, 0], plane_echo[row, i, 1]
+        along[m], echo[m] = plane_echo[row, i, 2], plane_echo[row, i, 3]
+    u0, ui, uj = u[0], u[1], u[2]
+    for m in range(uint64(n)):
+        j, i = np.int32(m) + np.int32(bottom_row), sample[m]
+        is_met = (q[m] > 0.0) & (i >= 0.0) & (i < columns)
         q[m], echo[m] = q[m] if is_met else 0.0, max(echo[m], 0.0) if is_met else 0.0
-        along_u[m], along_v[m] = along_u[m] if is_met else 0.0, along_v[m] if is_met else 0.0
-        rest[m] = q[m] + along_u[m] * (uc - u0 - ui * i - uj * j) - along_v[m] * v_ray[m]
+        along_u[m], along_v = along_u[m] if is_met else 0.0, along[m] if is_met else 0.0
+        rest[m] = q[m] + along_u[m] * (line_u[m] - u0 - ui * i - uj * j) - along_v * v_ray[m]
+        along[m] = along_v + along_u[m] * tilt[m]
     while begin < end and echo[begin] == 0.0:
         begin += 1
     while begin < end and echo[end - 1] == 0.0:
@@ -193,7 +282,7 @@ def _gather_samples(work, plane_echo, lattice, uc, nearest, step, bottom_row, n)
 @compiled
 def _find_borders(work, first, last, q_unseen, v_low, v_high):
     """Find v where each of a strip's footprints begins, from `first` to before `last`."""
-    q, rest, along_v, v_ray, border = work[Q], work[REST], work[ALONG_V], work[V_RAY], work[BORDER]
+    q, rest, along, v_ray, border = work[Q], work[REST], work[ALONG], work[V_RAY], work[BORDER]
     for m in range(uint64(first), uint64(last)):
         below = uint64(m - 1)
         low, high = v_ray[below], v_ray[m]
@@ -201,17 +290,17 @@ def _find_borders(work, first, last, q_unseen, v_low, v_high):
         border_here = (low + high) / 2
         # two planes that meet between their rays make an edge there, otherwise the border is half way;
         # nearer than SAME they are one plane, and where they meet is noise
-        turn = along_v[below] - along_v[m]
+        turn = along[below] - along[m]
         meet = (rest[m] - rest[below]) / turn
-        noise = SAME * (max(q[below], q[m]) + abs(along_v[below]))  # of a plane and of its slope
+        noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
         is_clear = abs((meet - border_here) * turn) > noise
         is_edge = met_low & met_high & (low < meet) & (meet < high) & is_clear
         # a plane that is beyond the range where the other ray looks extends to there or to its horizon
-        along = along_v[below] if met_low else along_v[m]
+        slope = along[below] if met_low else along[m]
         plane = rest[below] if met_low else rest[m]
-        is_lost = (met_low != met_high) & (plane + along * (high if met_low else low) < q_unseen)
+        is_lost = (met_low != met_high) & (plane + slope * (high if met_low else low) < q_unseen)
         border_here = meet if is_edge else border_here
-        border_here = min(max(-plane / along, low), high) if is_lost else border_here
+        border_here = min(max(-plane / slope, low), high) if is_lost else border_here
         border[m] = min(max(border_here, v_low), v_high)
 
 
@@ -232,23 +321,30 @@ def _find_footprints(work, strip, elevation_pattern):
 
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     """
-    rest, along_v, along_u, echo, border = work[REST], work[ALONG_V], work[ALONG_U], work[ECHO], work[BORDER]
-    first, last, uc, width = strip.first, strip.last, strip.u, strip.width
-    u2 = 1.0 + uc * uc
+    rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
+    line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
+    are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
-        one_over_L2 = 1.0 / (u2 + vc * vc)
+        uc = line_u[m] + tilt[m] * vc
+        length2 = 1.0 + uc * uc + vc * vc
+        one_over_L2 = 1.0 / length2
         one_over_L = math.sqrt(one_over_L2)
-        at = rest[m] + along_v[m] * vc
-        work[ENERGY, m] = echo[m] * width * height * one_over_L * one_over_L2
+        # of cones, dk / du is (cosine (1 + v²) + sine u) / L³, with names as in `_u_on_cone`
+        across = width
+        if are_cones:
+            across *= length2 / (max(cosine * (1.0 + vc * vc) + sine * uc, LEAST_AHEAD) * one_over_L)
+        at = rest[m] + along[m] * vc
+        work[ENERGY, m] = echo[m] * across * height * one_over_L * one_over_L2
         work[S, m] = at * one_over_L
-        work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * width / 2
-        work[B, m] = abs(along_v[m] - at * vc * one_over_L2) * one_over_L * height / 2
+        work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * across / 2
+        work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
     middle = (elevation_pattern.shape[0] - 1) / 2
     for m in range(first, last if elevation_pattern.shape[0] else first):
         vc = (border[m] + border[m + 1]) / 2
-        place = middle + middle * vc / math.sqrt(u2 + vc * vc)
+        uc = line_u[m] + tilt[m] * vc
+        place = middle + middle * vc / math.sqrt(1.0 + uc * uc + vc * vc)
         i = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
         work[ENERGY, m] *= elevation_pattern[i] + (place - i) * (
             elevation_pattern[i + 1] - elevation_pattern[i]
@@ -364,7 +460,7 @@ def _bin_points(work, sums, spans, u, strip, bins):
     c = strip.column
     for m in range(strip.first, strip.last):
         j = strip.bottom_row + m
-        u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
+        u_ray, v_ray = u[0] + u[1] * work[SAMPLE, m] + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
         k = (1.0 / s - bins.first_m) * bins.per_metre
         if 0.0 <= k < sums.shape[1]:
@@ -391,7 +487,7 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
-    for p in range(strips.u.shape[0]):
+    for p in range(strips.middle.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         if strip.first == strip.last:
             continue
@@ -657,30 +753,32 @@ def atan(t):
 @inlined
 def _find_angles(work, strip):
     """Find elevation and incidence of the middles of a strip's footprints."""
-    rest, along_v, along_u, border, s = work[REST], work[ALONG_V], work[ALONG_U], work[BORDER], work[S]
-    elevation, incidence = work[ELEVATION], work[INCIDENCE]
-    first, last, uc = strip.first, strip.last, strip.u
-    per_length = 1.0 / math.sqrt(1.0 + uc * uc)
+    rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
+    line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
+    first, last = strip.first, strip.last
     for m in range(uint64(first), uint64(last)):
-        x = rest[m] - along_u[m] * uc  # of the plane p · x = 1, whose other parts are the slopes
+        # of the plane p · x = 1, whose other parts are the slopes
+        x, along_v = rest[m] - along_u[m] * line_u[m], along[m] - along_u[m] * tilt[m]
         towards = max(s[m], 0.0)
-        past2 = x * x + along_u[m] * along_u[m] + along_v[m] * along_v[m] - towards * towards
+        past2 = x * x + along_u[m] * along_u[m] + along_v * along_v - towards * towards
         past = math.sqrt(max(past2, 0.0))
         angle = atan(min(towards, past) / max(towards, past))
         incidence[m] = math.pi / 2 - angle if past > towards else angle
-        t = abs(border[m] + border[uint64(m + 1)]) / 2 * per_length
+        vc = abs(border[m] + border[uint64(m + 1)]) / 2
+        uc = line_u[m] + tilt[m] * (border[m] + border[uint64(m + 1)]) / 2
+        t = vc * (1.0 / math.sqrt(1.0 + uc * uc))
         elevation[m] = math.pi / 2 - atan(1.0 / t) if t > 1.0 else atan(t)
     for m in range(uint64(first), uint64(last)):
         elevation[m] = -elevation[m] if border[m] + border[uint64(m + 1)] < 0.0 else elevation[m]
 
 
 @inlined
-def _find_numbers(strip, body_id, numbers):
+def _find_numbers(work, strip, columns, body_id, numbers):
     """Find the body of each of a strip's samples, whether it has energy or not: to ask would be a branch."""
-    nearest, step, bottom_row = strip.nearest, strip.step, strip.bottom_row
+    sample, bottom_row = work[SAMPLE], strip.bottom_row
     for m in range(uint64(strip.first), uint64(strip.last)):
-        j = np.int64(m) + bottom_row
-        numbers[m] = body_id[uint64(j), uint64(np.int64(nearest - step * j))]
+        i = min(max(np.int64(sample[m]), 0), columns - 1)
+        numbers[m] = body_id[uint64(np.int64(m) + bottom_row), uint64(i)]
 
 
 @inlined
@@ -847,7 +945,7 @@ def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
     lowest, highest = K, 0
     for m in range(start, stop):
         j = strip.bottom_row + m
-        u_ray, v_ray = u[0] + u[1] * int(strip.nearest - strip.step * j) + u[2] * j, work[V_RAY, m]
+        u_ray, v_ray = u[0] + u[1] * work[SAMPLE, m] + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
         bin_ = (1.0 / s - bins.first_m) * bins.per_metre
         if work[ENERGY, m] > 0.0 and 0.0 <= bin_ < K:
@@ -883,7 +981,7 @@ def sum_bodies(
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
     numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
     bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
-    for p in range(strips.u.shape[0]):
+    for p in range(strips.middle.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         start, last = strip.first, strip.last
         if start == last:
@@ -893,7 +991,7 @@ def sum_bodies(
             bodies, column = ColumnBodies(bodies.slots, 0, bodies.cells), strip.column
         _find_footprints(work, strip, elevation_pattern)
         _find_angles(work, strip)
-        _find_numbers(strip, body_id, numbers)
+        _find_numbers(work, strip, lattice.columns, body_id, numbers)
         if spread:
             _find_intervals(work, start, last, bins)
         elif with_sums:
@@ -1471,8 +1569,8 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
 @inlined
 def _find_other_leg(work, other_leg, strip, other):
     """Find where a strip's samples lie for the other of S and S', and whether that is before their surface."""
-    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
-    first, last, uc = strip.first, strip.last, strip.u
+    rest, along_u, along, border = work[REST], work[ALONG_U], work[ALONG], work[BORDER]
+    line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
     # position of the other one, in the frame of this sector
     ox = -(a[0] * d[0] + a[1] * d[1] + a[2] * d[2])
@@ -1480,11 +1578,12 @@ def _find_other_leg(work, other_leg, strip, other):
     oz = -(c[0] * d[0] + c[1] * d[1] + c[2] * d[2])
     for m in range(uint64(first), uint64(last)):
         vc = (border[m] + border[uint64(m + 1)]) / 2
-        depth = 1.0 / max(rest[m] + along_v[m] * vc, HORIZON)
+        uc, along_v = line_u[m] + tilt[m] * vc, along[m] - along_u[m] * tilt[m]
+        depth = 1.0 / max(rest[m] + along[m] * vc, HORIZON)
         other_leg[X, m] = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
         other_leg[Y, m] = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
         other_leg[Z, m] = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
-        other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * uc) * ox - along_u[m] * oy + along_v[m] * oz)
+        other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * line_u[m]) * ox - along_u[m] * oy + along_v * oz)
 
 
 @inlined
@@ -1494,7 +1593,7 @@ def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
     Samples that cannot return anything have no direction, and a reflected intensity of 0.
     """
     own, ceiling, plane, loss = frame.own, frame.ceiling, reflection.plane, reflection.loss
-    from_image, uc = reflection.from_image, strip.u
+    from_image = reflection.from_image
     for m in range(strip.first, strip.last):
         other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
         other_leg[LEG_X, m] = other_leg[LEG_Y, m] = other_leg[LEG_Z, m] = 0.0
@@ -1503,7 +1602,8 @@ def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
         if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m]:
             continue
         vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
-        q = work[REST, m] + work[ALONG_V, m] * vc
+        uc = work[LINE_U, m] + work[TILT, m] * vc
+        q = work[REST, m] + work[ALONG, m] * vc
         if q <= HORIZON or ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
             continue
         x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
@@ -1559,7 +1659,7 @@ def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern):
     -------
     first, last : samples with such an echo, from the first to before the last
     """
-    uc, first, last = strip.u, end, begin
+    first, last = end, begin
     for m in range(begin, end):
         if not 0.0 <= other_leg[SEEN, m] <= 1.0 + SAME_PLACE:
             continue
@@ -1568,6 +1668,7 @@ def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern):
         bistatic = min(work[ECHO, m] * other_leg[SIDE, m] / range_there, 1.0)
         if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
             vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
+            uc = work[LINE_U, m] + work[TILT, m] * vc
             here, there = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
             here, there = (
                 _elevation_power(elevation_pattern, here),
@@ -1585,20 +1686,24 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
 
     first, last : samples of the strip, from the first to before the last
     """
-    rest, along_u, along_v, border = work[REST], work[ALONG_U], work[ALONG_V], work[BORDER]
-    uc, width = strip.u, strip.width
+    rest, along_u, along, border = work[REST], work[ALONG_U], work[ALONG], work[BORDER]
+    line_u, tilt, width = work[LINE_U], work[TILT], strip.width
     a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
-    e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
-    u2 = 1.0 + uc * uc
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
-        q = max(rest[m] + along_v[m] * vc, HORIZON)
+        uc = line_u[m] + tilt[m] * vc
+        e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
+        q = max(rest[m] + along[m] * vc, HORIZON)
+        u2 = 1.0 + uc * uc
         length2 = u2 + vc * vc
         there_x, there_y, there_z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
         length = math.sqrt(length2)
         range_there = math.sqrt(there_x * there_x + there_y * there_y + there_z * there_z)
         s = 2.0 / (length / q + range_there)
+        across = width
+        if strip.are_cones:  # as in `_find_footprints`
+            across *= length2 * length / max(strip.cosine * (1.0 + vc * vc) + strip.sine * uc, LEAST_AHEAD)
         # across, where strips are narrow: by how both ranges change with u
         x, x_u = 1.0 / q, -along_u[m] / (q * q)
         r_u = (uc * x + length2 * x_u) / length
@@ -1607,26 +1712,30 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         r_u += there_z / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
         # up and down, where planes may extend far: at both ends
         low_x, high_x = (
-            1.0 / max(rest[m] + along_v[m] * low, HORIZON),
-            1.0 / max(rest[m] + along_v[m] * high, HORIZON),
+            1.0 / max(rest[m] + along[m] * low, HORIZON),
+            1.0 / max(rest[m] + along[m] * high, HORIZON),
         )
+        end_u = line_u[m] + tilt[m] * low
         tx, ty, tz = (
-            (e0 + c[0] * low) * low_x + d[0],
-            (e1 + c[1] * low) * low_x + d[1],
-            (e2 + c[2] * low) * low_x + d[2],
+            (a[0] - b[0] * end_u + c[0] * low) * low_x + d[0],
+            (a[1] - b[1] * end_u + c[1] * low) * low_x + d[1],
+            (a[2] - b[2] * end_u + c[2] * low) * low_x + d[2],
         )
-        low_s = 2.0 / (math.sqrt(u2 + low * low) * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        end_length = math.sqrt(1.0 + end_u * end_u + low * low)
+        low_s = 2.0 / (end_length * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        end_u = line_u[m] + tilt[m] * high
         tx, ty, tz = (
-            (e0 + c[0] * high) * high_x + d[0],
-            (e1 + c[1] * high) * high_x + d[1],
-            (e2 + c[2] * high) * high_x + d[2],
+            (a[0] - b[0] * end_u + c[0] * high) * high_x + d[0],
+            (a[1] - b[1] * end_u + c[1] * high) * high_x + d[1],
+            (a[2] - b[2] * end_u + c[2] * high) * high_x + d[2],
         )
-        high_s = 2.0 / (math.sqrt(u2 + high * high) * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
-        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * width / 4, abs(high_s - low_s) / 2
+        end_length = math.sqrt(1.0 + end_u * end_u + high * high)
+        high_s = 2.0 / (end_length * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
+        work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * across / 4, abs(high_s - low_s) / 2
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
         strength = single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading
-        work[ENERGY, m] = strength * width * height / (length * length2 * s)
+        work[ENERGY, m] = strength * across * height / (length * length2 * s)
 
 
 @compiled
@@ -1658,7 +1767,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
     work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
     leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
     is_reflected = False
-    for p in range(strips.u.shape[0]):
+    for p in range(strips.middle.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         if strip.first == strip.last:
             continue

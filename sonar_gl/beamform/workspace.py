@@ -22,13 +22,16 @@ class BeamWeights:
     ----------
     first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
     weights : (B, W) float32, 1/sr, rows of equal length
-    width_rad, height : (B,) integral of the receive pattern over azimuth, and of the elevation pattern over sines
+    width_rad, height : (B,) integral of the receive pattern over azimuth, and of the elevation pattern over sines; of
+        columns that are cones a mean with the weights `columns_sr`
+    columns_sr : (C,) solid angle of each column, weighed by the elevation pattern
     """
 
     first: np.ndarray
     weights: np.ndarray
     width_rad: np.ndarray
     height: float
+    columns_sr: np.ndarray
 
     @cached_property
     def tiles(self) -> kernels.BeamTiles:

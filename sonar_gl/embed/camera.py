@@ -11,6 +11,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind, frozen_array, is_number, is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
+from sonar_gl.sonar.fan import azimuths_of_cones
 from sonar_gl.sonar.sonar import Sonar
 
 # Camera axes are those of OpenCV and of ROS's optical frames: x right, y down, z ahead. For an upright camera that
@@ -143,6 +144,8 @@ class Camera:
         start, stop = sonar.azimuth_rad[0] - reach, sonar.azimuth_rad[-1] + reach
         if stop - start > 2 * math.pi:
             start, stop = -math.pi, math.pi
+        if acoustics.has_cones(sonar):
+            start, stop = azimuths_of_cones(start, stop, math.radians(aperture_deg) / 2)
         n = math.ceil((stop - start) / MAX_COVERING_FOV_RAD - 1e-9)
         half = (stop - start) / n / 2
         across, up = math.tan(half), math.tan(math.radians(aperture_deg) / 2) / math.cos(half)

@@ -214,6 +214,7 @@ class ErrorModel:
             self._true_range_sonar,
             self._reach_rad,
             beamformer.fan.max_elevation_rad,
+            beamformer.fan.are_cones,
             self._gain,
             beamformer.elevation_table,
         )

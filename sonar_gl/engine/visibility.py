@@ -27,6 +27,7 @@ class Reception(NamedTuple):
     sonar : with true ranges
     reach_rad : how far beyond their axes the outermost beams receive
     max_elevation_rad : beyond which nothing is received, side lobes included
+    are_cones : of `Fan`
     gain : (K,) of the bins
     elevation_table : of `Beamformer`
     """
@@ -34,6 +35,7 @@ class Reception(NamedTuple):
     sonar: Sonar
     reach_rad: float
     max_elevation_rad: float
+    are_cones: bool
     gain: np.ndarray
     elevation_table: np.ndarray
 
@@ -72,7 +74,7 @@ def _count_samples(samples, lattice, widest, bins, gain, elevation_table, counts
     elevation_table : of `Beamformer`, taken at the nearest sine
     """
     plane_echo, body_id = samples
-    (u, v, tan_low, tan_high, columns), (r_first, per_metre) = lattice, bins
+    (u, v, tan_low, tan_high, columns, _, _), (r_first, per_metre) = lattice, bins
     per_sine = (elevation_table.shape[0] - 1) / 2
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
@@ -207,13 +209,16 @@ class BodyExtents:
         half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
         cosine = np.cos(elevation)
         beside = np.where(sine < cosine, np.arcsin(np.minimum(sine / np.maximum(cosine, 1e-9), 1.0)), np.pi)
+        shown = np.arctan2(y, x)
+        if reception.are_cones:
+            shown, beside = np.arcsin(np.clip(y / distance, -1.0, 1.0)), half_angle
         nearest, farthest = distance - self._radii_m, distance + self._radii_m
         inside = (
             state.present
             & (nearest < sonar.range_max_m)
             & (farthest > sonar.range_min_m)
             & (np.abs(elevation) - half_angle < reception.max_elevation_rad)
-            & (np.abs(np.arctan2(y, x)) - beside < half_azimuth)
+            & (np.abs(shown) - beside < half_azimuth)
         )
         angle = np.minimum(self._area_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
         sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))

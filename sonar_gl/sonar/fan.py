@@ -14,7 +14,16 @@ import numpy as np
 
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.sonar.sampling import Sampling
-from sonar_gl.sonar.sector import SHEAR, Sector, make_sector, make_strips, merge_close_azimuths
+from sonar_gl.sonar.sector import (
+    MAX_AZIMUTH_RAD,
+    MAX_CONE_RAD,
+    SHEAR,
+    Sector,
+    make_cone_strips,
+    make_sector,
+    make_strips,
+    merge_close_azimuths,
+)
 from sonar_gl.sonar.sonar import Sonar
 
 # The far plane lies at this multiple of the last bin's range: near grazing incidence, the footprint of a sample
@@ -57,6 +66,7 @@ class Fan:
     max_elevation_rad : elevation of the uppermost strips
     wide_edges : (W + 1,) int64, numbers of the column edges between which the W wide columns lie, in which the strips
         of the side lobes are where there are any
+    are_cones : whether columns are cones about the axis of a line array, at the azimuths where it shows them
     """
 
     sonar: Sonar
@@ -65,6 +75,7 @@ class Fan:
     column_edges_rad: np.ndarray = field(repr=False)
     max_elevation_rad: float
     wide_edges: np.ndarray = field(repr=False)
+    are_cones: bool = False
 
     @property
     def max_sine(self) -> float:
@@ -105,6 +116,7 @@ def make_fan(
     max_column_width: float = 0.5,
     dense_elevation_deg: float = 90.0,
     max_elevation_deg: float = 0.0,
+    are_cones: bool = False,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
@@ -120,11 +132,15 @@ def make_fan(
         aperture
     max_elevation_deg : from there up to this elevation the fan has sectors of skirts and side lobes; below 90, and
         without effect inside the aperture
+    are_cones : whether columns are cones; without effect on boxes
     """
+    are_cones = are_cones and not box
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - support_rad, azimuths[-1] + support_rad
     if stop - start > 2 * math.pi - 1e-9:
         start, stop = -math.pi, math.pi
+    if are_cones:
+        start, stop = max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
@@ -145,11 +161,20 @@ def make_fan(
             samples = max(math.ceil(samples_per_sector / (coarser * math.sqrt(1 + low * low))), 2)
             rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low))), MIN_BAND_ROWS)
             bands += [(samples, rows, both) for both in ((low, high), (-high, -low))]
-    sectors = [
-        make_sector(start + half_width * (2 * k + 1), half_width, *band, shear)
-        for band in bands
-        for k in range(n_sectors)
-    ]
+    sectors, n_dense = [], 0
+    for samples, rows, limits in bands:
+        first, last = start, stop
+        if are_cones:
+            first, last = azimuths_of_cones(start, stop, math.atan(max(map(abs, limits))))
+        n = max(1, math.ceil((last - first) / MAX_SECTOR_RAD - 1e-9))
+        half = (last - first) / n / 2
+        if are_cones:  # as dense as in sectors that hold the columns at the horizon
+            samples = max(math.ceil(samples * half / half_width), 2)
+        sectors += [
+            make_sector(first + half * (2 * k + 1), half, samples, rows, limits, shear, are_cones=are_cones)
+            for k in range(n)
+        ]
+        n_dense = n_dense or n
     if box:
         ends = np.concatenate([azimuths - support_rad, azimuths + support_rad])
         if span > 2 * math.pi - 1e-9:
@@ -168,13 +193,25 @@ def make_fan(
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1
-    columns = [(edges, 0)] * n_sectors + [of_side_lobes] * (len(sectors) - n_sectors)
+    columns = [(edges, 0)] * n_dense + [of_side_lobes] * (len(sectors) - n_dense)
+    lay = make_cone_strips if are_cones else make_strips
     sectors = tuple(
-        replace(sector, strips=make_strips(sector, *mine))
-        for sector, mine in zip(sectors, columns, strict=True)
+        replace(sector, strips=lay(sector, *mine)) for sector, mine in zip(sectors, columns, strict=True)
     )
     edges = frozen_array(edges, np.float64, (None,), "column edges")
-    return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges)
+    return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, are_cones)
+
+
+def azimuths_of_cones(first_rad: float, last_rad: float, elevation_rad: float) -> tuple[float, float]:
+    """Return the azimuths between which cones lie, up to an elevation, which a line array shows between two azimuths.
+
+    >>> np.degrees(azimuths_of_cones(-0.5, np.radians(60), np.radians(10))).round(1).tolist()
+    [-29.1, 61.6]
+    """
+    level = max(math.cos(elevation_rad), 1e-9)
+    ends = (math.asin(min(max(math.sin(one) / level, -1.0), 1.0)) for one in (first_rad, last_rad))
+    first, last = (min(max(one, -MAX_AZIMUTH_RAD), MAX_AZIMUTH_RAD) for one in ends)
+    return min(first, first_rad), max(last, last_rad)
 
 
 def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) -> np.ndarray:

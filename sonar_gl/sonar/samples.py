@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,7 +30,8 @@ class SectorSamples(NamedTuple):
     def lattice(self) -> tuple:
         """A plain tuple of `beamform.kernels.Lattice`."""
         sector = self.sector
-        return sector.u, sector.v, sector.tan_low, sector.tan_high, sector.columns
+        turn = math.sin(sector.azimuth_rad), math.cos(sector.azimuth_rad)
+        return sector.u, sector.v, sector.tan_low, sector.tan_high, sector.columns, *turn
 
 
 def whole_rows(window: np.ndarray) -> np.ndarray:

@@ -3,12 +3,18 @@
 A sample is one pixel of a sector. On the image plane, at unit distance from the sonar, it lies at u (to
 starboard, u = −tan ψ') and v (up, v = tan φ / cos ψ'), where φ is the elevation and ψ' the azimuth relative to
 the sector's middle.
+
+A straight line array cannot tell the directions of a cone about its axis from each other: it measures the sine
+k = sin ψ cos φ of the angle between a direction and the plane across its axis, and shows it at the azimuth asin k
+(Van Trees, Optimum Array Processing, 2002, chapter 2). The strips of such an array are narrow cones, and other ones
+upright planes.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,24 +25,33 @@ import numpy as np
 SHEAR = 0.2764
 SHEAR_ROWS = 0.18
 
+# Columns of cones end at this angle off the plane across the array, and cones at this azimuth: beyond it lies the array
+# itself, where their strips would be as wide as the sector.
+MAX_CONE_RAD, MAX_AZIMUTH_RAD = math.radians(84.0), math.radians(86.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Strips:
-    """The P upright strips of a sector's image plane, by rising azimuth.
+    """The P strips of a sector's image plane, by rising azimuth or, of cones, by column.
 
-    A strip ends where a column of the fan ends and is at most a tenth wider than a sample. In each row it takes the
-    value of the nearest sample.
+    A strip ends where a column of the fan ends and is at most a tenth wider than a sample, a cone where the sector
+    first holds it. In each row it takes the value of the nearest sample.
 
     Attributes
     ----------
     column : (P,) int64, index of the fan's column that contains the strip; wide columns are counted on from the others
-    u : (P,) float64, middle of the strip on the image plane
-    width : (P,) float64, its width along u
+    middle : (P,) float64, u of the middle of an upright strip; sine k of the middle of a cone
+    width : (P,) float64, in the unit of `middle`
+    v_low, v_high : (P,) float64, v between which the strip lies
+    are_cones : whether the strips are cones
     """
 
     column: np.ndarray
-    u: np.ndarray
+    middle: np.ndarray
     width: np.ndarray
+    v_low: np.ndarray
+    v_high: np.ndarray
+    are_cones: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +140,7 @@ def make_sector(
     rows: int,
     tan_limits: tuple[float, float],
     shear: float,
+    are_cones: bool = False,
 ) -> Sector:
     """Return a sector, still without strips.
 
@@ -135,6 +151,7 @@ def make_sector(
     rows : rows between the limits; the sector gets more rows as their curved edges and the shear require
     tan_limits : tangents of the lowest and the highest elevation
     shear : shift of each row against the row below, in samples; 0 gives a plain grid
+    are_cones : whether it is for strips of cones
     """
     tan_width = math.tan(half_width_rad)
     low, high = tan_limits
@@ -142,7 +159,11 @@ def make_sector(
     # lines of equal elevation are curves, furthest from the middle at the sector's sides
     middle = math.cos(half_width_rad)
     bottom, top = min(low, low / middle), max(high, high / middle)
-    shear_v = min(SHEAR_ROWS * rows, n_samples) if shear else 0.0
+    rise = SHEAR_ROWS
+    if are_cones:  # rows that rise as steeply as a strip leans would meet it more than once
+        lean = _greatest_lean(azimuth_rad, half_width_rad, max(abs(low), abs(high)))
+        rise = min(rise, tan_width / ((high - low) * max(lean, 1e-9)))
+    shear_v = min(rise * rows, n_samples) if shear else 0.0
     R = 2 * math.ceil(((top - bottom) / dv + shear_v) / 2)
     shear_u = min(abs(shear) * R, n_samples / 4)
     C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
@@ -152,8 +173,19 @@ def make_sector(
     return Sector(azimuth_rad, half_width_rad, R, C, u, v, low, high)
 
 
+def _greatest_lean(azimuth_rad: float, half_width_rad: float, tan_elevation: float) -> float:
+    """Return the greatest |du / dv| of cones in a sector: at the side furthest from the boresight."""
+    aside = min(abs(azimuth_rad) + half_width_rad, MAX_AZIMUTH_RAD)
+    within = aside - abs(azimuth_rad)
+    sine, cosine = math.sin(abs(azimuth_rad)), math.cos(azimuth_rad)
+    u = -math.tan(within)
+    # of the cone through (u, v), see `beamform.kernels`, where its derivative with v is zero
+    v = min(tan_elevation / math.cos(within), math.sqrt(max(1 + sine * u / cosine, 0.0)))
+    return (sine - cosine * u) * v / max(cosine * (1 + v * v) + sine * u, 1e-9)
+
+
 def make_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
-    """Return the strips of a sector: the fan's columns, divided evenly where they are wider than a sample.
+    """Return the upright strips of a sector: the fan's columns, divided evenly where they are wider than a sample.
 
     Parameters
     ----------
@@ -174,4 +206,88 @@ def make_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Stri
     u = (edges[1:] + edges[:-1]) / 2
     columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
     columns = first_column + np.clip(columns, 0, len(column_edges_rad) - 2)
-    return Strips(columns, u, edges[:-1] - edges[1:])
+    level = np.sqrt(1.0 + u * u)
+    return Strips(columns, u, edges[:-1] - edges[1:], sector.tan_low * level, sector.tan_high * level)
+
+
+def make_cone_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
+    """Return the strips of a sector that are cones about the axis of a line array.
+
+    Parameters
+    ----------
+    sector : Sector
+    column_edges_rad : (columns + 1,) azimuths at which the array shows the edges of the fan's columns, rising, within
+        ±MAX_CONE_RAD
+    first_column : number of the first of these columns
+    """
+    edges = np.sin(column_edges_rad)
+    middles, widths = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    part = _parts_of_cones(sector, middles)
+    # as wide as a sample where the sector first holds the cone
+    lowest = np.where(
+        part.low_rad * part.high_rad < 0, 0.0, np.minimum(abs(part.low_rad), abs(part.high_rad))
+    )
+    u, v = _on_image_plane(sector, middles[part.cone], lowest)
+    sine, cosine = math.sin(sector.azimuth_rad), math.cos(sector.azimuth_rad)
+    across = widths[part.cone] * (1 + u * u + v * v) ** 1.5 / (cosine * (1 + v * v) + sine * u)
+    pieces = np.ones(len(widths), int)
+    np.maximum.at(pieces, part.cone, np.ceil(across / sector.u[1] - 0.1).astype(int))
+    first = np.repeat(np.cumsum(pieces) - pieces, pieces)
+    columns, widths = np.repeat(np.arange(len(pieces)), pieces), np.repeat(widths / pieces, pieces)
+    middles = np.repeat(edges[:-1], pieces) + widths * (np.arange(len(first)) - first + 0.5)
+    part = _parts_of_cones(sector, middles)
+    order = np.argsort(part.cone, kind="stable")
+    cone, low, high = part.cone[order], part.low_rad[order], part.high_rad[order]
+    middles = middles[cone]
+    _, v_low = _on_image_plane(sector, middles, low)
+    _, v_high = _on_image_plane(sector, middles, high)
+    return Strips(first_column + columns[cone], middles, widths[cone], v_low, v_high, are_cones=True)
+
+
+def cone_end_rad(shown_rad, max_sine: float):
+    """Return the angle around the cones of some azimuths at which they end, from the horizon; see `make_cone_strips`.
+
+    They end at the elevation of a sine, or at the azimuth MAX_AZIMUTH_RAD.
+    """
+    beside = np.tan(np.abs(shown_rad)) / math.tan(MAX_AZIMUTH_RAD)
+    above = np.minimum(max_sine / np.cos(shown_rad), 1.0)
+    return np.minimum(np.arcsin(above), np.arccos(np.minimum(beside, 1.0)))
+
+
+class _ConeParts(NamedTuple):
+    """Parts of cones that a sector holds: (n,) index of the cone, and the elevations between which the part lies."""
+
+    cone: np.ndarray
+    low_rad: np.ndarray
+    high_rad: np.ndarray
+
+
+def _parts_of_cones(sector: Sector, sines) -> _ConeParts:
+    """Return the parts of the cones of some sines k that a sector holds: one, or one above and one below."""
+    # mirrored to port: there a cone's azimuth, asin(k / cos φ), rises with |φ|
+    k = np.abs(sines)
+    first = np.where(sines < 0, -sector.azimuth_rad, sector.azimuth_rad) - sector.half_width_rad
+    last = np.minimum(first + 2 * sector.half_width_rad, MAX_AZIMUTH_RAD)
+    enters, leaves = _elevation_at(k, first), _elevation_at(k, last)
+    leaves = np.where((last > 0) & (k <= np.sin(last)), leaves, -1.0)
+    low, high = math.atan(sector.tan_low), math.atan(sector.tan_high)
+    above_low, above_high = np.maximum(np.where(enters > 0, enters, -leaves), low), np.minimum(leaves, high)
+    below_low, below_high = np.maximum(-leaves, low), np.minimum(-enters, high)
+    above, below = above_low < above_high, (enters > 0) & (below_low < below_high)
+    return _ConeParts(
+        np.concatenate([np.flatnonzero(above), np.flatnonzero(below)]),
+        np.concatenate([above_low[above], below_low[below]]),
+        np.concatenate([above_high[above], below_high[below]]),
+    )
+
+
+def _elevation_at(k, azimuth_rad):
+    """Return the elevation at which cones of sines k, positive, reach an azimuth; 0 if they lie beyond it."""
+    sine = np.sin(azimuth_rad)
+    return np.arccos(np.where(sine > k, k / np.where(sine > 0, sine, 1.0), 1.0))
+
+
+def _on_image_plane(sector: Sector, k, elevation_rad):
+    """Return u and v of the places on cones of sines k at some elevations."""
+    within = np.arcsin(np.clip(k / np.cos(elevation_rad), -1, 1)) - sector.azimuth_rad
+    return -np.tan(within), np.tan(elevation_rad) / np.cos(within)

@@ -72,9 +72,9 @@ class Sonar:
         `beam_spacing`
     beam_spacing : "angle": beams are spread evenly over the fan, the outermost half a spacing within its edges. "sine":
         the sines of their azimuths are evenly spaced, as one straight array forms them by a Fourier transform, and
-        the outermost beams lie on the edges of the fan
+        the outermost beams lie on the edges of the fan; such beams are cones, see `Acoustics.has_cones`
     steered : "alike": every receive beam has the width of the data sheet. "straight": one straight array forms all
-        beams, which broaden as 1/cos of their azimuth
+        beams, which broaden as 1/cos of their azimuth, and are cones
     receive_taper, transmit_taper, elevation_taper : "uniform", "hamming", "taylor" or "chebyshev"
         tapers (shading) of the line arrays that receive in azimuth, transmit in azimuth, and do both in elevation
     side_lobe_db : level of the side lobes of tapers "taylor" and "chebyshev", dB below the main lobe, positive
@@ -253,6 +253,11 @@ class Sonar:
             edge = math.sin(math.radians(self.azimuth_fov_deg) / 2)
             return np.arcsin(np.linspace(-edge, edge, self.n_beams))
         return np.radians(self.azimuth_fov_deg * ((np.arange(self.n_beams) + 0.5) / self.n_beams - 0.5))
+
+    @property
+    def is_straight_array(self) -> bool:
+        """Whether one straight array forms all beams, as `beam_spacing` "sine" or `steered` "straight" say."""
+        return self.beam_spacing == "sine" or self.steered == "straight"
 
     @property
     def bin_edges_m(self) -> np.ndarray:

@@ -61,10 +61,12 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     pattern, transmit = PHYSICAL.receive_pattern(sonar), PHYSICAL.transmit_pattern(sonar)
     received = pattern(azimuths, axes) @ (parts / 2)
     insonified = np.ones(fan.n_columns) if transmit is None else transmit(azimuths) @ (parts / 2)
-    height = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
-    found = weights * (received @ np.diff(edges))[:, None] * height
-    far = PHYSICAL.far_pattern(sonar)
     middles = (edges[1:] + edges[:-1]) / 2
+    heights = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
+    if fan.are_cones:  # an arc about the array's axis of radius cos β
+        heights = 2 * np.cos(middles) * np.arcsin(heights / 2 / np.cos(middles))
+    found = weights * (received @ (np.diff(edges) * heights))[:, None]
+    far = PHYSICAL.far_pattern(sonar)
     difference = far.coordinate(middles) - far.coordinate(sonar.azimuth_rad)[:, None]
     null, column = far.array.support_sine(), np.diff(edges).max()
     u, in_front = far.sine_of(difference), pattern(middles, sonar.azimuth_rad[:, None]) > 0

@@ -30,8 +30,9 @@ class Plane:
 
 def borders(samples, width=STEP, u=0.0):
     """Return v where the footprints of rows 1, 2, ... begin; `samples` are (ROWS, 4)."""
-    lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), -0.2, 0.2, 1)
-    strips = StripTable(np.array([0]), np.array([u]), np.array([width]))
+    lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), -0.2, 0.2, 1, 0.0, 1.0)
+    top = np.array([0.2 * math.hypot(1.0, u)])
+    strips = StripTable(np.array([0]), np.array([u]), np.array([width]), -top, top, False)
     work = np.full((FOOTPRINT_ROWS, ROWS + 1), np.nan)
     image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)
     strip = find_strip(work, image, lattice, strips, 0, bin_table(EDGES).q_unseen)

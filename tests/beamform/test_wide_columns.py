@@ -44,8 +44,8 @@ def test_strips_of_side_lobes_cover_wide_columns_once(name):
     widths = np.zeros(fan.n_wide_columns)
     for sector in of_side_lobes:
         strips = sector.strips
-        low = sector.azimuth_rad - np.arctan(strips.u + strips.width / 2)
-        high = sector.azimuth_rad - np.arctan(strips.u - strips.width / 2)
+        low = sector.azimuth_rad - np.arctan(strips.middle + strips.width / 2)
+        high = sector.azimuth_rad - np.arctan(strips.middle - strips.width / 2)
         column = strips.column - fan.n_columns
         assert (low > edges[column] - 1e-9).all() and (high < edges[column + 1] + 1e-9).all()
         np.add.at(widths, column, high - low)
@@ -90,7 +90,7 @@ def test_strips_of_a_mirror_image_lie_in_the_columns_of_the_other_side(name):
     high = np.append(edges[1:], edges[fan.wide_edges[1:]])
     rows = []
     for half in beamformer.mirrored_strips:
-        for sector, (column, u, _) in zip(fan.sectors, half, strict=True):
+        for sector, (column, u, *_) in zip(fan.sectors, half, strict=True):
             azimuth = -(sector.azimuth_rad - np.arctan(u))
             assert ((low[column] < azimuth) & (azimuth < high[column])).all()
             rows.append(column)

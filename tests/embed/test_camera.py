@@ -1,11 +1,13 @@
 """Cameras at the sonar's position: pixels, projections, and sets of cameras that cover a fan."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD
 
 SQUARE = [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]
 
@@ -103,6 +105,22 @@ def test_covering_cameras_see_the_beam_pattern_and_little_more(name, acoustics):
     above = [math.cos(beyond) * math.cos(corner), math.cos(beyond) * math.sin(corner), math.sin(beyond)]
     assert not cameras[0].sees(above)
     assert np.allclose(cameras[0].pixel_rad(), math.radians(0.2), rtol=1e-3)
+
+
+def test_cameras_for_the_cones_of_a_straight_array_see_what_it_shows_at_the_edge():
+    """A cone that is shown at an azimuth lies further aside above and below."""
+    sonar, acoustics = sg.load_sonar("oculus-m750d-lf"), sg.Acoustics.physical()
+    top = math.radians(acoustics.true_range_sonar(sonar).elevation_fov_deg) / 2
+    edge = sonar.azimuth_rad[-1] + acoustics.receive_support_rad(sonar)
+    shown, phi = np.linspace(-edge, edge, 801), np.linspace(-top, top, 101)[:, None]
+    y, z = np.broadcast_arrays(np.sin(shown), np.sin(phi))
+    ahead = np.sqrt(np.maximum(1 - y * y - z * z, 0))
+    d = np.stack([ahead, y, z], axis=-1)[np.abs(y) < math.tan(MAX_AZIMUTH_RAD) * ahead]
+    for pixel_deg in (0.2, 1.0):
+        seen = [camera.sees(d) for camera in sg.Camera.covering(sonar, acoustics, pixel_deg)]
+        assert np.any(seen, axis=0).all()
+    upright = sg.Camera.covering(sonar, replace(acoustics, conical_beams=False), 0.2)
+    assert not np.any([camera.sees(d) for camera in upright], axis=0).all()
 
 
 def test_pixel_size_in_azimuth_and_elevation():

@@ -45,15 +45,16 @@ def test_a_sequence_whose_samples_change_stays_within_its_memory():
     """600 pings with labels and noise, in a process of their own; some of their samplings are very fine.
 
     Imports and kernels take 200 MB, waves of speckle 64 MB, and the arrays of pings on their way the rest: three
-    batches of them, with labels, of 256 x 1161 bins. Versions of profile `ideal` had 900 to 1100 MB where 260 would
-    do: each stage kept arrays of its own, and a search drew as many samples as fit.
+    batches of them, with labels and the echoes of lobes and textures by themselves, of 256 x 1161 bins. Versions of
+    profile `ideal` had 900 to 1100 MB where 260 would do: each stage kept arrays of its own, and a search drew as
+    many samples as fit.
     """
     command = [sys.executable, "-m", "tests.support.moving", "600"]
     root = Path(__file__).resolve().parents[2]
     run = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
     after_mb, most_mb, n_samplings = map(float, run.stdout.split())
     assert n_samplings >= 5
-    assert after_mb < 650 and most_mb < 800
+    assert after_mb < 750 and most_mb < 800
 
 
 def test_many_simulators_do_not_leak():

@@ -274,7 +274,7 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
         ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(*place), 1.0)
         placed = replace(state, poses=ball.pose[None])
         top_rad = math.radians(SONAR.elevation_fov_deg) / 2
-        even = Reception(SONAR, math.radians(reach_deg), top_rad, np.ones(SONAR.n_bins), np.zeros(0))
+        even = Reception(SONAR, math.radians(reach_deg), top_rad, False, np.ones(SONAR.n_bins), np.zeros(0))
         return BodyExtents([ball]).greatest_echo(placed, np.eye(4), even)[1]
 
     for inside, beyond in (
@@ -346,7 +346,7 @@ class TestSideLobes:
                 fan, table = stage.fan, stage.beamformer.elevation_table
                 counts = count_bodies(view.sectors, 1, fan.sonar, gain, table)
         reach_rad = self.PHYSICAL.receive_support_rad(self.SONAR)
-        reception = Reception(fan.sonar, reach_rad, fan.max_elevation_rad, gain, table)
+        reception = Reception(fan.sonar, reach_rad, fan.max_elevation_rad, fan.are_cones, gain, table)
         placed = SceneState(ball.pose[None], np.ones(1, bool))
         bound = BodyExtents([ball], specular=True).greatest_echo(placed, pose, reception)
         assert counts.samples[1] > 20

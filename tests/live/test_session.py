@@ -483,6 +483,22 @@ def test_a_tilted_head_sees_its_surface(scene):
         assert set(session.surface_of(session.frame, beam, bin).body_id) == {2}
 
 
+def test_a_beam_that_is_a_cone_sees_its_surface_further_aside_than_it_points():
+    sonar = replace(SONAR, n_beams=128, azimuth_fov_deg=120.0, beam_spacing="sine")
+    azimuth, elevation = math.radians(55.0), math.radians(-9.0)
+    level = math.cos(elevation)
+    place = 8.0 * np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+    ball = sg.Body("ball", trimesh.creation.icosphere(4, 0.1), sg.pose(*place), 0.8)
+    settings = QUIET.changed(sonar=sonar, acoustics=sg.Acoustics.physical(far_side_lobes=False))
+    with LiveSession(sg.Scene([ball]), settings, np.eye(4)) as session:
+        frame = session.frame
+        beam, bin = np.unravel_index(frame.ping.intensity.argmax(), frame.ping.intensity.shape)
+        points = session.surface_of(frame, beam, bin).points_m
+    assert len(points) and np.abs(np.linalg.norm(points - place, axis=1) - 0.1).max() < 1e-3
+    # 0.65 degrees beside, which is more than half of the beam's width
+    assert azimuth - frame.ping.azimuth_rad[beam] > math.radians(0.6)
+
+
 def test_frames_highlight_the_pixels_of_a_body(session):
     plain = session.pixels_of(session.frame, "ball")
     session.highlight("ball")

@@ -24,8 +24,8 @@ def test_strips_cover_the_fan_once(fov_deg):
     for sector in fan.sectors:
         assert 2 * sector.half_width_rad <= math.radians(60) + 1e-9
         strips = sector.strips
-        low = sector.azimuth_rad - np.arctan(strips.u + strips.width / 2)
-        high = sector.azimuth_rad - np.arctan(strips.u - strips.width / 2)
+        low = sector.azimuth_rad - np.arctan(strips.middle + strips.width / 2)
+        high = sector.azimuth_rad - np.arctan(strips.middle - strips.width / 2)
         np.add.at(widths, strips.column, high - low)
         # each strip lies in its column, and is at most a tenth wider than a sample
         assert (low > edges[strips.column] - 1e-9).all()

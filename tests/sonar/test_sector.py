@@ -16,14 +16,14 @@ def test_every_row_has_a_sample_within_half_a_sample_of_each_strip(fov_deg):
     for sector in box_fan(make_sonar(fov_deg)).sectors:
         u, _ = sector.sample_coordinates()
         for j in range(sector.rows):
-            distance = np.abs(u[j, :, None] - sector.strips.u).min(axis=0)
+            distance = np.abs(u[j, :, None] - sector.strips.middle).min(axis=0)
             assert distance.max() <= sector.u[1] / 2 + 1e-12
 
 
 def test_rows_cover_the_aperture_in_every_strip_in_spite_of_the_shear():
     for sector in box_fan(make_sonar(100.0)).sectors:
         u, v = sector.sample_coordinates()
-        for strip_u in sector.strips.u:
+        for strip_u in sector.strips.middle:
             i = np.abs(u - strip_u).argmin(axis=1)
             strip_v = v[np.arange(sector.rows), i]
             top = sector.tan_high * math.sqrt(1 + strip_u * strip_u)
@@ -37,7 +37,7 @@ def test_rows_sample_a_strip_at_different_places():
     """The nearest samples of the rows are spread over the width of a strip; those of a plain grid all coincide."""
     sector = box_fan(make_sonar()).sectors[0]
     u, _ = sector.sample_coordinates()
-    offset = u - sector.strips.u[10]
+    offset = u - sector.strips.middle[10]
     offset = np.take_along_axis(offset, np.abs(offset).argmin(axis=1)[:, None], axis=1) / sector.u[1]
     assert np.histogram(offset, bins=4, range=(-0.5, 0.5))[0].min() >= 0.15 * sector.rows
     plain = make_fan(make_sonar(), sg.Sampling(2, 32), math.radians(0.5), shear=0.0).sectors[0]

@@ -25,7 +25,9 @@ from sonar_gl.sonar import fan, sector
 @contextmanager
 def plain_grid():
     """Sample on a plain grid, with rows and columns that are not sheared."""
-    with mock.patch.object(fan, "make_sector", lambda *spec: sector.make_sector(*spec[:-1], 0.0)):
+    with mock.patch.object(
+        fan, "make_sector", lambda *spec, **more: sector.make_sector(*spec[:-1], 0.0, **more)
+    ):
         yield
 
 

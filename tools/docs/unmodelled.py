@@ -1,11 +1,8 @@
 """Print what effects that the model leaves out would change in bundled scenes.
 
     python -m tools.docs.unmodelled            # all; some minutes
-    python -m tools.docs.unmodelled sediment   # of cones, sediment, mirrors: those that are named
+    python -m tools.docs.unmodelled sediment   # of sediment and mirrors: those that are named
 
-cones      A line array receives along cones about its axis: what lies at azimuth ψ and elevation ε is shown at
-           asin(sin ψ cos ε), as it measures the cosine of the angle to its axis (Van Trees, Optimum Array
-           Processing, 2002, ch. 2). Each bin's echo is moved by the mean elevation that its label has.
 sediment   Roughness and volume backscatter of sea floors by APL-UW TR 9407, 1994, ch. IV, in place of Lambert's law:
            Kirchhoff's approximation near the vertical, down to the angle that the table names, small roughness
            elsewhere, and the sediment's volume. Without its averages over slopes and shadows of large roughness,
@@ -35,23 +32,15 @@ from tools.docs import ablation
 from tools.docs.two_mirrors import Mirrors
 
 SONAR, TOLERANCE = "p900-45", 0.01
-EDGE_DEG, ELEVATION_DEG = 60.0, 10.0  # of the example: a wide fan, and half an aperture of 20 degrees
-WIDE = "p900-130"
 GRAZING_DEG = (5, 10, 20, 30, 45, 60, 75, 85)
 # TR 9407, ch. IV, table 2: strength w2 of the roughness spectrum, cm^4, and volume parameter sigma2
 SEDIMENTS = {"medium_sand": (0.004446, 0.002), "medium_silt": (0.000518, 0.001), "clay": (0.000518, 0.001)}
 SPECTRAL_EXPONENT = 3.25  # of the roughness of all sediments
 KIRCHHOFF_ENDS_DB = 15.0  # below its largest value, where small roughness takes over
+GREATEST_INCIDENCE_RAD = math.radians(
+    88.0
+)  # of means that labels have: nearer to grazing Lambert's law goes to zero
 RAYS = 2_000_000
-
-
-def cone_azimuth(azimuth_rad, elevation_rad):
-    """Return the azimuth at which a line array shows what lies at an azimuth and elevation, radians.
-
-    >>> round(float(np.degrees(cone_azimuth(np.radians(60.0), np.radians(10.0)))), 2)
-    58.53
-    """
-    return np.arcsin(np.sin(azimuth_rad) * np.cos(elevation_rad))
 
 
 def sediment_backscattering(name: str, grazing_rad, frequency_hz: float, sound_speed_m_s: float = 1500.0):
@@ -111,10 +100,10 @@ def lambert_backscattering(name: str, grazing_rad):
     return material(name).reflectivity * np.sin(grazing_rad) ** 2 / math.pi
 
 
-def labelled_ping(name: str, sonar_name: str = SONAR) -> tuple:
+def labelled_ping(name: str) -> tuple:
     """Return the scene and a ping of it with labels."""
     scene, sonar = ablation.setting(name)
-    sonar = sg.load_sonar(sonar_name).with_range(sonar.range_max_m)
+    sonar = sg.load_sonar(SONAR).with_range(sonar.range_max_m)
     with sg.Simulator(scene, sonar, sg.Acoustics.physical(), tolerance=TOLERANCE) as simulator:
         return scene, simulator.ping(scene.sonar_pose, labels=True, label_level_db=-180.0)
 
@@ -126,50 +115,6 @@ def changes(full, changed, sonar) -> dict[str, str]:
         "change of the image": f"{share:.2%}",
         "bins > 3 dB": f"{changed_bins(full, changed, sonar.counts):.2%}",
     }
-
-
-# ---- cones -------------------------------------------------------------------------------------------
-
-
-def on_cones(ping) -> np.ndarray:
-    """Return the image with each bin's echo at the azimuth of its cone, divided among the two nearest beams."""
-    intensity, azimuth = ping.intensity.astype(np.float64), ping.azimuth_rad
-    elevation = np.nan_to_num(ping.elevation_rad.astype(np.float64))
-    at = np.interp(cone_azimuth(azimuth[:, None], elevation), azimuth, np.arange(len(azimuth)))
-    low = np.minimum(at.astype(int), len(azimuth) - 2)
-    out, bins = np.zeros_like(intensity), np.broadcast_to(np.arange(intensity.shape[1]), low.shape)
-    np.add.at(out, (low, bins), intensity * (low + 1 - at))
-    np.add.at(out, (low + 1, bins), intensity * (at - low))
-    return out
-
-
-def print_cones() -> None:
-    """Print how far echoes move, and what that changes."""
-    edge, elevation = np.radians([EDGE_DEG, ELEVATION_DEG])
-    at = np.degrees(np.arcsin(np.sin(edge) / np.cos(elevation)))
-    print(
-        f"cones: what is shown at {EDGE_DEG:g} deg lies at {at:.1f} deg, if its elevation is {ELEVATION_DEG:g} deg"
-    )
-    rows = []
-    for name in ablation.SCENES:
-        for sonar_name in (SONAR, WIDE):
-            _, ping = labelled_ping(name, sonar_name)
-            labelled = ping.body_id > 0
-            azimuth = np.broadcast_to(ping.azimuth_rad[:, None], labelled.shape)[labelled]
-            elevation, echo = ping.elevation_rad[labelled].astype(np.float64), ping.intensity[labelled]
-            moved_deg = np.degrees(np.abs(azimuth - cone_azimuth(azimuth, elevation)))
-            far = np.average(moved_deg > ping.sonar.beam_width_deg / 2, weights=echo)
-            rows.append(
-                {
-                    "scene": name,
-                    "sonar": sonar_name,
-                    "echo moves by, deg": f"{np.average(moved_deg, weights=echo):.3f}",
-                    "most": f"{moved_deg.max():.2f}",
-                    "moved > half a beam": f"{far:.2%}",
-                    **changes(ping.intensity, on_cones(ping), ping.sonar),
-                }
-            )
-    harness.print_table(rows)
 
 
 # ---- sediment ----------------------------------------------------------------------------------------
@@ -200,7 +145,9 @@ def print_sediment() -> None:
             if body.material in SEDIMENTS:
                 mine = ping.body_id == number
                 of_floors += ping.intensity[mine].sum() / ping.intensity.sum()
-                grazing = np.pi / 2 - np.minimum(ping.incidence_rad[mine].astype(np.float64), 1.5697)
+                grazing = np.pi / 2 - np.minimum(
+                    ping.incidence_rad[mine].astype(np.float64), GREATEST_INCIDENCE_RAD
+                )
                 law = sediment_backscattering(body.material, grazing, ping.sonar.frequency_hz)
                 changed[mine] *= law / lambert_backscattering(body.material, grazing)
         columns = {"scene": name, "echo of sea floors": f"{of_floors:.2%}"}
@@ -238,7 +185,7 @@ def print_mirrors() -> None:
     harness.print_table(rows)
 
 
-STUDIES = {"cones": print_cones, "sediment": print_sediment, "mirrors": print_mirrors}
+STUDIES = {"sediment": print_sediment, "mirrors": print_mirrors}
 
 
 def main():

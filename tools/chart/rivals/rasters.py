@@ -58,7 +58,7 @@ class MeanRaster(Rival):
                     mine = slice(*np.searchsorted(strips.column, [columns.start, columns.stop]))
                     mean_bins(
                         plane_echo, sector.u, sector.v, sector.tan_high,
-                        strips.column[mine], strips.u[mine], strips.width[mine],
+                        strips.column[mine], strips.middle[mine], strips.width[mine],
                         self.r_first, self.per_metre, self.work[half], self.sums,
                     )  # fmt: skip
 
