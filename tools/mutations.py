@@ -53,6 +53,7 @@ class Mutation:
 
 FOOTPRINTS = ("test_footprint", "test_failures")
 STRIPS = ("test_strips",)
+CONES = ("test_cones",)
 BUBBLES = ("test_bubbles", "test_footprint")
 PROMISE = ("test_promise",)
 LABELS = ("test_labels",)
@@ -115,22 +116,47 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/length of the ray",
-        "abs(along_v[m] - at * vc * one_over_L2)",
-        "abs(along_v[m])",
+        "abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2)",
+        "abs(along[m])",
         FOOTPRINTS,
     ),
     Mutation(
         "footprints/solid angle",
-        "echo[m] * width * height * one_over_L * one_over_L2",
-        "echo[m] * width * height * one_over_L2",
+        "echo[m] * across * height * one_over_L * one_over_L2",
+        "echo[m] * across * height * one_over_L2",
         FOOTPRINTS,
     ),
     Mutation(
         "footprints/plane in the strip's middle",
-        "q[m] + along_u[m] * (uc - u0",
-        "q[m] - along_u[m] * (uc - u0",
+        "q[m] + along_u[m] * (line_u[m] - u0",
+        "q[m] - along_u[m] * (line_u[m] - u0",
         FOOTPRINTS,
     ),
+    # beams that are cones
+    Mutation(
+        "cones/width of a strip",
+        "cosine * (1.0 + vc * vc) + sine * uc, LEAST_AHEAD) * one_over_L",
+        "cosine * (1.0 + vc * vc) - sine * uc, LEAST_AHEAD) * one_over_L",
+        CONES,
+    ),
+    Mutation("cones/slope along a strip", "along_v + along_u[m] * tilt[m]", "along_v", CONES),
+    Mutation(
+        "cones/line of a strip",
+        "line_u[m], tilt[m] = uc - slope * vc, slope",
+        "line_u[m], tilt[m] = uc, slope",
+        CONES,
+    ),
+    Mutation(
+        "cones/rows that rise too steeply", "rise = min(rise, tan_width", "rise = max(rise, tan_width", CONES
+    ),
+    Mutation("cones/solid angle of columns", "2 * ends * np.cos(shown) * power)", "2 * ends * power)", CONES),
+    Mutation(
+        "cones/parts below the horizon", "(enters > 0) & (below_low < below_high)", "(enters < 0)", CONES
+    ),
+    Mutation(
+        "cones/mirrored columns", "self.fan.are_cones, half) for column", "False, half) for column", CONES
+    ),
+    Mutation("cones/point scatterers", "np.sin(ahead[:, 0]) * level", "np.sin(ahead[:, 0])", CONES),
     Mutation(
         "footprints/columns into beams",
         "rows[1, k] += (a1 * a + b1 * b) + (w1 * c + d1 * d)",
@@ -192,7 +218,9 @@ MUTATIONS = (
         LABELS,
         (("cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0"),),
     ),
-    Mutation("labels/incidence", "x = rest[m] - along_u[m] * uc", "x = rest[m]", LABELS),
+    Mutation(
+        "labels/incidence", "x, along_v = rest[m] - along_u[m] * line_u[m],", "x, along_v = rest[m],", LABELS
+    ),
     Mutation(
         "labels/arctan",
         "p * x - 0.0752896400",
