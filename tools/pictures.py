@@ -13,7 +13,8 @@ from sonar_gl.core.atomic_file import atomic_write
 def write_png(path: Path, image: Image.Image, colours: int = 96):
     """Write an image with a palette: a third of the bytes, while lines and letters look the same."""
     with atomic_write(Path(path)) as name:
-        image.convert("RGB").quantize(colours).save(name, format="png", optimize=True)
+        # the median cut alone gives a dark gradient the colour of a few red lines
+        image.convert("RGB").quantize(colours, kmeans=3).save(name, format="png", optimize=True)
 
 
 def write_figure(path: Path, figure, dpi: int):
