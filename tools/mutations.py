@@ -928,6 +928,18 @@ MUTATIONS = (
         ("test_view_parts",),
     ),
     Mutation(
+        "live/time of a pose",
+        "TimedPose(self._track.at(position_s), position_s)",
+        "TimedPose(self._track.at(position_s), self._position_now())",
+        ("test_sonar_motion",),
+    ),
+    Mutation(
+        "live/settings that came meanwhile",
+        "if settings == self.settings:",
+        "if True:",
+        ("test_settings_trial",),
+    ),
+    Mutation(
         "live/sign of new settings",
         "is_pending = state.settings is not frame.settings",
         "is_pending = False",
