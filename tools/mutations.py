@@ -934,6 +934,18 @@ MUTATIONS = (
         ("test_sonar_motion",),
     ),
     Mutation(
+        "live/pings made up for",
+        "(now_s if now_s - due_s > period_s else due_s)",
+        "due_s",
+        ("test_ping_thread",),
+    ),
+    Mutation(
+        "live/wait after a ping that failed",
+        "due_s = time.monotonic() + RETRY_S",
+        "pass",
+        ("test_ping_thread",),
+    ),
+    Mutation(
         "live/settings that came meanwhile",
         "if settings == self.settings:",
         "if True:",
