@@ -928,6 +928,30 @@ MUTATIONS = (
         ("test_view_parts",),
     ),
     Mutation(
+        "live/time of a pose",
+        "TimedPose(self._track.at(position_s), position_s)",
+        "TimedPose(self._track.at(position_s), self._position_now())",
+        ("test_sonar_motion",),
+    ),
+    Mutation(
+        "live/pings made up for",
+        "(now_s if now_s - due_s > period_s else due_s)",
+        "due_s",
+        ("test_ping_thread",),
+    ),
+    Mutation(
+        "live/wait after a ping that failed",
+        "due_s = time.monotonic() + RETRY_S",
+        "pass",
+        ("test_ping_thread",),
+    ),
+    Mutation(
+        "live/settings that came meanwhile",
+        "if settings == self.settings:",
+        "if True:",
+        ("test_settings_trial",),
+    ),
+    Mutation(
         "live/sign of new settings",
         "is_pending = state.settings is not frame.settings",
         "is_pending = False",

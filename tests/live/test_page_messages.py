@@ -12,9 +12,9 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.analysis import terms as terms_module
+from sonar_gl.live import live_sonar as live_sonar_module
 from sonar_gl.live import page as page_module
 from sonar_gl.live import recording as recording_module
-from sonar_gl.live import session as session_module
 from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
@@ -350,7 +350,7 @@ def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypa
     def fail(*_):
         raise sg.Error("the ping must succeed (got none)")
 
-    monkeypatch.setattr(session_module, "picture_of", fail)
+    monkeypatch.setattr(live_sonar_module, "picture_of", fail)
     wait_for(lambda: "the ping must succeed (got none)" in numbers(browser))
     monkeypatch.undo()
     wait_for(lambda: "the ping must succeed (got none)" not in numbers(browser))
@@ -359,13 +359,13 @@ def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypa
 def test_the_page_says_that_the_picture_is_of_the_settings_before(session, browser, monkeypatch):
     wait_for(lambda: "Hz" in words(browser, "ping rate"))
     may_go_on = threading.Event()
-    made = session_module.picture_of
+    made = live_sonar_module.picture_of
 
     def slowly(*values):
         assert may_go_on.wait(WAIT_S)
         return made(*values)
 
-    monkeypatch.setattr(session_module, "picture_of", slowly)
+    monkeypatch.setattr(live_sonar_module, "picture_of", slowly)
     browser.change("range, m", 12.0)
     wait_for(lambda: "computing with the new settings" in words(browser, "ping rate"))
     assert session.frame.settings.range_m != 12.0

@@ -11,7 +11,8 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.imaging.styles import FanStyle
-from sonar_gl.live import session as session_module
+from sonar_gl.live import live_sonar as live_sonar_module
+from sonar_gl.live import ping_thread as ping_thread_module
 from sonar_gl.live import simulators as simulators_module
 from sonar_gl.live.pictures import pixel_bins
 from sonar_gl.live.pose_track import PoseTrack
@@ -185,15 +186,15 @@ def test_settings_that_cannot_be_drawn_are_taken_back(session, monkeypatch):
 
 
 def test_a_ping_that_fails_is_reported_and_tried_again(session, monkeypatch):
-    monkeypatch.setattr(session_module, "RETRY_S", 0.01)
-    draw, broken = session_module.picture_of, True
+    monkeypatch.setattr(ping_thread_module, "RETRY_S", 0.01)
+    draw, broken = live_sonar_module.picture_of, True
 
     def picture_of(*arguments):
         if broken:
             raise OSError("the mesh is gone")
         return draw(*arguments)
 
-    monkeypatch.setattr(session_module, "picture_of", picture_of)
+    monkeypatch.setattr(live_sonar_module, "picture_of", picture_of)
     with session.listen(lambda frame: None):
         wait_for(lambda: session.state().problem)
         assert session.state().problem == "the ping failed (OSError: the mesh is gone)"
@@ -292,6 +293,24 @@ def test_the_sonar_follows_its_trajectory_until_it_is_moved(scene):
         assert session.state().position_s == state.duration_s == 4.0
         session.play()  # from the beginning
         assert session.state().position_s < 4.0
+
+
+def test_a_track_that_fails_is_reported_and_ends_no_session(scene):
+    class Gap(PoseTrack):
+        is_broken = False
+
+        def at(self, time_s):
+            if self.is_broken:
+                raise ValueError("no pose at this time")
+            return super().at(time_s)
+
+    track = Gap([np.eye(4)])
+    with LiveSession(scene, QUIET, track=track) as session, session.listen(lambda frame: None):
+        track.is_broken = True
+        wait_for(lambda: session.state().problem)
+        assert session.state().problem == "the ping failed (ValueError: no pose at this time)"
+        track.is_broken = False
+        wait_for(lambda: not session.state().problem)
 
 
 def test_without_a_trajectory_there_is_none_to_play(session):
@@ -474,6 +493,16 @@ def test_surfaces_and_labels_are_those_of_the_frame_after_bodies_were_moved(sess
     assert set(session.surface_of(frame, beam, bin).body_id) == {2}
     assert session.reading(frame, beam, bin).body == "ball"
     assert not session.bins_of(session.next_frame(), "ball").any()
+
+
+def test_labels_of_a_still_are_its_own_though_it_has_the_number_of_the_first_frame(session):
+    first = session.frame
+    beam, bin = ball_bin(first)
+    assert session.reading(first, beam, bin).body == "ball"
+    session.move_body("ball", None)
+    still = session.still(session.next_frame())
+    assert still.number == first.number == 0
+    assert session.reading(still, beam, bin).body != "ball"
 
 
 def test_a_tilted_head_sees_its_surface(scene):

@@ -1,0 +1,174 @@
+"""The sonar of a live session: it makes the frame of a ping from where all is, and frames again with other samples."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections import OrderedDict, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.live.body_poses import scene_poses
+from sonar_gl.live.command_line import rounded_pose_numbers
+from sonar_gl.live.frame import LiveFrame, Surface
+from sonar_gl.live.pictures import picture_of, pixel_bins, pixels_of
+from sonar_gl.live.readings import body_number
+from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.simulators import SimulatorPool
+from sonar_gl.live.sonar_motion import TimedPose
+from sonar_gl.live.surfaces import surface_in_bin
+from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
+from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.counts import LEVEL_BOUND_DB
+
+RATE_PINGS = 20  # of which the ping rate is the mean
+KEPT_LABELS = 4  # pings whose labels are kept for read-outs
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRequest:
+    """What a ping of a live session depends on, taken at one moment.
+
+    Attributes
+    ----------
+    settings : LiveSettings
+    place : TimedPose of the sonar
+    bodies : names of the bodies that were moved, as `BodyPoses.moved`
+    highlight : name of the body whose pixels the frame has; "" for none
+    gain_from : LiveFrame by whose gain bins of a highlighted body are black or not; None for the first ping
+    """
+
+    settings: LiveSettings
+    place: TimedPose
+    bodies: Mapping[str, np.ndarray | None]
+    highlight: str = ""
+    gain_from: LiveFrame | None = None
+
+
+class LiveSonar:
+    """Makes frames of one scene. To be used by one thread, then closed.
+
+    Parameters
+    ----------
+    scene : Scene, which stays as it is
+    began_s : `time.monotonic` at which the clock of the frames is 0
+    """
+
+    def __init__(self, scene: Scene, began_s: float):
+        self._scene, self._home, self._began_s = scene, scene_poses(scene), began_s
+        self._pool = SimulatorPool(scene)
+        self._number, self._pinged_s = 0, deque(maxlen=RATE_PINGS)
+        # until the first is moved, bodies stay where the simulators have them
+        self._are_moved, self._placed = False, None
+        self._labels: OrderedDict[LiveFrame, Ping] = OrderedDict()
+
+    def ping(self, request: FrameRequest) -> LiveFrame:
+        """Return the frame of the next ping; raise Error if it fails."""
+        settings, highlight = request.settings, request.highlight
+        self._place(request.bodies)
+        simulator, number = self._simulator(settings), self._number
+        self._number += 1
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UserWarning)
+            ping = simulator.ping(
+                request.place.pose,
+                settings.noise,
+                settings.seed,
+                ping_number=number,
+                time_s=request.place.time_s,
+                labels=bool(highlight),
+                label_level_db=_label_level_db(request.gain_from, settings) if highlight else None,
+            )
+        ping = replace(ping, sonar=settings.device)
+        shown = None
+        if highlight:
+            shown = pixels_of(ping.body_id == body_number(self._scene, highlight), pixel_bins(ping, settings))
+        self._pinged_s.append(time.monotonic())
+        return LiveFrame(
+            number=number,
+            clock_s=self._pinged_s[-1] - self._began_s,
+            time_s=request.place.time_s,
+            pose=request.place.pose,
+            ping=ping,
+            picture=picture_of(ping, settings),
+            settings=settings,
+            rate_hz=self._rate_hz(),
+            samples=simulator.sampling.count(settings.device),
+            bodies=request.bodies,
+            highlight=shown,
+            notes=tuple(dict.fromkeys(str(one.message) for one in caught)),
+        )
+
+    def still(self, frame: LiveFrame) -> LiveFrame:
+        """Return a frame as `LiveSession.still` does."""
+        settings, pose = frame.settings, make_pose(*rounded_pose_numbers(frame.pose))
+        self._place(frame.bodies)  # the next ping puts them back
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            world = self._simulator(settings)
+            with Simulator(
+                world, settings.device, settings.acoustics, tolerance=settings.tolerance
+            ) as simulator:
+                simulator.plan([pose])
+                ping = simulator.ping(pose, settings.noise, settings.seed)
+                samples = simulator.sampling.count(settings.device)
+        return replace(
+            frame, number=0, time_s=0.0, pose=pose, ping=ping, picture=picture_of(ping, settings), samples=samples,
+            highlight=None, notes=(),
+        )  # fmt: skip
+
+    def labelled(self, frame: LiveFrame) -> Ping:
+        """Return a frame's ping with labels, made again without noise; those of the last few frames are kept."""
+        if frame not in self._labels:
+            while len(self._labels) >= KEPT_LABELS:
+                self._labels.popitem(last=False)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                self._labels[frame] = self._simulator(frame.settings).ping(
+                    frame.pose,
+                    labels=True,
+                    time_s=frame.time_s,
+                    bodies=self._home | frame.bodies,
+                    label_level_db=_label_level_db(frame, frame.settings),
+                )
+        return self._labels[frame]
+
+    def surface(self, frame: LiveFrame, beam: int, bin: int) -> Surface:
+        """Return the surface of a bin, with the bodies where they were in the frame."""
+        settings = frame.settings
+        self._place(frame.bodies)  # the next ping puts them back
+        return surface_in_bin(
+            self._simulator(settings), settings.device, settings.acoustics, frame.pose, beam, bin
+        )
+
+    def close(self) -> None:
+        """Give back all that it holds."""
+        self._pool.close()
+
+    def _simulator(self, settings: LiveSettings) -> Simulator:
+        """Return the simulator of some settings; another law of counts needs no other one."""
+        sonar = replace(settings.device, counts=settings.sonar.counts)
+        return self._pool.simulator(sonar, settings.acoustics, settings.tolerance, settings.engine)
+
+    def _place(self, bodies: Mapping[str, np.ndarray | None]) -> None:
+        """Have the bodies where some of them were moved to."""
+        if bodies is not self._placed and (bodies or self._are_moved):
+            self._are_moved = True
+            self._pool.place(self._home | bodies)
+            self._placed = bodies
+
+    def _rate_hz(self) -> float:
+        """Return the mean rate of the last pings; 0 for the first."""
+        gone_s = self._pinged_s[-1] - self._pinged_s[0]
+        return (len(self._pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
+
+
+def _label_level_db(frame: LiveFrame, settings: LiveSettings) -> float:
+    """Return the level from which on a bin is not black, dB, with the gain that the settings have in a frame."""
+    least = settings.law.least_shown(frame.ping.intensity)
+    return min(max(10 * math.log10(least), -LEVEL_BOUND_DB), LEVEL_BOUND_DB)

@@ -1,0 +1,60 @@
+"""What stands in the bins of a frame's ping."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from sonar_gl.core.checks import check_whole_number
+from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.live.frame import LiveFrame, Reading
+from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
+
+
+class BinIndex(NamedTuple):
+    """The indices of a bin."""
+
+    beam: int
+    bin: int
+
+
+def check_bin(frame: LiveFrame, beam: int, bin: int) -> BinIndex:
+    """Return the indices of a bin of a frame's ping; raise Error if there is no such bin."""
+    beams, bins = frame.ping.intensity.shape
+    return BinIndex(
+        check_whole_number("beam", beam, 0, beams - 1), check_whole_number("bin", bin, 0, bins - 1)
+    )
+
+
+def body_number(scene: Scene, name: str) -> int:
+    """Return a body's number in labels, 1 + its index in the scene; raise Error if there is none of this name."""
+    names = [one.name for one in scene.bodies]
+    if name not in names:
+        hint = nearest_names(name, names) if names else "there are none"
+        raise Error(f"a body must be one of the scene (got {name!r}; {hint})")
+    return 1 + names.index(name)
+
+
+def reading_of(scene: Scene, ping: Ping, labels: Ping, place: BinIndex) -> Reading:
+    """Return what stands in a bin.
+
+    Parameters
+    ----------
+    scene : Scene of the ping
+    ping : Ping, whose intensity and counts are read
+    labels : the same Ping with labels, perhaps without noise
+    place : BinIndex
+    """
+    intensity, number = float(ping.intensity[place]), int(labels.body_id[place])
+    elevation_rad = float(labels.elevation_rad[place])
+    return Reading(
+        beam=place.beam,
+        bin=place.bin,
+        azimuth_rad=float(ping.azimuth_rad[place.beam]),
+        range_m=float(ping.range_m[place.bin]),
+        body=scene.bodies[number - 1].name if number else "",
+        elevation_rad=elevation_rad if math.isfinite(elevation_rad) else None,
+        level_db=10 * math.log10(intensity) if intensity > 0 else -math.inf,
+        count=int(ping.counts()[place]),
+    )
