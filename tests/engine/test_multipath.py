@@ -193,7 +193,7 @@ SLOW_SCENES = "floor, rolled and pitched", "wall beside", "tank", "one behind th
 def test_multipath_agrees_with_ray_casting(perfect, name):
     scene, pose, reflectors = SCENES[name]
     perfect(*reflectors)
-    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02).intensity
+    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.04).intensity  # errs by 0.4 %
     truth = straight + sum(
         TwoBounces(scene, SONAR, pose, reflectors).ping(1_000_000, seed) / 2 for seed in (1, 2)
     )
