@@ -65,7 +65,7 @@ def multipath_echo(scene, pose, acoustics=MULTIPATH, sonar=SONAR, sampling=FINE,
 
 # heights of sonar and target, distance; r_d, (r_d + r_b) / 2, r_b
 CASES = (
-    (2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078),
+    pytest.param(2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078, marks=pytest.mark.slow),
     pytest.param(2.0, 2.0, 10.0, 10.0000, 10.3852, 10.7703, marks=pytest.mark.slow),
     (5.0, 4.5, 8.0, 8.0156, 10.2177, 12.4197),
 )
