@@ -207,10 +207,10 @@ def room():
 )
 def test_pings_with_patterns_agree_with_the_reference(settings):
     sonar, acoustics = described(SONAR, **{"azimuth_fov_deg": 32.0, "elevation_pattern": "box"} | settings)
-    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.02)
+    truth = sg.reference_ping(sg.Scene(room()), sonar, np.eye(4), acoustics, 0.04)
     assert truth.meta["converged"]
     found = ping(room(), acoustics, sonar, tolerance=0.005)
-    assert ping_error(found, truth) < 0.01  # including 2e-3, the error of the reference
+    assert ping_error(found, truth) < 0.01  # including 4e-3, the error of the reference
     np.testing.assert_allclose(found.body_echo[1:], truth.body_echo[1:], rtol=0.01)
     even = replace(SONAR, azimuth_fov_deg=sonar.azimuth_fov_deg)
     bare = sg.Acoustics.physical(beam_pattern=acoustics.beam_pattern, elevation_pattern="box")

@@ -74,8 +74,17 @@ def test_the_reverberation_level_follows_the_sonar_equation(engine, height_m):
 
 
 @pytest.mark.filterwarnings("ignore:no echo came back")
-@pytest.mark.parametrize(("roll", "pitch"), [(0.0, -0.25), (0.5, -0.1), (0.0, -math.pi / 2)])
-@pytest.mark.parametrize("elevation_pattern", ["box", "line_array"])
+@pytest.mark.parametrize(
+    ("elevation_pattern", "roll", "pitch"),
+    [  # quadratures of a million directions: each turn and each pattern once
+        ("box", 0.0, -math.pi / 2),
+        ("line_array", 0.5, -0.1),
+        pytest.param("box", 0.0, -0.25, marks=pytest.mark.slow),
+        pytest.param("box", 0.5, -0.1, marks=pytest.mark.slow),
+        pytest.param("line_array", 0.0, -0.25, marks=pytest.mark.slow),
+        pytest.param("line_array", 0.0, -math.pi / 2, marks=pytest.mark.slow),
+    ],
+)
 def test_a_turned_sonar_receives_what_a_quadrature_over_directions_gives(roll, pitch, elevation_pattern):
     """∫ π σ / sin g over the directions of a beam that rise, into bins; the last looks straight up."""
     acoustics, height_m = ideal(elevation_pattern=elevation_pattern), 2.0

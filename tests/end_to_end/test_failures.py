@@ -35,21 +35,32 @@ def test_wide_fans(fov):
     assert ours < 1e-3  # facets of 1 degree are tilted by up to half a degree: cos is 4e-5 less
 
 
-@pytest.mark.parametrize("tolerance", [0.01, 0.05])
+TOLERANCES = 0.01, 0.05
+FLOORS = (
+    {"height_m": 0.3},
+    {"height_m": 3.0},
+    {"height_m": 20.0},
+    {"height_m": 3.0, "lowest_deg": 0.5},
+    {"height_m": 3.0, "width_deg": 0.2},
+    {"height_m": 3.0, "roll": 0.3, "pitch": 0.1, "yaw": 0.7},
+    {"height_m": 3.0, "roll": -0.3, "yaw": 3.0},
+    {"height_m": 3.0, "roll": math.pi, "pitch": 0.05},
+    {"height_m": 3.0, "roll": 1.2},
+)
+
+
 @pytest.mark.parametrize(
-    "floor",
-    [
-        {"height_m": 0.3},
-        {"height_m": 3.0},
-        {"height_m": 20.0},
-        {"height_m": 3.0, "lowest_deg": 0.5},
-        {"height_m": 3.0, "width_deg": 0.2},
-        {"height_m": 3.0, "roll": 0.3, "pitch": 0.1, "yaw": 0.7},
-        {"height_m": 3.0, "roll": -0.3, "yaw": 3.0},
-        {"height_m": 3.0, "roll": math.pi, "pitch": 0.05},
-        {"height_m": 3.0, "roll": 1.2},
+    "floor, tolerance",
+    [  # each floor with one tolerance, each tolerance on several floors
+        pytest.param(
+            floor,
+            tolerance,
+            id=f"{floor}-{tolerance}",
+            marks=() if number % 2 == turn else pytest.mark.slow,
+        )
+        for number, floor in enumerate(FLOORS)
+        for turn, tolerance in enumerate(TOLERANCES)
     ],
-    ids=str,
 )
 def test_grazing_floors(floor, tolerance):
     got = regimes.grazing_floor(tolerance=tolerance, **floor)

@@ -65,7 +65,7 @@ def multipath_echo(scene, pose, acoustics=MULTIPATH, sonar=SONAR, sampling=FINE,
 
 # heights of sonar and target, distance; r_d, (r_d + r_b) / 2, r_b
 CASES = (
-    (2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078),
+    pytest.param(2.0, 0.5, 10.0, 10.1119, 10.2098, 10.3078, marks=pytest.mark.slow),
     pytest.param(2.0, 2.0, 10.0, 10.0000, 10.3852, 10.7703, marks=pytest.mark.slow),
     (5.0, 4.5, 8.0, 8.0156, 10.2177, 12.4197),
 )
@@ -193,7 +193,7 @@ SLOW_SCENES = "floor, rolled and pitched", "wall beside", "tank", "one behind th
 def test_multipath_agrees_with_ray_casting(perfect, name):
     scene, pose, reflectors = SCENES[name]
     perfect(*reflectors)
-    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02).intensity
+    straight = sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.04).intensity  # errs by 0.4 %
     truth = straight + sum(
         TwoBounces(scene, SONAR, pose, reflectors).ping(1_000_000, seed) / 2 for seed in (1, 2)
     )

@@ -34,17 +34,15 @@ def test_port_is_left_and_forward_up():
 
 
 FANS_DEG = 20, 45, 90, 120, 130, 179, 180, 181, 270, 359, 360
-LARGE_FANS_DEG = 130, 360  # of which larger pictures are drawn, too; the others are slow
+FAST = {(fov_deg, 401) for fov_deg in (20, 90, 130, 180, 270, 360)} | {(130, 800)}  # others are slow
 
 
 @pytest.mark.parametrize(
     "fov_deg, height",
     [
-        *((fov_deg, 401) for fov_deg in FANS_DEG),
-        *(
-            pytest.param(fov_deg, 800, marks=() if fov_deg in LARGE_FANS_DEG else pytest.mark.slow)
-            for fov_deg in FANS_DEG
-        ),
+        pytest.param(fov_deg, height, marks=() if (fov_deg, height) in FAST else pytest.mark.slow)
+        for height in (401, 800)
+        for fov_deg in FANS_DEG
     ],
 )
 def test_isotropic_within_half_a_pixel(fov_deg, height):

@@ -1,9 +1,12 @@
 """The example clients, run as their readers do: beside the real commands, on loopback.
 
+Clients are processes of their own. Of the commands one is, too; others run in this process, where kernels are loaded.
+
 All look at a ball to port, whose nearest point has a range and a bearing of closed form.
 """
 
 import contextlib
+import io
 import math
 import os
 import re
@@ -11,8 +14,10 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from array import array
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +27,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.batch.ros_messages import message_types
+from sonar_gl.cli import main as cli
 from sonar_gl.live.publisher_settings import TOPICS, PublisherSettings
 from tests.support.live_messages import free_port, ping_message
 
@@ -84,6 +90,48 @@ def running(program, until):
         child.communicate()
 
 
+class Printed(io.StringIO):
+    """What a command prints, and an event that is set once it says how it is stopped."""
+
+    def __init__(self):
+        super().__init__()
+        self.runs = threading.Event()
+
+    def write(self, text):
+        written = super().write(text)
+        if "Ctrl-C stops it" in self.getvalue():
+            self.runs.set()
+        return written
+
+
+def run_beside(command, *program):
+    """Run a command here until a program has ended beside it; it ends as by Ctrl-C. Return what both printed."""
+    assert threading.current_thread() is threading.main_thread()  # which receives signals
+    printed, lock, has_ended = Printed(), threading.Lock(), False
+
+    def run_program():
+        try:
+            assert printed.runs.wait(WAIT_S)
+            return run(*program)
+        finally:
+            with lock:
+                if not has_ended:
+                    os.kill(os.getpid(), signal.SIGINT)
+
+    with ThreadPoolExecutor(1) as beside:
+        found = beside.submit(run_program)
+        try:
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                status = cli.main(command, standalone_mode=False)
+        finally:
+            with lock:
+                has_ended = True
+            printed.runs.set()
+        lines = found.result()
+    assert not status, printed.getvalue()  # an exit is returned, as is the lack of one
+    return printed.getvalue(), lines
+
+
 def run(*program):
     """Run a program to its end; return what it printed."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -124,10 +172,11 @@ def check_picture(path):
 def test_the_subscriber_prints_pings_and_paints_one(scene, tmp_path):
     pytest.importorskip("cyclonedds")
     domain = "--domain", str(100 + os.getpid() % 100)  # programs that run beside tests may use domain 0
-    command = sonar_gl("ros2", scene, "--sonar", "p900-45", "--range", "12", "--rate", "10", *FAST, *domain)
-    with running(command, "Ctrl-C stops it") as printed:
-        lines = run("examples/ros2_subscriber.py", *domain, "--pings", "3", "--out", tmp_path).splitlines()
-    assert re.search(r"^[1-9]\d* pings published", printed[0], re.MULTILINE)
+    command = ["ros2", scene, "--sonar", "p900-45", "--range", "12", "--rate", "10", *FAST, *domain]
+    read = "examples/ros2_subscriber.py", *domain, "--pings", "3", "--out", tmp_path
+    printed, lines = run_beside(command, *read)
+    assert re.search(r"^[1-9]\d* pings published", printed, re.MULTILINE)
+    lines = lines.splitlines()
     assert len(lines) == 3
     stamps_s = []
     for line in lines:
@@ -228,10 +277,10 @@ def test_the_node_of_the_page_reads_a_message_by_names_that_it_has(monkeypatch, 
 
 def test_the_client_of_an_oculus_prints_results_and_paints_one(scene, tmp_path):
     port = str(free_port())
-    with running(sonar_gl("emulate", "oculus", scene, *FAST, "--port", port), "Ctrl-C stops it") as printed:
-        read = "examples/oculus_client.py", "--port", port, "--range", "12", "--pings", "3", "--out", tmp_path
-        lines = run(*read).splitlines()
-    assert re.search(r"^[1-9]\d* results sent, 0 missed", printed[0], re.MULTILINE)
+    read = "examples/oculus_client.py", "--port", port, "--range", "12", "--pings", "3", "--out", tmp_path
+    printed, lines = run_beside(["emulate", "oculus", scene, *FAST, "--port", port], *read)
+    assert re.search(r"^[1-9]\d* results sent, 0 missed", printed, re.MULTILINE)
+    lines = lines.splitlines()
     assert len(lines) == 3
     for number, line in enumerate(lines):
         assert re.match(rf"ping {number}: 256 beams, \d+ ranges from 0.0\d to 1[12].\d\d m; ", line), line
@@ -258,11 +307,10 @@ def test_the_lines_of_the_page_turn_the_head_of_a_ping360(scene):
     pytest.importorskip("brping")
     port = str(free_port())
     code = block_of("live.md", "import brping").replace("9092", port)
-    with running(sonar_gl("emulate", "ping360", scene, *FAST, "--port", port), "Ctrl-C stops it") as printed:
-        lines = run("-c", code).splitlines()
-    assert re.search(r"^20 pings sent", printed[0], re.MULTILINE)
+    printed, lines = run_beside(["emulate", "ping360", scene, *FAST, "--port", port], "-c", code)
+    assert re.search(r"^20 pings sent", printed, re.MULTILINE)
     # the client itself says first where it connects to
-    found = [re.fullmatch(r"(\d+)°: (\d+) of 255 at ([\d.]+) m", line) for line in lines[1:]]
+    found = [re.fullmatch(r"(\d+)°: (\d+) of 255 at ([\d.]+) m", line) for line in lines.splitlines()[1:]]
     assert all(found) and [int(one[1]) for one in found] == list(range(0, 360, 18))
     counts = [int(one[2]) for one in found]
     # 342 degrees clockwise are 18 to port, where the ball is; beams of 2 degrees elsewhere see nothing

@@ -104,7 +104,7 @@ def test_raster_against_rays():
     )
     assert target.specular == 0.3
     scene, sonar = sg.Scene([floor, target]), sg.Sonar("t", 900e3, 64, 200, 32.0, 30.0, 0.5, 0.5, 10.0)
-    truth = sg.reference_ping(scene, sonar, np.eye(4), sg.Acoustics.ideal(), 0.03)
+    truth = sg.reference_ping(scene, sonar, np.eye(4), sg.Acoustics.ideal(), 0.05)  # errs by 0.5 %
     with sg.Simulator(scene, sonar, sg.Acoustics.ideal()) as simulator:
         ping = simulator.ping(np.eye(4))
     assert ping_error(ping, truth) <= 0.01
