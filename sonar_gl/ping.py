@@ -44,7 +44,8 @@ class Ping:
     Attributes
     ----------
     intensity : (B, K) float32, linear, power-like; a sphere of reflectivity μ about the sonar reads μ
-    azimuth_rad : (B,) float64, rising, starboard first, positive to port
+    azimuth_rad : (B,) float64, rising, starboard first, positive to port; of beams that are cones (see
+        `Acoustics.has_cones`) the true azimuth of what lies at elevation 0 alone
     range_m : (K,) float64, bin centres
     body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none, or none that a
         display shows; likewise the other labels of a bin

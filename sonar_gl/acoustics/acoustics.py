@@ -464,9 +464,10 @@ class Acoustics:
         gaussian = self.beam_pattern == "gaussian"
         sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
         support = math.asin(min(1.0, sine))
-        if sonar.steered == "straight":  # widest for the outermost beam, on the side away from the boresight
+        if sonar.steered == "straight":  # widest for the outermost beam, on either side
             steer = float(np.abs(sonar.azimuth_rad).max())
-            support = max(support, math.asin(min(1.0, math.sin(steer) + sine)) - steer)
+            away = math.asin(min(1.0, math.sin(steer) + sine)) - steer
+            support = max(support, away, steer - math.asin(max(-1.0, math.sin(steer) - sine)))
         return support
 
     def transmit_pattern(self, sonar) -> Callable | None:

@@ -315,8 +315,8 @@ def line_array_pattern(
 ):
     """Return the one-way power pattern of a beam of a line array, 1 on its axis (1 + floor with element errors).
 
-    The pattern is 0 behind the array: more than 90° from the beam's axis, or from the straight array's. It
-    does not depend on elevation: a beam is upright, not a cone about the array's line.
+    The pattern is 0 behind the array: more than 90° from the beam's axis, or from the straight array's. Azimuths are
+    those at which the array shows a direction: of beams that are cones not the true ones.
 
     Parameters
     ----------

@@ -313,8 +313,9 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     """Return the fan, with the beam patterns evaluated at its nodes."""
     axes, pattern = sonar.azimuth_rad, acoustics.receive_pattern(sonar)
     support_rad = acoustics.receive_support_rad(sonar)
-    # a support of 90 degrees is all that is in front of an array
-    all_lobes = acoustics.far_pattern(sonar) is not None and support_rad < np.pi / 2
+    # a support of 90 degrees is all that is in front of an array, of a beam that is not steered
+    is_all = support_rad >= np.pi / 2 and sonar.steered == "alike"
+    all_lobes = acoustics.far_pattern(sonar) is not None and not is_all
     start, stop = axes[0] - support_rad, axes[-1] + support_rad
     if stop - start >= 2 * np.pi:
         start, stop = -np.pi, np.pi

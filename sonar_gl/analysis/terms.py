@@ -103,7 +103,7 @@ TERMS = (
         "conical beams",
         on=_field_on("conical_beams", True, off=False),
         off={"conical_beams": False},
-        acts_with=lambda acoustics, sonar: sonar.is_straight_array,
+        acts_with=lambda acoustics, sonar: replace(acoustics, conical_beams=True).has_cones(sonar),
     ),
     Term(
         "far side lobes",

@@ -30,8 +30,8 @@ SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well belo
 
 class Lattice(NamedTuple):
     """Directions of a sector's samples: (3,) u and (3,) v, and the tangents of its lowest and highest elevation;
-    see `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs. Then sine and
-    cosine of the azimuth of its middle.
+    see `Sector`. Then the number of columns of samples; what arrays of samples hold beyond is not theirs. At last come
+    sine and cosine of the azimuth of its middle.
     """
 
     u: np.ndarray
@@ -97,7 +97,7 @@ class Strip(NamedTuple):
     cosine: float
 
 
-# Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `_lay_on_cone`: column of the sample in
+# Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `lay_on_cone`: column of the sample in
 # the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip is
 # curved; v of the ray. By `_gather_samples`: 1/x on the ray, 0 where it met nothing; the plane that it met: 1/x on that
 # line at v = 0, its slope along the line, with v, and its slope along u; the echo per steradian. By
@@ -108,7 +108,7 @@ class Strip(NamedTuple):
 SAMPLE, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(10)
 ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(10, 21)
 FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE + 1
-LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `_lay_on_cone`
+LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
 
 def bin_table(bin_edges_m: np.ndarray) -> BinTable:
@@ -129,8 +129,8 @@ def bin_table(bin_edges_m: np.ndarray) -> BinTable:
 def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
     """Return the Strip number `p` of a sector, with its samples and their borders in `work`.
 
-    A sample stands for a rectangle of an upright strip of the image plane. Of each row of samples the one
-    nearest to the strip stands for it. A strip without any echo has `first` = `last`.
+    A sample stands for a rectangle of a strip of the image plane, or of its tangent if the strip is curved. Of each
+    row of samples the one nearest to the strip stands for it. A strip without any echo has `first` = `last`.
 
     This is the walk over samples that all sums share. It is no generator, since Numba never frees the arrays
     that a generator holds.
@@ -165,7 +165,7 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
             min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0
         )  # 0: the window lies above or below
         if strips.are_cones:
-            _lay_on_cone(work, lattice, middle, low_u, bottom_row, n)
+            lay_on_cone(work, lattice, middle, bottom_row, n)
         else:
             _lay_upright(work, lattice, middle, bottom_row, n)
         first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
@@ -204,37 +204,35 @@ def _lay_upright(work, lattice, middle, bottom_row, n):
 
 
 @compiled
-def _lay_on_cone(work, lattice, k, some_u, bottom_row, n):
+def lay_on_cone(work, lattice, k, bottom_row, n):
     """Find the samples nearest to the strip of the cone of sine k, n rows from `bottom_row` on.
 
     Along the cone, x and all of sine, cosine, u and v as in `_u_on_cone`, dv is −(cosine (1 + v²) + sine u) du over
     (sine − cosine u) v.
-
-    some_u : of the strip anywhere
     """
     sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
     u, v, sine, cosine = lattice.u, lattice.v, lattice.sine, lattice.cosine
     u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
-    square, turn = sine * sine, cosine * cosine - k * k
-    # of `_u_on_cone`, (over + per_w w + per_root root) / (under + under_root root)
-    is_aside = sine * k > 0.0
-    over, per_w, per_root = (square, -k * k, 0.0) if is_aside else (sine * cosine, 0.0, -k)
-    under, under_root = (sine * cosine, k) if is_aside else (turn, 0.0)
+    square, k2, rise = sine * sine, k * k, vi / ui
     for m in range(uint64(n)):
         j = float(np.int32(m) + np.int32(bottom_row))
         start, level = u0 + uj * j, v0 + vj * j
-        vc, uc, i = level, 0.0, (some_u - start) / ui
-        for _ in range(2):  # rows rise but little from side to side
-            vc = level + vi * i
-            w = 1.0 + vc * vc
-            root = math.sqrt(max(square + w * turn, 0.0))
-            uc = (over + per_w * w + per_root * root) / (under + under_root * root)
-            i = (uc - start) / ui
-        i = math.floor(i + 0.5)
+        # where the row, v = a + rise u, meets the cone: as in `_u_on_cone`
+        a = level - rise * start
+        across, half = sine * rise + cosine * a, sine * cosine + k2 * a * rise
+        root = k * math.sqrt(max(1.0 + across * across - k2 * (1.0 + a * a + rise * rise), 0.0))
+        is_aside = half * k > 0.0
+        over = square - k2 * (1.0 + a * a) if is_aside else half - root
+        under = half + root if is_aside else cosine * cosine - k2 * (1.0 + rise * rise)
+        i = math.floor((over / under - start) / ui + 0.5)
         vc = level + vi * i
+        # where the cone has the height of that sample
         w = 1.0 + vc * vc
-        root = math.sqrt(max(square + w * turn, 0.0))
-        uc = (over + per_w * w + per_root * root) / (under + under_root * root)
+        root = k * math.sqrt(max(square + w * (cosine * cosine - k2), 0.0))
+        is_aside = sine * k > 0.0
+        over = square - k2 * w if is_aside else sine * cosine - root
+        under = sine * cosine + root if is_aside else cosine * cosine - k2
+        uc = over / under
         slope = -(sine - cosine * uc) * vc / max(cosine * w + sine * uc, LEAST_AHEAD)
         sample[m], v_ray[m] = i, vc
         line_u[m], tilt[m] = uc - slope * vc, slope
@@ -246,10 +244,8 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
     sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
     u, columns = lattice.u, lattice.columns
-    begin, end = (
-        0,
-        n,
-    )  # rows in which the strip lies in the window, but for a curved one that leaves it in between
+    # rows in which the strip lies in the window; a curved one may leave it in between
+    begin, end = 0, n
     while begin < end and not 0 <= sample[begin] < columns:
         begin += 1
     while begin < end and not 0 <= sample[end - 1] < columns:

@@ -231,11 +231,18 @@ def _ndc_from_pixels(width: int, height: int) -> np.ndarray:
     return np.array([[2 / width, 0, 1 / width - 1], [0, -2 / height, 1 - 1 / height], [0, 0, 1.0]])
 
 
-def covered_fraction(sonar: Sonar, cameras) -> float:
-    """Return the fraction of the fan's solid angle that at least one of the cameras sees, in the head's axes."""
+def covered_fraction(sonar: Sonar, cameras, are_cones: bool = False) -> float:
+    """Return the fraction of the fan's solid angle that at least one of the cameras sees, in the head's axes.
+
+    are_cones : whether beams are cones, which lie further aside than the azimuths at which they are shown
+    """
     azimuth = np.radians(sonar.azimuth_fov_deg) * ((np.arange(512) + 0.5) / 512 - 0.5)
     sine = math.sin(math.radians(sonar.elevation_fov_deg) / 2) * ((np.arange(128) + 0.5) / 64 - 1)[:, None]
     level = np.sqrt(1 - sine * sine)
     up = np.broadcast_to(sine, (128, 512))
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=-1)
+    if are_cones:
+        beside = np.broadcast_to(np.sin(azimuth), (128, 512))
+        ahead = np.sqrt(np.maximum(1 - beside**2 - up**2, 0))
+        directions = np.stack([ahead, beside, up], axis=-1)[ahead > 0]
     return float(np.any([camera.sees(directions) for camera in cameras], axis=0).mean())

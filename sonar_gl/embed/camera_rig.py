@@ -12,6 +12,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.embed.camera import Camera, covered_fraction
 from sonar_gl.embed.resample import PixelPlanes
 from sonar_gl.engine.stage import Stage
+from sonar_gl.sonar.fan import azimuths_of_cones
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import (
     MAX_COLUMNS_PER_BEAM,
@@ -37,6 +38,7 @@ class CameraRig:
     sampling : None chooses samples as fine as the pixels
     make_stage : function (sampling) -> Stage of the sonar
     thread : does half of the work
+    are_cones : whether beams are cones
 
     Attributes
     ----------
@@ -56,13 +58,18 @@ class CameraRig:
         sampling: Sampling | None,
         make_stage: Callable[[Sampling], Stage],
         thread: SecondThread,
+        are_cones: bool = False,
     ):
         if sonar.tilt_deg:
             cameras = [camera.seen_from_head(sonar) for camera in cameras]
-        covered = covered_fraction(sonar, cameras)
+        covered = covered_fraction(sonar, cameras, are_cones)
+        half_deg = sonar.azimuth_fov_deg / 2
+        if are_cones:
+            half, top = math.radians(half_deg), math.radians(sonar.elevation_fov_deg) / 2
+            half_deg = math.degrees(azimuths_of_cones(-half, half, top)[1])
         tilted = f" of a head tilted {sonar.tilt_deg:g}° down" if sonar.tilt_deg else ""
         needed = (
-            f"azimuths within ±{sonar.azimuth_fov_deg / 2:g}° and elevations within "
+            f"azimuths within ±{half_deg:.4g}° and elevations within "
             f"±{sonar.elevation_fov_deg / 2:g}°{tilted} are needed, which the cameras of Camera.covering(sonar) see"
         )
         if covered == 0:

@@ -277,7 +277,14 @@ class Sensor:
         """Return the rig of these cameras, from a cache of the `MAX_RIGS` that were used last."""
         key = tuple((c.width, c.height, c.intrinsics.tobytes(), c.rotation.tobytes()) for c in cameras)
         if (rig := self._rigs.pop(key, None)) is None:
-            rig = CameraRig(self.sonar, cameras, self.sampling, self._stage, self._thread)
+            rig = CameraRig(
+                self.sonar,
+                cameras,
+                self.sampling,
+                self._stage,
+                self._thread,
+                self.acoustics.has_cones(self.sonar),
+            )
             for warning in (rig.warning, z_buffer_suspicion(images)):
                 if warning:
                     warn_caller(warning)

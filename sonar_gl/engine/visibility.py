@@ -65,16 +65,17 @@ class BodyCounts(NamedTuple):
 
 
 @compiled
-def _count_samples(samples, lattice, widest, bins, gain, elevation_table, counts, echo):
+def _count_samples(samples, lattice, sines, widest, bins, gain, elevation_table, counts, echo):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
     samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
+    sines : of `Strips`: beyond them no beam receives, in sectors whose beams are cones
     widest : |u| beyond which samples only fill sheared rows
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
     """
     plane_echo, body_id = samples
-    (u, v, tan_low, tan_high, columns, _, _), (r_first, per_metre) = lattice, bins
+    (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
     per_sine = (elevation_table.shape[0] - 1) / 2
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
@@ -89,6 +90,8 @@ def _count_samples(samples, lattice, widest, bins, gain, elevation_table, counts
             if abs(uc) > widest or v2 > high2 * u2 or v2 < low2 * u2:
                 continue
             L = math.sqrt(1.0 + uc * uc + vc * vc)
+            if not sines[0] <= (sine - cosine * uc) / L <= sines[1]:
+                continue
             k = (L / q - r_first) * per_metre
             if 0.0 <= k < K:
                 place = int(per_sine + vc / L * per_sine + 0.5)
@@ -108,7 +111,8 @@ def count_bodies(
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         bins = sonar.range_min_m, 1.0 / sonar.bin_size_m
         widest = math.tan(one.sector.half_width_rad)
-        _count_samples(arrays, one.lattice, widest, bins, gain, elevation_table, counts, echo)
+        sines = one.sector.strips.sines
+        _count_samples(arrays, one.lattice, sines, widest, bins, gain, elevation_table, counts, echo)
     return BodyCounts(counts, echo)
 
 
@@ -125,6 +129,7 @@ def is_unobstructed(samples: Sequence[SectorSamples], body, body_pose, pose, son
         ahead = x > 1e-3
         u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
         near = sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
+        near &= sector.is_received(u, v)
         lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
         inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
@@ -209,9 +214,10 @@ class BodyExtents:
         half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
         cosine = np.cos(elevation)
         beside = np.where(sine < cosine, np.arcsin(np.minimum(sine / np.maximum(cosine, 1e-9), 1.0)), np.pi)
-        shown = np.arctan2(y, x)
+        shown, is_ahead = np.arctan2(y, x), True
         if reception.are_cones:
             shown, beside = np.arcsin(np.clip(y / distance, -1.0, 1.0)), half_angle
+            is_ahead = x > -self._radii_m
         nearest, farthest = distance - self._radii_m, distance + self._radii_m
         inside = (
             state.present
@@ -219,6 +225,7 @@ class BodyExtents:
             & (farthest > sonar.range_min_m)
             & (np.abs(elevation) - half_angle < reception.max_elevation_rad)
             & (np.abs(shown) - beside < half_azimuth)
+            & is_ahead
         )
         angle = np.minimum(self._area_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
         sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,15 @@ class Strips:
     v_high: np.ndarray
     are_cones: bool = False
 
+    @cached_property
+    def sines(self) -> tuple[float, float]:
+        """Sines k between which cones lie; of upright strips minus infinity and infinity."""
+        if not self.are_cones:
+            return -math.inf, math.inf
+        if not len(self.middle):
+            return math.inf, -math.inf
+        return float((self.middle - self.width / 2).min()), float((self.middle + self.width / 2).max())
+
 
 @dataclass(frozen=True, eq=False)
 class Sector:
@@ -60,7 +70,7 @@ class Sector:
 
     Each row is shifted against the row below by a fraction of a sample, and each column against its neighbour by a
     fraction of a row, so that an upright or level edge crosses the strips at another place in every row. The strips
-    themselves stay upright.
+    themselves are not sheared.
 
     Attributes
     ----------
@@ -92,6 +102,13 @@ class Sector:
         """Return whether places on the image plane lie inside the sector's limits of elevation."""
         level = np.sqrt(1 + u * u)
         return (v > self.tan_low * level) & (v < self.tan_high * level)
+
+    def is_received(self, u, v) -> np.ndarray:
+        """Return whether places on the image plane lie in some strip of cones, or beams are upright."""
+        low, high = self.strips.sines
+        along = math.sin(self.azimuth_rad) - math.cos(self.azimuth_rad) * u
+        sines = along / np.sqrt(1 + u * u + v * v)
+        return (sines > low) & (sines < high)
 
     def rotation(self) -> np.ndarray:
         """Return (3, 3) sector_from_sonar, which turns the sector's middle onto the x axis."""
@@ -211,7 +228,7 @@ def make_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Stri
 
 
 def make_cone_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
-    """Return the strips of a sector that are cones about the axis of a line array.
+    """Return the strips of a sector that are cones about the axis of a line array, up to MAX_AZIMUTH_RAD.
 
     Parameters
     ----------

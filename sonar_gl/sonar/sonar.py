@@ -256,7 +256,10 @@ class Sonar:
 
     @property
     def is_straight_array(self) -> bool:
-        """Whether one straight array forms all beams, as `beam_spacing` "sine" or `steered` "straight" say."""
+        """Whether one straight array forms all beams, as `beam_spacing` "sine" or `steered` "straight" say.
+
+        With a table of azimuths, too: a table that one straight array does not have needs `beam_spacing` "angle".
+        """
         return self.beam_spacing == "sine" or self.steered == "straight"
 
     @property

@@ -9,8 +9,11 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.reference import reference_ping
+from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.kernels import LINE_U, SAMPLE, TILT, V_RAY
 from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sector import cone_end_rad
 from tests.support.fans import make_sonar
 
@@ -100,6 +103,24 @@ def test_samples_cover_every_strip(name):
         assert (sector.strips.v_high < v.min(axis=1).max() + sector.v[2]).all()
         # rows never rise as steeply as a cone leans, which would give it two samples of one row
         assert (np.diff(v, axis=0) > 0).all()
+
+
+@pytest.mark.parametrize("name", FANS)
+def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
+    """Half a sample from where its row meets the cone, which leans by half as much at most on the way."""
+    sonar, max_elevation_deg = FANS[name]
+    settings = {"max_elevation_deg": max_elevation_deg, "are_cones": True}
+    fan = make_fan(sonar, sg.Sampling(1, 64), 0.03, box=False, **settings)
+    work = np.empty((kernels.FOOTPRINT_ROWS, max(sector.rows for sector in fan.sectors) + 1))
+    for sector in fan.sectors:
+        lattice = kernels.Lattice(*SectorSamples(sector, None, None).lattice)
+        strips, j = sector.strips, np.arange(sector.rows)
+        for p in range(0, len(strips.middle), 7):
+            kernels.lay_on_cone(work, lattice, strips.middle[p], 0, sector.rows)
+            i, line_u, tilt, v = work[[SAMPLE, LINE_U, TILT, V_RAY], : sector.rows]
+            inside = (v > strips.v_low[p]) & (v < strips.v_high[p])
+            off = (line_u + tilt * v - (sector.u[0] + sector.u[1] * i + sector.u[2] * j)) / sector.u[1]
+            assert np.abs(off[inside]).max(initial=0) < 0.76
 
 
 # ---- which sonars have them -------------------------------------------------------------------------------
@@ -231,6 +252,57 @@ def test_the_ray_caster_agrees():
         with sg.Simulator(scene, sonar, settings, tolerance=tolerance, engine=engine) as simulator:
             difference = np.abs(simulator.ping(pose).intensity - reference).sum() / reference.sum()
         assert difference < tolerance if is_close else difference > 2 * tolerance
+
+
+@pytest.mark.slow
+def test_the_ray_caster_agrees_on_wide_beams_that_are_steered_far():
+    """A beam of 20 degrees at 68: side lobes reach 158 degrees from its axis, still before the array."""
+    sonar = make_sonar(137.0, 5, 20.0, 16.0, steered="straight", element_error_db=-38.0)
+    acoustics = sg.Acoustics.physical(elevation_pattern="box")
+    bodies = [
+        sg.Body("wall", trimesh.creation.box((0.1, 30.0, 4.0)), sg.pose(9, 0, 0, yaw=0.3), 0.5),
+        sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(2, -5, 0), 0.5),
+    ]
+    reference = reference_ping(sg.Scene(bodies), sonar, np.eye(4), acoustics, error=0.03).intensity
+    ping = echo_of(sonar, acoustics, bodies, sampling=sg.Sampling(16, 128))
+    assert np.abs(ping.intensity - reference).sum() < 0.03 * reference.sum()
+
+
+def test_bodies_beside_the_cones_take_no_samples():
+    """Views reach as far aside as the outermost cone at their highest elevation: their lower corners are in no beam."""
+    sonar = make_sonar(45.0, 32, 1.5, beam_spacing="sine")
+    ball = trimesh.creation.icosphere(3, 0.4)
+    ahead = sg.Body("ahead", ball, sg.pose(8, 1, 0), 0.5)
+    azimuth, elevation = np.radians([50.0, 40.0])  # shown at 36 degrees, 14 degrees from the nearest beam
+    assert shown(50.0, 40.0) > 35
+    place = 5 * np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    behind = sg.Body("behind", ball, sg.pose(-5, 1, 0), 0.5)
+    plans = []
+    for more in ([], [sg.Body("beside", ball, sg.pose(*place), 1.0)], [behind]):
+        scene = sg.Scene([ahead, *more])
+        with sg.Simulator(scene, sonar, sg.Acoustics.physical(), tolerance=0.02) as simulator:
+            plans.append(simulator.plan([np.eye(4)]).sampling)
+    assert plans[0] == plans[1] == plans[2]
+
+
+@pytest.mark.parametrize(
+    ("sonar", "sampling"),
+    [
+        (make_sonar(30.0, 1, 10.0, beam_spacing="sine"), sg.Sampling(16, 64)),
+        (make_sonar(150.0, 2, 1.0, beam_spacing="sine"), sg.Sampling(100, 128)),
+        (make_sonar(120.0, 64, 2.0, beam_spacing="sine"), sg.Sampling(2, 64)),
+        (replace(ARRAY, n_beams=3, beam_azimuths_deg=(20.0, 40.0, 60.0)), sg.Sampling(8, 64)),
+        (replace(ARRAY, elevation_fov_deg=170.0), sg.Sampling(2, 512)),
+    ],
+)
+def test_odd_sonars_receive_a_wall_all_round_in_full(sonar, sampling):
+    shell = sg.Body("wall", trimesh.creation.icosphere(5, 10.0), reflectivity=0.5)
+    ping = echo_of(sonar, replace(CONES, far_side_lobes=True), [shell], sampling=sampling)
+    np.testing.assert_allclose(
+        ping.intensity.sum(axis=1), 0.5, rtol=6e-3
+    )  # as of the wall above; and few columns
 
 
 # ---- what shares the sums ---------------------------------------------------------------------------------

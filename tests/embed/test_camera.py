@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.embed.camera import covered_fraction
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD
 
 SQUARE = [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]
@@ -121,6 +122,11 @@ def test_cameras_for_the_cones_of_a_straight_array_see_what_it_shows_at_the_edge
         assert np.any(seen, axis=0).all()
     upright = sg.Camera.covering(sonar, replace(acoustics, conical_beams=False), 0.2)
     assert not np.any([camera.sees(d) for camera in upright], axis=0).all()
+    # and a rig of the upright fan's cameras says so
+    narrow = sg.Camera.covering(sonar, sg.Acoustics.ideal(), 0.2)
+    assert covered_fraction(sonar, narrow) == 1.0 > 0.999 > covered_fraction(sonar, narrow, are_cones=True)
+    wide = sg.Camera.covering(sonar, acoustics, 0.2)
+    assert covered_fraction(sonar, wide, are_cones=True) == 1.0
 
 
 def test_pixel_size_in_azimuth_and_elevation():
