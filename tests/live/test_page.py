@@ -158,7 +158,7 @@ def test_sonar_moves_while_a_key_is_held(viewer):
     tab.keyboard.down("ArrowLeft")
     wait_for(lambda: session.pose[1, 0] > 0.05)  # the boresight turns to port
     tab.keyboard.up("ArrowLeft")
-    wait_until_still(session)  # the page hears of a released key later; the next test has another start
+    wait_until_still(session)  # the page learns of a released key later; the next test has another start
 
 
 def test_keys_that_are_typed_move_nothing(viewer):
