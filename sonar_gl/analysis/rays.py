@@ -19,8 +19,8 @@ from sonar_gl.core.extras import missing_extra
 class Aperture(NamedTuple):
     """The directions of the rays: azimuths from `start_rad`, `span_rad` wide; sine of the highest elevation.
 
-    With `are_cones` the azimuths are those at which a line array shows the directions of a cone about its axis, which
-    rays lie around evenly; with `max_tan` the tangent of the greatest true azimuth.
+    With `are_cones` each azimuth is that of a cone about the axis of a line array, as the array shows it, and rays are
+    spread evenly around the cone, up to the elevation and the true azimuth that have `max_sine` and `max_tan`.
     """
 
     start_rad: float

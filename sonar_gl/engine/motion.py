@@ -49,8 +49,8 @@ def shown_at(azimuth_rad, range_m, velocity, sound_speed_m_s, set_speed_m_s=None
     ----------
     azimuth_rad, range_m : shapes that broadcast, as shown at rest
     velocity : (6,) vx vy vz, m/s, and wx wy wz, rad/s, in the sonar's frame. Pitch, roll and heave change
-        which elevations are received, and are left out. So is that a beam that is a cone sees surfaces above and
-        below the fan's plane elsewhere: at 60 degrees, 10 degrees up, its bearing turns by 6 % less
+        which elevations are received, and are left out. Elevations are left out, too: what a conical beam at 60
+        degrees receives from 10 degrees above the fan's plane turns by 6 % less than what lies in it
     sound_speed_m_s, set_speed_m_s : of the water, and as set in the sonar, None for the same
 
     Returns
