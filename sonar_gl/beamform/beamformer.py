@@ -262,8 +262,8 @@ class Beamformer:
         self._make_labeller = partial(
             Labeller,
             fan,
-            shape,
-            self._tiles,
+            weights,
+            is_box,
             self._parts,
             self._bins,
             self.elevation_table,

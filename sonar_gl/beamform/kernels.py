@@ -762,8 +762,9 @@ def _find_angles(work, strip):
         incidence[m] = math.pi / 2 - angle if past > towards else angle
         vc = abs(border[m] + border[uint64(m + 1)]) / 2
         uc = line_u[m] + tilt[m] * (border[m] + border[uint64(m + 1)]) / 2
-        t = vc * (1.0 / math.sqrt(1.0 + uc * uc))
-        elevation[m] = math.pi / 2 - atan(1.0 / t) if t > 1.0 else atan(t)
+        level = math.sqrt(1.0 + uc * uc)
+        angle = atan(min(vc, level) / max(vc, level))
+        elevation[m] = math.pi / 2 - angle if vc > level else angle
     for m in range(uint64(first), uint64(last)):
         elevation[m] = -elevation[m] if border[m] + border[uint64(m + 1)] < 0.0 else elevation[m]
 
@@ -774,7 +775,7 @@ def _find_numbers(work, strip, columns, body_id, numbers):
     sample, bottom_row = work[SAMPLE], strip.bottom_row
     for m in range(uint64(strip.first), uint64(strip.last)):
         i = min(max(np.int64(sample[m]), 0), columns - 1)
-        numbers[m] = body_id[uint64(np.int64(m) + bottom_row), uint64(i)]
+        numbers[m] = body_id[uint64(i), uint64(np.int64(m) + bottom_row)]
 
 
 @inlined
@@ -955,14 +956,26 @@ def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
 
 @compiled
 def sum_bodies(
-    plane_echo, body_id, lattice, strips, bins, spread, elevation_pattern, cells, store, sums, spans
+    plane_echo,
+    body_id,
+    lattice,
+    strips,
+    bins,
+    spread,
+    elevation_pattern,
+    label_column,
+    cells,
+    store,
+    sums,
+    spans,
 ):
     """Sum some of one sector's samples into columns and bins, for each body by itself, and all of them.
 
     Parameters
     ----------
     plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
-    body_id : (R, C) uint16
+    body_id : (C, R) uint16, column by column, as a strip reads it
+    label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : of ColumnBodies, zeros before and after
     store : tuple of RunStore
     sums, spans : as in `sum_footprints`, with the same bits; spans of no length if these sums are not wanted, then
@@ -976,15 +989,16 @@ def sum_bodies(
     with_sums = spans.shape[0] > 0
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
     numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
-    bodies, column = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
+    bodies, joined = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.middle.shape[0]):
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         start, last = strip.first, strip.last
         if start == last:
             continue
-        if strip.column != column:
-            store = _store_runs(bodies, column, store)
-            bodies, column = ColumnBodies(bodies.slots, 0, bodies.cells), strip.column
+        column = strip.column
+        if label_column[column] != joined:
+            store = _store_runs(bodies, joined, store)
+            bodies, joined = ColumnBodies(bodies.slots, 0, bodies.cells), label_column[column]
         _find_footprints(work, strip, elevation_pattern)
         _find_angles(work, strip)
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
@@ -1011,7 +1025,7 @@ def sum_bodies(
                 low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
-    runs, n_runs, pool, n_pool = _store_runs(bodies, column, store)
+    runs, n_runs, pool, n_pool = _store_runs(bodies, joined, store)
     return bodies.cells, (runs, n_runs, pool, n_pool)
 
 

@@ -8,9 +8,12 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.beamform import labels
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import atan, bin_table
+from sonar_gl.beamform.labels import label_columns
 from sonar_gl.embed.sensor import Sensor
+from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
 
@@ -100,6 +103,60 @@ def test_labels_are_the_same_in_one_pass_and_in_a_second():
     alone = beamformer.label(samples, gain, 5, background)
     for name, expected in vars(alone).items():
         np.testing.assert_array_equal(getattr(together, name), expected)
+
+
+def tapered(azimuth_rad, steer_rad):
+    """Return a smooth pattern of power, zero from ±0.2 rad on."""
+    return np.cos(np.minimum(np.abs(np.sin((azimuth_rad - steer_rad) / 2)) * 2 / 0.2, 1.0) * math.pi / 2) ** 2
+
+
+@pytest.mark.parametrize("fov_deg", [90.0, 360.0])
+@pytest.mark.parametrize("widest_rad", [0.0, 0.04, 10.0])
+def test_joined_columns_return_an_even_echo_alike(fov_deg, widest_rad):
+    """Beams receive as much of an even echo, also over the seam of a fan of 360 degrees; no column is left out."""
+    sonar = sg.Sonar("test", 900e3, 120, 10, fov_deg, 20.0, 3.0, 0.5, 20.0)
+    fan = make_fan(sonar, sg.Sampling(4, 16), 0.2, False)
+    weights, widths = beam_weights(fan, tapered, 0.2), np.diff(fan.column_edges_rad)
+    joined = label_columns(fan, weights, widest_rad)
+    of_columns = joined.of_columns[: fan.n_columns]
+    np.testing.assert_array_equal(np.unique(of_columns), np.arange(joined.count))
+    assert (np.diff(of_columns) >= 0).all()
+    if widest_rad == 0.0:
+        assert joined.count == fan.n_columns
+    elif widest_rad == 10.0:
+        assert joined.count == 1
+    else:
+        assert np.bincount(of_columns, widths).max() < widest_rad + widths.max()
+        assert joined.count < fan.n_columns / 2
+    joined_widths, tiles = np.bincount(of_columns, widths), joined.tiles
+    columns = (tiles.first[:, None] + np.arange(tiles.weights.shape[1])) % joined.count
+    received = (tiles.weights * joined_widths[columns][..., None]).sum(axis=1).ravel()[: len(weights.first)]
+    columns = (weights.first[:, None] + np.arange(weights.weights.shape[1])) % fan.n_columns
+    np.testing.assert_allclose(received, (weights.weights * widths[columns]).sum(axis=1), rtol=1e-5)
+
+
+def test_joined_columns_change_labels_less_than_finer_samples_do(monkeypatch):
+    """Of the bins that are labelled, and of the elevations there."""
+    scene, sonar = sg.load_scene("pylon"), replace(sg.load_sonar("p900-45"), n_bins=300)
+
+    def labelled(columns_per_beam, finer):
+        monkeypatch.setattr(labels, "COLUMNS_PER_BEAM", columns_per_beam)
+        sampling = sg.Sampling(1.0 * finer, round(80 * finer))
+        with sg.Simulator(scene, sonar, sampling=sampling) as simulator:
+            return simulator.ping(scene.sonar_pose, labels=True)
+
+    found, exact, finer = labelled(4, 1.0), labelled(1000, 1.0), labelled(1000, 1.5)
+
+    def change(one):
+        """Return the share of bins whose body is another one, and the 95th percentile of changed elevations."""
+        same = (one.body_id == exact.body_id) & (exact.body_id > 0)
+        elevations = np.abs(one.elevation_rad - exact.elevation_rad)[same]
+        return 1 - same.sum() / ((one.body_id > 0) | (exact.body_id > 0)).sum(), np.quantile(elevations, 0.95)
+
+    np.testing.assert_array_equal(found.intensity, exact.intensity)
+    np.testing.assert_allclose(found.body_echo, exact.body_echo, rtol=1e-3)
+    joined, sampled = change(found), change(finer)
+    assert 0 < joined[0] < sampled[0] and 0 < joined[1] < sampled[1]
 
 
 def test_atan_and_the_centre_of_bins():

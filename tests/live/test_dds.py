@@ -339,10 +339,11 @@ def test_three_seconds_at_twenty_hertz_lose_nothing():
 
 def test_a_soak_in_which_nothing_arrives_is_reported(monkeypatch, capsys):
     nothing = Received(0, 0, 0, None, np.zeros(0), Memory(1.0).growth())
-    monkeypatch.setattr("tools.soak_live.soak", lambda *_: Soak(9, 100, nothing, 0.0, 0.0))
+    monkeypatch.setattr("tools.soak_live.soak", lambda *_: Soak(9, 0, 100, nothing, 0.0, 0.0))
     monkeypatch.setattr(sys, "argv", ["soak_live", "--transport", "dds"])
     soak_live.main()
-    assert "9 sent, 0 received, 9 lost\n0 damaged, 0 out of order\npublish: " in capsys.readouterr().out
+    lines = "9 sent, 0 received, 9 lost; 0 left out as too late\n0 damaged, 0 out of order\npublish: "
+    assert lines in capsys.readouterr().out
 
 
 # ---- quality of service -----------------------------------------------------------------------------

@@ -505,6 +505,11 @@ def test_ten_seconds_at_twenty_hertz_lose_nothing_and_keep_nothing():
     assert found.growth < half and found.received.growth < half
 
 
+@pytest.mark.slow
+def test_pings_that_are_made_meanwhile_are_not_lost_either():
+    check_soak(soak("zenoh", 5.0, 10.0, "publisher"), 5, 51)
+
+
 def check_soak(found, least, most):
     """All that was sent has arrived whole and in order."""
     received = found.received
