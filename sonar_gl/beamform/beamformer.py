@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,19 @@ class BeamEcho:
         if other.total:
             np.add(self.intensity, other.intensity, out=self.intensity)
         return BeamEcho(self.intensity, self.total + other.total)
+
+
+class BodySums(NamedTuple):
+    """The echo of each body in columns and bins; valid until bodies are summed again in the same workspace.
+
+    Attributes
+    ----------
+    runs : plain tuple of kernels.Runs
+    is_little : there is little work, which one thread does
+    """
+
+    runs: tuple
+    is_little: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,8 +416,24 @@ class Beamformer:
         self._share_wide_columns(columns)
         return self.weigh(gain)
 
-    def label(self, samples: Sequence[SectorSamples], gain, n_bodies: int, background=None) -> Labels:
-        """Return labels of samples that hold bodies' numbers.
+    def sum_bodies(self, view: ViewSamples, gain) -> tuple[BeamEcho, BodySums]:
+        """Return what `sum_view` returns, to the bit, and the sums of each body for `find_labels`.
+
+        view : its samples hold the numbers of bodies
+        """
+        if self._labeller is None:
+            self._labeller = self._make_labeller()
+        samples, columns = view.sectors, self._column_sums()
+        is_little = self._rows(samples) < FEW_ROWS
+        for half in range(2):
+            self._clear_columns(half, columns)
+        runs = self._labeller.sum_up(samples, self.strips, partial(self._run, serial=is_little), columns)
+        self._share_wide_columns(columns)
+        echo = self._with_bubbles(self.weigh(gain), view, gain)
+        return echo, BodySums(runs, is_little)
+
+    def find_labels(self, bodies: BodySums, gain, n_bodies: int, background=None) -> Labels:
+        """Return the labels of samples whose bodies were summed last.
 
         Parameters
         ----------
@@ -411,38 +441,13 @@ class Beamformer:
         n_bodies : the highest number of a body
         background : None, or (n_bodies + 1,) bool by number, and the samples of these bodies alone
         """
-        return self._find_labels(self._sum_bodies(samples), samples, gain, n_bodies, background)
-
-    def sum_and_label(
-        self, view: ViewSamples, gain, n_bodies: int, background=None
-    ) -> tuple[BeamEcho, Labels]:
-        """Return what `sum_view` and `label` return, to the bit, in one pass over the samples."""
-        runs = self._sum_bodies(view.sectors, self._column_sums())
-        echo = self._with_bubbles(self.weigh(gain), view, gain)
-        return echo, self._find_labels(runs, view.sectors, gain, n_bodies, background)
-
-    def _sum_bodies(self, samples, columns: ColumnSums | None = None) -> tuple:
-        if self._labeller is None:
-            self._labeller = self._make_labeller()
-        if columns is not None:
-            for half in range(2):
-                self._clear_columns(half, columns)
-        runs = self._labeller.sum_up(samples, self.strips, self._run_of(samples), columns)
-        if columns is not None:
-            self._share_wide_columns(columns)
-        return runs
-
-    def _find_labels(self, runs: tuple, samples, gain, n_bodies: int, background) -> Labels:
         mask, unshadowed = None, None
         if background is not None:
             mask, alone = background
             self._sum_footprints(alone)
             unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
-        return self._labeller.find(runs, self._run_of(samples), gain, n_bodies, mask, unshadowed)
-
-    def _run_of(self, samples) -> Callable:
-        """Return `_run` for as much work as these samples make."""
-        return partial(self._run, serial=self._rows(samples) < FEW_ROWS)
+        run = partial(self._run, serial=bodies.is_little)
+        return self._labeller.find(bodies.runs, run, gain, n_bodies, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Do work(0) and work(1)."""

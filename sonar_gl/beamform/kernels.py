@@ -978,15 +978,13 @@ def sum_bodies(
     label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : of ColumnBodies, zeros before and after
     store : tuple of RunStore
-    sums, spans : as in `sum_footprints`, with the same bits; spans of no length if these sums are not wanted, then
-        the first row of sums is overwritten
+    sums, spans : as in `sum_footprints`, with the same bits
 
     Returns
     -------
     cells, store : or larger ones, where they were full; a plain tuple again
     """
     lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
-    with_sums = spans.shape[0] > 0
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
     numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
     bodies, joined = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
@@ -1004,7 +1002,7 @@ def sum_bodies(
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
         if spread:
             _find_intervals(work, start, last, bins)
-        elif with_sums:
+        else:
             _bin_points(work, sums, spans, lattice.u, strip, bins)
         while start < last:  # consecutive samples of one body at a time
             stop = start + 1
@@ -1013,14 +1011,8 @@ def sum_bodies(
             slot, bodies = _slot_of(numbers[start], bodies)
             slots, cells = bodies.slots, bodies.cells
             if spread:
-                low, high = _spread_moments(
-                    work, start, stop, cells, slot, sums, column if with_sums else 0, bins
-                )
-                if with_sums:
-                    spans[column, 0], spans[column, 1] = (
-                        min(spans[column, 0], low),
-                        max(spans[column, 1], high),
-                    )
+                low, high = _spread_moments(work, start, stop, cells, slot, sums, column, bins)
+                spans[column, 0], spans[column, 1] = min(spans[column, 0], low), max(spans[column, 1], high)
             else:
                 low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)

@@ -173,7 +173,7 @@ class Labeller:
         samples: Sequence[SectorSamples],
         strips,
         run: Callable,
-        columns: ColumnSums | None = None,
+        columns: ColumnSums,
     ) -> tuple:
         """Return the sums of each body, a plain tuple of kernels.Runs, which stay as they are until the next call.
 
@@ -181,7 +181,7 @@ class Labeller:
         ----------
         strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
         run : function (work) that does work(0) and work(1)
-        columns : the sums of all bodies are added to it, as by `Beamformer.sum_footprints`; None for none
+        columns : the sums of all bodies are added to it, as by `Beamformer.sum_footprints`
         """
         room = self._workspace.label_sums(len(self._middle_m))
         is_spread = self._fan.sampling.reducer == "footprint"
@@ -191,15 +191,16 @@ class Labeller:
 
         def work(half):
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
-            sums = room.unwanted[half] if columns is None else (columns.all_sums, columns.all_spans)
             for one, body_id, mine in zip(samples, numbers, strips[half], strict=True):
                 arrays = whole_rows(one.plane_echo), body_id, one.lattice
-                cells, store = kernels.sum_bodies(*arrays, mine, *settings, cells, store, *sums)
+                cells, store = kernels.sum_bodies(
+                    *arrays, mine, *settings, cells, store, columns.all_sums, columns.all_spans
+                )
             room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
 
         run(work)
-        columns = self._columns.count, self._columns.wide_edges, self._columns.wide_shares
-        return kernels.sort_runs(tuple(tuple(store) for store in room.stores), *columns)
+        joined = self._columns.count, self._columns.wide_edges, self._columns.wide_shares
+        return kernels.sort_runs(tuple(tuple(store) for store in room.stores), *joined)
 
     def find(
         self,

@@ -70,7 +70,6 @@ class LabelSums:
     ----------
     cells : (bodies, kernels.MOMENTS, K) float32 of each half
     stores : kernels.RunStore of each half
-    unwanted : of each half, sums and spans to hand over where the sums of all bodies are not wanted
     """
 
     def __init__(self, n_bins: int):
@@ -79,7 +78,6 @@ class LabelSums:
             kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
             for _ in range(2)
         ]
-        self.unwanted = [(np.zeros((1, n_bins), np.float32), np.empty((0, 2), np.int64)) for _ in range(2)]
 
 
 class Workspace:

@@ -364,7 +364,7 @@ class AdaptiveSampling:
         while True:
             level = min(level, model.finest)
             try:
-                tried = model.draw(setup, level)
+                tried = model.draw(setup, level, for_labels=setup.request.labels)
                 judged = model.judge(setup, level, tried, before)
             except SampleLimitError:
                 if level == 0:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.beamform.beamformer import BeamEcho, BodySums
 from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
@@ -99,12 +99,14 @@ class TriedView(NamedTuple):
     view : ViewSamples with the numbers of bodies, valid until something else is drawn
     echo : BeamEcho
     counts : BodyCounts
+    bodies : BodySums for the labels of the ping; None where they are not summed
     """
 
     stage: Stage
     view: ViewSamples
     echo: BeamEcho
     counts: BodyCounts
+    bodies: BodySums | None = None
 
 
 class ErrorModel:
@@ -143,15 +145,19 @@ class ErrorModel:
         """Return the stage of a sampling level."""
         return self._stages.stage(sampling_at(self._sonar, level))
 
-    def draw(self, setup: PingSetup, level: int) -> TriedView:
-        """Draw and sum the view of a ping with a sampling level."""
-        return self._drawn(self.stage_at(level), setup)
+    def draw(self, setup: PingSetup, level: int, for_labels: bool = False) -> TriedView:
+        """Draw and sum the view of a ping with a sampling level; each body by itself `for_labels`."""
+        return self._drawn(self.stage_at(level), setup, for_labels)
 
-    def _drawn(self, stage: Stage, setup: PingSetup) -> TriedView:
+    def _drawn(self, stage: Stage, setup: PingSetup, for_labels: bool = False) -> TriedView:
         (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
+        if for_labels:
+            return self.tried(stage, view, *stage.beamformer.sum_bodies(view, setup.gain))
         return self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain))
 
-    def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
+    def tried(
+        self, stage: Stage, view: ViewSamples, echo: BeamEcho, bodies: BodySums | None = None
+    ) -> TriedView:
         """Return a view that was drawn and summed already, with what was met of each body."""
         if self._extents.n_bodies < len(self.bodies):  # some were added
             self._extents = BodyExtents(self.bodies, self._specular)
@@ -159,7 +165,7 @@ class ErrorModel:
         counts = count_bodies(
             view.sectors, len(self.bodies), self._true_range_sonar, self._gain, elevation_table
         )
-        return TriedView(stage, view, echo, counts)
+        return TriedView(stage, view, echo, counts, bodies)
 
     def judge(
         self, setup: PingSetup, level: int, tried: TriedView, before: TriedView | None = None

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
-from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.beamform.beamformer import BeamEcho, BodySums
 from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
 from sonar_gl.beamform.surface_reverberation import sum_surface
 from sonar_gl.beamform.volume import sum_volume
@@ -77,7 +77,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
     (images,) = run.draw_images(resolution, [tried.view], [setup])
     drawn = drawn_ping(setup, resolution, tried.view, images, parts)
-    return receive_more(drawn, tried.echo, label(drawn) if setup.request.labels else None)
+    return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 
 class ImageDrawer(Protocol):
@@ -135,8 +135,8 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
     # the gain holds transmission loss both ways, and TVG
     if setup.request.labels:
-        settings = setup.gain, setup.n_bodies, shadowed_background(drawn)
-        direct, labels = beamformer.sum_and_label(drawn.view, *settings)
+        direct, bodies = beamformer.sum_bodies(drawn.view, setup.gain)
+        labels = label(drawn, bodies)
     else:
         direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
     return receive_more(drawn, direct, labels)
@@ -192,10 +192,10 @@ def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
     return drawn.resolution.stage.beamformer.sum_footprints(view.sectors, drawn.setup.gain)
 
 
-def label(drawn: DrawnPing) -> Labels:
-    """Find the strongest body in each bin of a ping that was summed before, and where it lies in shadow."""
+def label(drawn: DrawnPing, bodies: BodySums) -> Labels:
+    """Find the strongest body in each bin of a ping whose bodies were summed, and where it lies in shadow."""
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
-    return beamformer.label(drawn.view.sectors, setup.gain, setup.n_bodies, shadowed_background(drawn))
+    return beamformer.find_labels(bodies, setup.gain, setup.n_bodies, shadowed_background(drawn))
 
 
 def shadowed_background(drawn: DrawnPing) -> tuple | None:

@@ -49,7 +49,8 @@ def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_de
     unshadowed = only(1, samples)  # any samples serve as the unshadowed background
     alone = beamformer.sum_footprints(unshadowed).intensity
     for _ in range(2):  # the second call reuses the arrays of the first
-        found = beamformer.label(samples, gain, n_bodies + 1, (is_background, unshadowed))
+        _, bodies = beamformer.sum_bodies(ViewSamples(tuple(samples)), gain)
+        found = beamformer.find_labels(bodies, gain, n_bodies + 1, (is_background, unshadowed))
         strongest, whole = echoes.max(axis=0), echoes.sum(axis=0)
         second = np.partition(echoes, -2, axis=0)[-2]
         clear = strongest - second > 1e-5 * strongest  # float32 sums
@@ -92,17 +93,20 @@ def test_labels_change_no_bit_of_the_picture(name, reducer):
         np.testing.assert_array_equal(found.intensity, plain.intensity)
 
 
-def test_labels_are_the_same_in_one_pass_and_in_a_second():
-    """A ping that was summed before it is known to be the last is labelled by itself."""
+def test_sums_of_bodies_outlast_other_sums():
+    """A ping is labelled when it is known to be the last that is tried, after it was compared with another one."""
     fan, samples = fan_and_samples("footprint", n_bodies=5)
     beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
     gain = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32)
     background = np.arange(6) == 2, only(2, samples)
-    echo, together = beamformer.sum_and_label(ViewSamples(tuple(samples)), gain, 5, background)
+    view = ViewSamples(tuple(samples))
+    echo, bodies = beamformer.sum_bodies(view, gain)
+    expected = beamformer.find_labels(bodies, gain, 5, background)
     np.testing.assert_array_equal(echo.intensity, beamformer.sum_footprints(samples, gain).intensity)
-    alone = beamformer.label(samples, gain, 5, background)
-    for name, expected in vars(alone).items():
-        np.testing.assert_array_equal(getattr(together, name), expected)
+    _, bodies = beamformer.sum_bodies(view, gain)
+    beamformer.sum_view(ViewSamples(tuple(only(3, samples))), gain)
+    for name, of_name in vars(beamformer.find_labels(bodies, gain, 5, background)).items():
+        np.testing.assert_array_equal(of_name, getattr(expected, name))
 
 
 def tapered(azimuth_rad, steer_rad):

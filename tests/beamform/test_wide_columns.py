@@ -10,7 +10,7 @@ import sonar_gl as sg
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.sonar import fan as fan_module
 from sonar_gl.sonar.fan import make_fan
-from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import SHEAR
 from tests.support.fans import make_sonar
 
@@ -144,7 +144,7 @@ def test_labels_take_their_shares_of_wide_columns(name):
     beamformer = make_beamformer(SONARS[name], acoustics, sg.Sampling(4, 80))
     samples, gain = shell(beamformer), np.ones(SONARS[name].n_bins, np.float32)
     echo = beamformer.sum_footprints(samples).intensity
-    found = beamformer.label(samples, gain, 1)
+    found = beamformer.find_labels(beamformer.sum_bodies(ViewSamples(tuple(samples)), gain)[1], gain, 1)
     np.testing.assert_allclose(found.body_echo, [0.0, echo.sum(dtype=float)], rtol=1e-5)  # float32 sums
     np.testing.assert_array_equal(found.body_id, echo > 0)
 
@@ -161,7 +161,8 @@ def test_each_body_of_the_side_lobes_has_its_label():
         samples.append(one._replace(plane_echo=one.plane_echo * is_kept, body_id=body_id))
     gain = np.ones(100, np.float32)
     whole = beamformer.sum_footprints(samples).total
-    body_echo = beamformer.label(samples, gain, 2).body_echo
+    _, bodies = beamformer.sum_bodies(ViewSamples(tuple(samples)), gain)
+    body_echo = beamformer.find_labels(bodies, gain, 2).body_echo
     # the lattice of one half is that of the other turned by half a circle
     np.testing.assert_allclose(body_echo, [0.0, whole / 2, whole / 2], rtol=1e-3)
 

@@ -121,10 +121,10 @@ def test_the_samples_of_a_ping_keep_the_tolerance_or_its_estimate_says_so(monkey
 def test_a_level_that_does_not_fit_takes_the_finest_that_does(monkeypatch):
     real = ErrorModel.draw
 
-    def draw(model, setup, level):
+    def draw(model, setup, level, **more):
         if level > 9:
             raise SampleLimitError("too many")
-        return real(model, setup, level)
+        return real(model, setup, level, **more)
 
     def level_of(order):
         with sg.Simulator(SCENE, SONAR, tolerance=0.005) as simulator:
