@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -173,6 +174,8 @@ class Publisher:
             for topic in self._topics.values():
                 for transport in self._transports:
                     transport.advertise(topic)
+            if scene.sonar_pose is not None:
+                self._executor.submit(self._make_ready, scene.sonar_pose).result()
         except BaseException:
             self.close()
             raise
@@ -339,6 +342,17 @@ class Publisher:
         if "points" in self._topics:
             self._publish_points(pose, time_ns)
         self._n_pings += 1
+
+    def _make_ready(self, pose: np.ndarray) -> None:
+        """Make a ping that is not published, so that the first one takes no longer than others.
+
+        Numerical kernels are compiled, and samples searched, before the sonar's time begins.
+        """
+        with warnings.catch_warnings(), suppress(Error):  # what is wrong there may not be wrong at poses that come
+            warnings.simplefilter("ignore", UserWarning)
+            ping = self._simulator.ping(pose, self._noise, self.settings.seed)
+            if "image" in self._topics:
+                fan_image(ping, self.settings.image_height, ping.counts_law())
 
     def _fail(self, why: Error) -> None:
         """Count a ping that could not be made at the poses that came; log the first."""

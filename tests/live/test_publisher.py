@@ -271,6 +271,24 @@ def test_a_colour_map_makes_the_image_rgb(scene, loopback):
 # ---- time ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_ping_is_made_and_not_published_before_time_begins(scene, loopback, monkeypatch, fails):
+    """What the first ping would have to compile, or to search, is there when its time comes."""
+    real, made = sg.Simulator.ping, []
+
+    def ping(simulator, *arguments, **more):
+        made.append(len(loopback.sent))
+        if fails and len(made) == 1:
+            raise Error("nothing to see from here")
+        return real(simulator, *arguments, **more)
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    with publisher_of(scene, loopback) as publisher:
+        assert made == [0] and not loopback.sent
+        publisher.step(0.0)
+        assert len(made) == 2 and publisher.counts.pings == 1 and publisher.counts.failed == 0
+
+
 def test_the_sonar_keeps_its_own_rate_in_a_faster_loop(scene, loopback):
     with publisher_of(scene, loopback) as publisher:
         assert publisher.rate_hz == 15.0  # sound would allow 160
