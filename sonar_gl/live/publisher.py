@@ -348,7 +348,8 @@ class Publisher:
 
         Numerical kernels are compiled, and samples searched, before the sonar's time begins.
         """
-        with warnings.catch_warnings(), suppress(Error):  # what is wrong there may not be wrong at poses that come
+        # what is wrong there may not be wrong at poses that come
+        with warnings.catch_warnings(), suppress(Error):
             warnings.simplefilter("ignore", UserWarning)
             ping = self._simulator.ping(pose, self._noise, self.settings.seed)
             if "image" in self._topics:
