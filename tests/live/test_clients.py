@@ -6,7 +6,6 @@ All look at a ball to port, whose nearest point has a range and a bearing of clo
 """
 
 import contextlib
-import io
 import math
 import os
 import re
@@ -14,10 +13,8 @@ import select
 import signal
 import subprocess
 import sys
-import threading
 import time
 from array import array
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,8 +24,8 @@ import numpy as np
 import pytest
 
 from sonar_gl.batch.ros_messages import message_types
-from sonar_gl.cli import main as cli
 from sonar_gl.live.publisher_settings import TOPICS, PublisherSettings
+from tests.support import commands_beside
 from tests.support.live_messages import free_port, ping_message
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -90,46 +87,9 @@ def running(program, until):
         child.communicate()
 
 
-class Printed(io.StringIO):
-    """What a command prints, and an event that is set once it says how it is stopped."""
-
-    def __init__(self):
-        super().__init__()
-        self.runs = threading.Event()
-
-    def write(self, text):
-        written = super().write(text)
-        if "Ctrl-C stops it" in self.getvalue():
-            self.runs.set()
-        return written
-
-
 def run_beside(command, *program):
-    """Run a command here until a program has ended beside it; it ends as by Ctrl-C. Return what both printed."""
-    assert threading.current_thread() is threading.main_thread()  # which receives signals
-    printed, lock, has_ended = Printed(), threading.Lock(), False
-
-    def run_program():
-        try:
-            assert printed.runs.wait(WAIT_S)
-            return run(*program)
-        finally:
-            with lock:
-                if not has_ended:
-                    os.kill(os.getpid(), signal.SIGINT)
-
-    with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(run_program)
-        try:
-            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-                status = cli.main(command, standalone_mode=False)
-        finally:
-            with lock:
-                has_ended = True
-            printed.runs.set()
-        lines = found.result()
-    assert not status, printed.getvalue()  # an exit is returned, as is the lack of one
-    return printed.getvalue(), lines
+    """Run a command here until a program has ended beside it; return what both printed."""
+    return commands_beside.run_beside(command, lambda: run(*program), WAIT_S)
 
 
 def run(*program):
