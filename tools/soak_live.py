@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from time import perf_counter, sleep, time_ns
+from time import perf_counter, perf_counter_ns, sleep, time_ns
 
 import numpy as np
 
@@ -246,14 +246,20 @@ class _Sender(Transport):
         self._transport.close()
 
 
+def _rising_clock() -> Callable[[], int]:
+    """Return a function that tells the time, nanoseconds, and never goes back, as the computer's clock may."""
+    began_ns, counted_ns = time_ns(), perf_counter_ns()
+    return lambda: began_ns + perf_counter_ns() - counted_ns
+
+
 def send_message(sender: Transport, duration_s: float, rate_hz: float) -> int:
     """Send one message at a rate, each time with the time; return how many are left out as they would come too late."""
     topic, (_, message), count = sonar_topic(depth=DEPTH), ping_message(), most_messages(duration_s, rate_hz)
     start_s = next_s = perf_counter()
-    sent = 0
+    sent, clock = 0, _rising_clock()
     while sent < count and next_s < start_s + duration_s:
         sleep(max(0.0, next_s - perf_counter()))
-        now_ns = time_ns()
+        now_ns = clock()
         sender.publish(topic, stamped(message, now_ns), now_ns)
         sent += 1
         # as a sonar does: what is late is left out, not made up for in a burst
@@ -267,11 +273,11 @@ def send_pings(sender: Transport, duration_s: float, rate_hz: float) -> int:
     settings, scene = PublisherSettings(rate_hz=rate_hz, topics=others), sg.load_scene("pylon")
     sonar, noise = sg.load_sonar("p900-45"), sg.Noise.physical()
     with Publisher(scene, sonar, [sender], noise=noise, settings=settings, in_background=True) as publisher:
-        start_s = perf_counter()
+        start_s, clock = perf_counter(), _rising_clock()
         while (passed_s := perf_counter() - start_s) < duration_s:
             angle_rad = 2 * math.pi * passed_s / TURN_S
             moved = sg.pose(x=math.sin(angle_rad), yaw=0.2 * math.sin(2 * angle_rad))
-            publisher.step_at(time_ns(), scene.sonar_pose @ moved)
+            publisher.step_at(clock(), scene.sonar_pose @ moved)
             sleep(1 / (STEPS * rate_hz))
     return publisher.counts.dropped
 

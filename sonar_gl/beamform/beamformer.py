@@ -313,7 +313,8 @@ class Beamformer:
     @property
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""
-        weights = self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
+        # those of the columns are kept to make the labeller, which has tiles of its own
+        weights = 3 * self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
         return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
     def _column_sums(self) -> ColumnSums:

@@ -710,7 +710,7 @@ RUN = 5
 
 
 class ColumnBodies(NamedTuple):
-    """The bodies of one column, each in a slot.
+    """The bodies of one column of `LabelColumns`, each in a slot.
 
     slots : (n, 3) int64, body, its first bin and past its last; the first `n_slots` are in use
     cells : (n, MOMENTS, K) float32, zeros of slots that are not in use
@@ -1053,8 +1053,7 @@ def sort_runs(stores, n_columns, wide_edges, wide_shares):
     Parameters
     ----------
     stores : of each half, tuple of RunStore
-    n_columns : of the fan
-    wide_edges, wide_shares : as in `share_wide_columns`
+    n_columns, wide_edges, wide_shares : of `LabelColumns`
 
     Returns
     -------
@@ -1276,7 +1275,7 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
     ----------
     runs, tiles, strongest : tuples of Runs, BeamTiles and StrongestEcho
     part : (2,) first and past the last of the tiles that are done
-    n_columns : of the fan
+    n_columns : of `LabelColumns`
     gain : (K,); middle_m : (K,) float32, of BinTable
     is_background : (numbers,) bool
     body_echo : (numbers,) float64, added to: the echo with the gain

@@ -20,9 +20,13 @@ from sonar_gl.sonar.samples import SectorSamples, whole_rows
 # tenths of the beam are covered there, and what side lobes receive from beside a shadow (−13 dB for a uniform
 # line array) is less.
 MAX_SHADOW_ECHO = 0.1
-# Columns across a beam for labels, at least: a coarser picture of the beam pattern than echoes have. With four, P900-45
-# before `pylon` gives 0.4 % of the labelled bins to another body, and finer samples do so with 0.6 %.
+# Columns are joined for labels while there are so many across a beam: a coarser picture of the beam pattern than echoes
+# have. With four, P900-45 before `pylon` gives 0.4 % of the labelled bins to another body, and finer samples do so with
+# 0.6 %.
 COLUMNS_PER_BEAM = 4
+# Where beams overlap, all of them together receive neighbouring columns alike. Columns that they do not, by more than
+# this share, are not joined: the sum of a body's echo over the beams would be wrong.
+UNEVEN = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,18 +112,22 @@ class LabelColumns(NamedTuple):
 
 
 def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float) -> LabelColumns:
-    """Join columns until they are about as wide as `widest_rad`; with 0, none are joined."""
+    """Join columns where the result is no wider than `widest_rad` and all beams receive them alike."""
     widths_rad, n = np.diff(fan.column_edges_rad), fan.n_columns
+    # of each beam, counted on from its first one: a fan that is a full circle goes on at its seam
+    columns = weights.first[:, None] + np.arange(weights.weights.shape[1])
+    by_all = np.bincount((columns % n).ravel(), weights.weights.ravel(), n)
     limits = fan.wide_edges if fan.n_wide_columns else np.array([0, n])
     begins = []
     for first, past in itertools.pairwise(limits.tolist()):
-        of_width = widths_rad[first:past].sum() / widest_rad if widest_rad else math.inf
-        count = past - first if of_width > past - first else max(math.ceil(of_width - 1e-9), 1)
+        most = max(int(widest_rad / widths_rad[first:past].max() + 1e-9), 1)
+        count = math.ceil((past - first) / most)
         begins.append(first + (np.arange(count) * (past - first)) // count)
     begins = np.concatenate(begins)
+    uneven = np.maximum.reduceat(by_all, begins) - np.minimum.reduceat(by_all, begins) > UNEVEN * by_all.max()
+    alone = np.flatnonzero(np.repeat(uneven, np.diff(np.append(begins, n))))
+    begins = np.union1d(begins, alone)
     of_columns = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
-    # of each beam, counted on from its first one: a fan that is a full circle goes on at its seam
-    columns = weights.first[:, None] + np.arange(weights.weights.shape[1])
     joined = columns // n * len(begins) + of_columns[columns % n]
     first, place = joined[:, 0], joined - joined[:, :1]
     n_beams, width = len(first), int(place.max()) + 1

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,6 +98,8 @@ class _Order:
 
 class Publisher:
     """Publishes pings over transports. Use it in a `with` block, or call `close()`; it does not close the transports.
+
+    Where the scene places the sonar, it makes a ping at once and does not publish it: the first one is not late then.
 
     Parameters
     ----------
@@ -338,22 +339,31 @@ class Publisher:
             self._fail(why)
             return
         self._place(order)
-        self._publish_ping(ping, time_ns)
+        for kind, message in self._messages_of(ping, time_ns):
+            self._send(kind, message, time_ns)
         if "points" in self._topics:
-            self._publish_points(pose, time_ns)
+            self._send("points", self._points(pose, time_ns), time_ns)
         self._n_pings += 1
 
     def _make_ready(self, pose: np.ndarray) -> None:
-        """Make a ping that is not published, so that the first one takes no longer than others.
+        """Make the messages of a ping and publish none, so that the first one takes hardly longer than others.
 
-        Numerical kernels are compiled, and samples searched, before the sonar's time begins.
+        Numerical kernels are compiled, samples searched and encoders of messages made before the sonar's time begins.
         """
-        # what is wrong there may not be wrong at poses that come
-        with warnings.catch_warnings(), suppress(Error):
-            warnings.simplefilter("ignore", UserWarning)
-            ping = self._simulator.ping(pose, self._noise, self.settings.seed)
-            if "image" in self._topics:
-                fan_image(ping, self.settings.image_height, ping.counts_law())
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                ping = self._simulator.ping(pose, self._noise, self.settings.seed)
+            links = [self._types.transform(0, self.settings.world_frame, self.settings.frame, pose)]
+            messages = [self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()]
+            if "points" in self._topics:
+                messages.append(self._points(pose, 0))
+            for message in messages:
+                self._types.encode(message)
+        except MachineError:
+            raise
+        except Error as why:  # of a place where the sonar may never be
+            logger.debug("no ping can be made where the scene places the sonar: %s", why)
 
     def _fail(self, why: Error) -> None:
         """Count a ping that could not be made at the poses that came; log the first."""
@@ -382,13 +392,14 @@ class Publisher:
             message = self._types.transforms([self._types.transform(order.time_ns, *link)])
             self._send("tf", message, order.time_ns)
 
-    def _publish_ping(self, ping: Ping, time_ns: int) -> None:
+    def _messages_of(self, ping: Ping, time_ns: int) -> Iterator[tuple[str, object]]:
+        """Yield the messages of a ping with their kinds."""
         types, settings = self._types, self.settings
         header = types.header(time_ns, settings.beams_frame)
         if "projected_image" in self._topics:
-            self._send("projected_image", types.ping(header, ping, settings.y_sign), time_ns)
+            yield "projected_image", types.ping(header, ping, settings.y_sign)
         if "raw_image" in self._topics:
-            self._send("raw_image", types.raw_ping(header, ping, settings.y_sign), time_ns)
+            yield "raw_image", types.raw_ping(header, ping, settings.y_sign)
         if "image" in self._topics:
             law = ping.counts_law()
             picture = fan_image(ping, settings.image_height, law)
@@ -396,14 +407,15 @@ class Publisher:
                 picture = law.counts_of(picture)
             else:
                 picture = colorize(picture, settings.colormap)
-            self._send("image", types.image(header, picture), time_ns)
+            yield "image", types.image(header, picture)
 
-    def _publish_points(self, pose: np.ndarray, time_ns: int) -> None:
+    def _points(self, pose: np.ndarray, time_ns: int):
+        """Return the message of a point cloud."""
         settings = self.settings
         points, echo = self._simulator.point_cloud(pose, settings.points_columns, settings.points_rows)
         points = points @ self._sonar.sonar_from_head[:3, :3].T.astype(np.float32)
         header = self._types.header(time_ns, settings.frame)
-        self._send("points", self._types.points(header, points, echo), time_ns)
+        return self._types.points(header, points, echo)
 
     def _send(self, kind: str, message, time_ns: int) -> None:
         topic, data = self._topics[kind], self._types.encode(message)

@@ -483,11 +483,14 @@ def test_a_lost_context_ends_it_whoevers_poses_they_are(scene, loopback, monkeyp
     def ping(simulator, *_, **__):
         check_driver(SimpleNamespace(extra=SimpleNamespace(gl=Lost()), extensions=set()))
 
-    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    message = "must keep the sonar's OpenGL context"
     with publisher_of(scene, loopback, pose_from=PoseSource("pose", "/pose")) as publisher:
+        monkeypatch.setattr(sg.Simulator, "ping", ping)
         loopback.inject("/pose", pose_stamped(AT))
-        with pytest.raises(MachineError, match="must keep the sonar's OpenGL context"):
+        with pytest.raises(MachineError, match=message):
             publisher.step(0.0)
+    with pytest.raises(MachineError, match=message):  # by the ping that is not published
+        publisher_of(scene, loopback)
 
 
 def test_a_closed_publisher_receives_nothing(scene, loopback):
