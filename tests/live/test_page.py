@@ -184,6 +184,17 @@ def test_a_control_changes_the_settings(viewer):
     wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
 
 
+def test_a_slider_is_moved_by_keys(viewer):
+    thumb = viewer.tab.locator('[role=slider][aria-valuenow="22"]').first  # of the range
+    thumb.focus()
+    thumb.press("ArrowLeft")
+    wait_for(lambda: 20.0 < viewer.session.settings.range_m < 22.0)
+    viewer.tab.evaluate("document.activeElement.blur()")
+    wait_for(lambda: viewer.session.frame.ping.range_m[-1] < viewer.session.settings.range_m)
+    viewer.session.change(range_m=22.0)
+    wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
+
+
 def test_a_sonar_of_ones_own_is_offered_beside_the_presets(viewer, tmp_path):
     session, tab, given = viewer.session, viewer.tab, viewer.session.settings.sonar
     dropdown = control(tab, "sonar")
@@ -273,7 +284,6 @@ def gizmo_length_m(viewer, point):
     return GIZMO_PIXELS * depth_m * 2 * math.tan(camera.fov / 2) / height
 
 
-@pytest.mark.slow
 def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     session, mouse, tab = viewer.session, viewer.tab.mouse, viewer.tab
     home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
@@ -323,7 +333,6 @@ def test_the_gizmo_drags_the_sonar(viewer, axis):
     )  # along its axis; messages have float32
 
 
-@pytest.mark.slow
 def test_files_are_written_into_the_folder(viewer):
     tab, folder = viewer.tab, viewer.folder
     tab.get_by_role("button", name="Record", exact=True).click()
