@@ -372,6 +372,11 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
             f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "
             "would differ from ping to ping; leave one out)"
         )
+    if "wind_speed_m_s" in vary.water and acoustics.multipath != "none":
+        raise Error(
+            f"{where}: vary.water.wind_speed_m_s and acoustics.multipath exclude each other (got both; waves decide "
+            "whether the surface is a mirror; leave one out)"
+        )
 
 
 def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:

@@ -97,6 +97,22 @@ def test_the_water_of_a_job_is_that_of_all_pings_but_for_what_varies(tmp_path):
     assert len({base, *waters}) == 3
 
 
+@pytest.mark.parametrize(
+    ("changed", "setting"),
+    [
+        ("wind_speed_m_s = [1.0, 9.0]", 'multipath = "incoherent"'),
+        ("salinity_psu = [2.0, 9.0]", "sonar_sound_speed_m_s = 1500.0"),
+    ],
+)
+def test_water_that_no_simulator_may_vary_is_refused_before_any_ping(tmp_path, changed, setting):
+    """Otherwise each ping would fail, for a reason of its own, and be set aside."""
+    path = write_job(tmp_path, 2, "")
+    text = path.read_text().replace("temperature_c = [2.0, 20.0]", changed)
+    path.write_text(text.replace("tvg_absorption_db_m = 0.3", setting))
+    with pytest.raises(sg.Error, match=f"^{path}: vary.water.* exclude each other .got both;"):
+        BatchRequests(read_job(path))
+
+
 @pytest.mark.parametrize("sonar", ["level", "upright"])
 def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
