@@ -43,20 +43,20 @@ class Ping:
 
     Attributes
     ----------
-    intensity : (B, K) float32, linear, power-like; a sphere of reflectivity μ about the sonar reads μ
-    azimuth_rad : (B,) float64, rising, starboard first, positive to port; of beams that are cones (see
+    intensity : (B, K) float32, linear, power-like; a sphere of reflectivity μ about the sonar, at range r, reads μ G(r)
+    azimuth_rad : (B,) float64, radians, rising, starboard first, positive to port; of beams that are cones (see
         `Acoustics.has_cones`) the true azimuth of what lies at elevation 0 alone
-    range_m : (K,) float64, bin centres
+    range_m : (K,) float64, bin centres, metres
     body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none, or none that a
         display shows; likewise the other labels of a bin
-    elevation_rad : (B, K) float32 or None, mean elevation of that echo, NaN if there is none
+    elevation_rad : (B, K) float32 or None, mean elevation of that echo, radians, NaN if there is none
     pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
         azimuths and elevations refer to
-    meta : provenance as plain values: sonar, profile, sampling, seed, version, GL renderer
+    meta : how the ping was made, as plain values; docs/conventions.md, "Files", has the keys
     body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
     error_estimate : float or None, estimated share of the echo that lies in wrong bins
-    incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, NaN if there is none
-    true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, NaN if there is none
+    incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, radians, NaN if there is none
+    true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, metres, NaN if there is none
     share : (B, K) float32 or None, that echo's share of the bin's, 0..1
     shadow : (B, K) bool or None, whether bodies in front of the background have blocked its echo
     sonar : the Sonar of the ping; None if unknown, as in a `Ping` made from arrays alone

@@ -111,7 +111,8 @@ class Acoustics:
         Range gain G(r). "constant": 1. "printed": (r / range_max)², eq. (4) of DeMarco, West, Howard 2015 as
         printed. "inverse": (1 m / r)², at most 1. "sonar_equation": two-way transmission loss and TVG,
         r^-2 · 10^(−2αr/10) · 10^(TVG/10) with TVG = k log10 r + 2 α_tvg r dB, r in metres, where r below 1 mm
-        counts as 1 mm and the product stays within 10^±30. None: by profile.
+        counts as 1 mm and the product stays within 10^±30; r^-2 is the spreading r^-4 times the r² of the area in a
+        solid angle. None: by profile.
     beam_pattern : "box", "line_array", "gaussian" or None
         Receive beam pattern in azimuth. None: by profile.
     conical_beams : bool or None

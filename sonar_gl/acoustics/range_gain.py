@@ -15,7 +15,8 @@ def sonar_equation_gain(
 ) -> np.ndarray:
     """Return the two-way transmission loss and the TVG, linear power.
 
-    The TVG is `time_varied_gain` of the shown range r. The loss is 40 log r + 2 α r of the true range.
+    The TVG is `time_varied_gain` of the shown range r. Of the true range, the loss is 40 log r + 2 α r, less the
+    20 log r by which the area grows that a solid angle holds: echoes are sums over solid angle.
 
     Parameters
     ----------

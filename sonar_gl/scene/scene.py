@@ -54,13 +54,15 @@ class Body:
     name : unique in its scene
     mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo
     pose : (4, 4) world_from_body; None is the identity
-    reflectivity : μ, 0..1, or (F,), one value a face; or the name of a material, which also sets `specular`
-        and `roughness_rad` unless these are given
+    reflectivity : μ, 0..1, 0.5 by default, or (F,), one value a face; or the name of a material, which also sets
+        `specular` and `roughness_rad` unless these are given
     normals : None (flat faces) or (V, 3) shading normals, used only for the incidence angle
     specular : strength of the specular lobe, 0..1: the intensity reflection coefficient |R|² of the smooth
         part of the surface at normal incidence. Profiles with `specular` add the lobe to the diffuse echo.
-        Energy is conserved while μ + specular is at most 1; for a material the sum is its |R|²
-    roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width
+        Energy is conserved while μ + specular is at most 1; for a material the sum is its |R|². None: the
+        material's, or 0
+    roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width. None: the
+        material's, or 0.1
     material : name of the material, if one was given by name
     speckle_shape : ν of the K distribution, 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν) texture also multiplies
         the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast becomes √(1 + 2/ν); None
