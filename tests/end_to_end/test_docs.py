@@ -312,5 +312,5 @@ def test_names_and_shapes_of_an_npz_are_those_of_the_page():
         fields = {name: shape(file[name]) for name in file.files if name != "meta"}
     assert told == {**fields, "meta": "JSON text"}
     assert set(told) == set(NPZ_FIELDS)
-    sentence = page[page.index("`meta` has") : page.index("in a sequence, `time_s`")]
+    sentence = page[page.index("`meta` has") : page.index("; `time_s` and `velocity`")]
     assert set(re.findall(r"`(\w+)`", sentence)) - {"meta"} == set(ping.meta)
