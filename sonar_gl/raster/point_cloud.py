@@ -7,20 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 
+from sonar_gl.core.checks import check_whole_number
 from sonar_gl.raster.engine import RasterEngine
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import make_fan
-from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, Sampling
 from sonar_gl.sonar.sonar import Sonar
+
+MAX_CLOUD_COLUMNS = 65536  # as many as a sonar may have beams
 
 
 def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, rows: int):
     """Return what `Simulator.point_cloud` gives; inside `drawing`."""
-    # one beam a column, that reach to the edges of the field of view and not beyond
-    sonar = replace(sonar, n_beams=columns, beam_azimuths_deg=None, beam_spacing="angle")
-    reach = math.radians(sonar.azimuth_fov_deg) / columns / 2
-    fan = make_fan(sonar, Sampling(1, rows), reach, shear=0.0)
+    check_whole_number("columns of a point cloud", columns, 1, MAX_CLOUD_COLUMNS)
+    # as few beams as hold the columns: very many in a narrow fan are a mistake of a data sheet, of which it would warn.
+    # They reach to the edges of the field of view and not beyond
+    n_beams = math.ceil(columns / MAX_COLUMNS_PER_BEAM)
+    sonar = replace(sonar, n_beams=n_beams, beam_azimuths_deg=None, beam_spacing="angle")
+    reach = math.radians(sonar.azimuth_fov_deg) / n_beams / 2
+    fan = make_fan(sonar, Sampling(columns / n_beams, rows), reach, shear=0.0)
     renderer = engine.make_renderer(fan, False, engine.make_room())
     (view,) = renderer.render([head_pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []

@@ -281,6 +281,20 @@ def test_point_cloud_lies_on_the_bodies():
     assert np.abs(azimuth).max() <= math.radians(30) + 1e-6
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["ping360", "gemini-720is", "oculus-m1200d-hf"])
+def test_a_point_cloud_has_the_columns_that_are_asked_for(name):
+    """Of one sector or two; also so many in a narrow fan that beams would be warned of."""
+    sonar = sg.load_sonar(name)
+    with simulator(sonar=sonar) as it:
+        points, _ = it.point_cloud(np.eye(4), columns=128, rows=8)
+        with pytest.raises(
+            sg.Error, match=r"^columns of a point cloud must be a whole number in 1..65536 .got 2.5"
+        ):
+            it.point_cloud(np.eye(4), 2.5, 8)
+    assert points.shape[1] == 128
+
+
 def test_a_point_cloud_takes_specular_lobes_as_diffuse():
     """A wall returns |R|² cos θ, whatever part of it is specular."""
     wall = trimesh.creation.box((0.2, 40, 40))
