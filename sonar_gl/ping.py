@@ -27,7 +27,8 @@ class GBuffer:
     ----------
     range_m : (R, C) float32, slant range of the surface, metres; 0 if there is none
     normal : (R, C, 3) float32, geometric unit normal in the frame of the head, turned towards the sonar
-    echo : (R, C) float32, μ cos θ, the diffuse echo per steradian before any gain
+    echo : (R, C) float32, per steradian before any gain: the diffuse echo μ cos θ, and the specular lobe of smooth
+        faces if the acoustics have lobes
     body_id : (R, C) uint16, 1 + index into `scene.bodies`; 0 if there is none
     """
 

@@ -41,10 +41,17 @@ class Simulator:
         SONAR_GL_DEVICE, or else the first
     context : "current" joins the OpenGL context that is current, a host's; None creates one
 
+    Attributes
+    ----------
+    sonar, acoustics : as given
+    gl_info : names and limits of what draws, such as "engine", "renderer" and "version"
+
     Raises
     ------
     Error
-        if there is no usable OpenGL, or none to join, or the samples do not fit its limits.
+        if an argument is wrong, there is no usable OpenGL where it is asked for, or none to join, or the samples do not
+        fit its limits. Its methods raise one, too, for an argument that is wrong or names what the scene lacks, for
+        samples that do not fit, in a thread that may not draw, and once it is closed.
     """
 
     def __init__(
@@ -134,8 +141,8 @@ class Simulator:
         labels : find the body with the strongest echo in each bin, and what `Ping` has of that echo
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent
         time_s : seconds, at which plumes of bubbles are seen; None = 0
-        velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame while sound travels; see
-            `motion.shown_at`. None = it stands
+        velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame, that of the housing, while sound
+            travels; see `motion.shown_at`. None = it stands
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`

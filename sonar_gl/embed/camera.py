@@ -119,7 +119,9 @@ class Camera:
     def covering(
         cls, sonar: Sonar, acoustics: Acoustics | None = None, pixel_deg: float = 0.1
     ) -> list[Camera]:
-        """Return cameras, from starboard to port, whose images together cover the beam pattern of the sonar.
+        """Return cameras, from starboard to port, whose images together cover the fan of the sonar.
+
+        The fan reaches as far aside as the outermost beams receive, and up and down as the main lobe in elevation does.
 
         Parameters
         ----------
