@@ -71,7 +71,7 @@ class Batch:
     job : Job
     folder : folder of the batch
     device : index of an EGL device, or None for the default
-    any_system : make parts also with other OpenGL or libraries than those that began the batch
+    any_system : make parts also with another engine, driver or libraries than those that began the batch
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Batch:
 
 
 def begin(batch: Batch, report: Report = no_report) -> Manifest:
-    """Return the manifest of a new batch, with the OpenGL and libraries of this process."""
+    """Return the manifest of a new batch, with the engine, driver and libraries of this process."""
     job, schema = batch.requests.job, batch.schema
     with ExitStack() as stack:
         system = System.of(next(iter(_open_simulators(batch, 0, stack).values())).gl_info)

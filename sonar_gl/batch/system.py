@@ -21,7 +21,7 @@ class System:
 
     Attributes
     ----------
-    gl_renderer, gl_version : the driver's names of itself and of its version
+    gl_renderer, gl_version : the driver's names of itself and of its version, or the engine `cpu`'s
     numpy, numba : their versions. NumPy computes functions and random numbers, Numba compiles the sums
     """
 
