@@ -439,7 +439,7 @@ class Publisher:
             logger.warning("%s", counts)
 
     def close(self) -> None:
-        """Finish the ping that is made, log what was lost, and give back what it holds; may be called twice."""
+        """Finish the ping that is made, and give back what it holds; `counts` stays. May be called twice."""
         executor, self._executor = self._executor, None
         if executor is None:
             return
@@ -452,7 +452,6 @@ class Publisher:
         executor.shutdown()
         if self._work is not None and (why := self._work.exception()) is not None:
             logger.warning("the last ping could not be made: %s", why)
-        logger.info("%s", self.counts)
 
     def __enter__(self):
         return self
