@@ -31,6 +31,7 @@ from types import SimpleNamespace
 from sonar_gl.core.checks import check_choice, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.rmw_zenoh import RosNode
 from sonar_gl.live.ros_discovery import (
     DISCOVERY_TOPIC,
@@ -45,7 +46,7 @@ from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
 logger = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
-LOOPBACK_NAMES = "lo", "lo0", "localhost"
+LOOPBACK_NAMES = "lo", "lo0"
 # Participants of one machine take the ports of an index, and are looked for at those of all indices; 32 as in ROS 2's
 # own configuration for the range LOCALHOST.
 MAX_INDEX = 32
@@ -306,10 +307,7 @@ def _domain(domain: int | None) -> int:
 
 
 def _is_loopback(interface: str) -> bool:
-    try:
-        return ipaddress.ip_address(interface).is_loopback
-    except ValueError:
-        return interface in LOOPBACK_NAMES
+    return interface in LOOPBACK_NAMES or is_local(interface)
 
 
 def _open_domain(domain: int, interface: str) -> _OpenDomain:

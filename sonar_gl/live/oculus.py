@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -183,9 +184,10 @@ class OculusServer:
         Raises
         ------
         OSError
-            if the port is taken.
+            if the port is taken, or the host is no address of IPv4.
         """
-        server = await asyncio.start_server(self._serve, self._host, self._port)
+        # messages have room for addresses of IPv4 alone
+        server = await asyncio.start_server(self._serve, self._host, self._port, family=socket.AF_INET)
         self._port = server.sockets[0].getsockname()[1]
         if started is not None:
             started.set()
@@ -268,7 +270,10 @@ class OculusServer:
         """Send the status again and again."""
         loop, to = asyncio.get_running_loop(), self._status_to
         transport, _ = await loop.create_datagram_endpoint(
-            asyncio.DatagramProtocol, local_addr=(self._host, 0), allow_broadcast=True
+            lambda: _StatusProtocol(to),
+            local_addr=(self._host, 0),
+            family=socket.AF_INET,
+            allow_broadcast=True,
         )
         own = transport.get_extra_info("sockname")[0]
         try:
@@ -282,3 +287,23 @@ class OculusServer:
                 await asyncio.sleep(STATUS_S)
         finally:
             transport.close()
+
+
+class _StatusProtocol(asyncio.DatagramProtocol):
+    """Says once why a status does not go out.
+
+    Parameters
+    ----------
+    to : (host, port) that should receive it
+    """
+
+    def __init__(self, to: tuple[str, int]):
+        self._to, self._has_failed = to, False
+
+    def error_received(self, why: OSError) -> None:
+        """Log the first reason."""
+        if not self._has_failed:
+            logger.warning(
+                "no status reaches %s:%d: %s (this is logged once)", *self._to, why.strerror or why
+            )
+        self._has_failed = True

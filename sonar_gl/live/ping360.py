@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import socket
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -114,10 +115,13 @@ class Ping360Server(asyncio.DatagramProtocol):
                 self.dropped += 1
 
     async def run(self, started: asyncio.Event | None = None) -> None:
-        """Serve until this is cancelled; raises OSError if the port is taken."""
+        """Serve until this is cancelled; raises OSError if the port is taken, or the host no address of IPv4."""
         loop = asyncio.get_running_loop()
         self._waiting, self._began_s = asyncio.Queue(MAX_WAITING), loop.time()
-        transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(self._host, self._port))
+        # of the addresses of a name, the one by which programs find a device, which knows IPv4 alone
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, local_addr=(self._host, self._port), family=socket.AF_INET
+        )
         self._port = transport.get_extra_info("sockname")[1]
         if started is not None:
             started.set()

@@ -17,13 +17,13 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, MachineError, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, gid_of
 from sonar_gl.live.transport import Topic, Transport
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
-LOCAL = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 REMOTE_TIMEOUT_MS = 3000  # for the first connection to a router of another machine
 HEARTBEAT_S = 0.5  # between announcements of the last message of a latched topic; rmw_zenoh's
 MAX_BATCHES = 16  # zenoh's most; its default, 2, does not hold a ping of 256 beams and 512 bins
@@ -264,4 +264,4 @@ def _is_local(connect: str) -> bool:
     found = ADDRESS.fullmatch(connect) if isinstance(connect, str) else None
     if found is None or not 0 < int(found[2]) < 2**16:
         raise Error(f"the address of a zenoh router must be like {ROUTER!r} (got {shown(connect)})")
-    return LOCAL.fullmatch(found[1]) is not None
+    return is_local(found[1].strip("[]"))
