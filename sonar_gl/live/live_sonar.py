@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections import OrderedDict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -73,8 +73,7 @@ class LiveSonar:
         self._place(request.bodies)
         simulator, number = self._simulator(settings), self._number
         self._number += 1
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", UserWarning)
+        with collected_warnings() as found:
             ping = simulator.ping(
                 request.place.pose,
                 settings.noise,
@@ -101,15 +100,14 @@ class LiveSonar:
             samples=simulator.sampling.count(settings.device),
             bodies=request.bodies,
             highlight=shown,
-            notes=tuple(dict.fromkeys(str(one.message) for one in caught)),
+            notes=tuple(dict.fromkeys(one.text for one in found)),
         )
 
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `LiveSession.still` does."""
         settings, pose = frame.settings, make_pose(*rounded_pose_numbers(frame.pose))
         self._place(frame.bodies)  # the next ping puts them back
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
+        with collected_warnings():
             world = self._simulator(settings)
             with Simulator(
                 world, settings.device, settings.acoustics, tolerance=settings.tolerance
@@ -127,8 +125,7 @@ class LiveSonar:
         if frame not in self._labels:
             while len(self._labels) >= KEPT_LABELS:
                 self._labels.popitem(last=False)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
+            with collected_warnings():
                 self._labels[frame] = self._simulator(frame.settings).ping(
                     frame.pose,
                     labels=True,

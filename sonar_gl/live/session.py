@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from collections.abc import Callable, Collection
 from pathlib import Path
 from threading import RLock
@@ -19,6 +18,7 @@ import numpy as np
 from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
@@ -188,25 +188,26 @@ class LiveSession:
         check()  # a simulator takes long to make
         with self._lock:
             settings, pose, bodies = self._trial.settings, self._motion.now().pose, dict(self._bodies.moved)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            with Simulator(
+        with (
+            collected_warnings(),
+            Simulator(
                 self.scene,
                 settings.device,
                 settings.acoustics,
                 tolerance=settings.tolerance,
                 engine=settings.engine,
-            ) as simulator:
-                simulator.place(bodies)
-                return price(
-                    simulator,
-                    settings.device,
-                    settings.tolerance,
-                    [pose],
-                    settings.acoustics,
-                    settings.noise,
-                    check,
-                )
+            ) as simulator,
+        ):
+            simulator.place(bodies)
+            return price(
+                simulator,
+                settings.device,
+                settings.tolerance,
+                [pose],
+                settings.acoustics,
+                settings.noise,
+                check,
+            )
 
     # ---- motion ---------------------------------------------------------------------------------------------
 
