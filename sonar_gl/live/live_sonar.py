@@ -26,7 +26,7 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
 
-RATE_PINGS = 20  # of which the ping rate is the mean
+RATE_S = 3.0  # of the last pings, whose mean rate is shown; two of them if they are further apart
 KEPT_LABELS = 4  # pings whose labels are kept for read-outs
 
 
@@ -41,6 +41,7 @@ class FrameRequest:
     bodies : names of the bodies that were moved, as `BodyPoses.moved`
     highlight : name of the body whose pixels the frame has; "" for none
     gain_from : LiveFrame by whose gain bins of a highlighted body are black or not; None for the first ping
+    rate_from_s : `time.monotonic` from which on pings count for the ping rate
     """
 
     settings: LiveSettings
@@ -48,6 +49,7 @@ class FrameRequest:
     bodies: Mapping[str, np.ndarray | None]
     highlight: str = ""
     gain_from: LiveFrame | None = None
+    rate_from_s: float = -math.inf
 
 
 class LiveSonar:
@@ -62,7 +64,7 @@ class LiveSonar:
     def __init__(self, scene: Scene, began_s: float):
         self._scene, self._home, self._began_s = scene, scene_poses(scene), began_s
         self._pool = SimulatorPool(scene)
-        self._number, self._pinged_s = 0, deque(maxlen=RATE_PINGS)
+        self._number, self._pinged_s = 0, deque()
         # until the first is moved, bodies stay where the simulators have them
         self._are_moved, self._placed = False, None
         self._labels: OrderedDict[LiveFrame, Ping] = OrderedDict()
@@ -96,7 +98,7 @@ class LiveSonar:
             ping=ping,
             picture=picture_of(ping, settings),
             settings=settings,
-            rate_hz=self._rate_hz(),
+            rate_hz=self._rate_hz(request.rate_from_s),
             samples=simulator.sampling.count(settings.device),
             bodies=request.bodies,
             highlight=shown,
@@ -159,10 +161,13 @@ class LiveSonar:
             self._pool.place(self._home | bodies)
             self._placed = bodies
 
-    def _rate_hz(self) -> float:
-        """Return the mean rate of the last pings; 0 for the first."""
-        gone_s = self._pinged_s[-1] - self._pinged_s[0]
-        return (len(self._pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
+    def _rate_hz(self, from_s: float) -> float:
+        """Return the mean rate of the last pings; 0 for the first from a time on."""
+        pinged_s = self._pinged_s
+        while pinged_s[0] < from_s or (len(pinged_s) > 2 and pinged_s[0] < pinged_s[-1] - RATE_S):
+            pinged_s.popleft()
+        gone_s = pinged_s[-1] - pinged_s[0]
+        return (len(pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
 
 
 def _label_level_db(frame: LiveFrame, settings: LiveSettings) -> float:

@@ -88,7 +88,7 @@ class LiveSession:
         self._lock = RLock()  # guards all that follows but the sonar, which is the thread's alone
         self._trial, self._bodies = SettingsTrial(settings), BodyPoses(scene)
         self._motion = SonarMotion(pose, track, began_s)
-        self._highlight = ""
+        self._highlight, self._rate_from_s = "", began_s
         self._frame: LiveFrame | None = None
         self._sonar = LiveSonar(scene, began_s)
         self._thread = PingThread(
@@ -158,6 +158,7 @@ class LiveSession:
         with self._lock:
             settings = self._trial.settings.changed(**values)
             self._trial.change(settings)
+            self._rate_from_s = time.monotonic()
             return settings
 
     def switch(self, term: str, on: bool) -> LiveSettings:
@@ -262,7 +263,12 @@ class LiveSession:
         The session pings as long as anybody listens. While the function is busy, the last frames wait, as many as
         `waiting`; it misses those before.
         """
-        return self._thread.listen(on_frame, waiting)
+        with self._lock:
+            if not self._thread.listeners:
+                self._rate_from_s = (
+                    time.monotonic()
+                )  # there were no pings before, or some that were asked for one by one
+            return self._thread.listen(on_frame, waiting)
 
     def next_frame(self) -> LiveFrame:
         """Make a ping now, and return its frame; listeners do not get it."""
@@ -380,4 +386,5 @@ class LiveSession:
                 bodies=self._bodies.moved,
                 highlight=self._highlight,
                 gain_from=self._frame,
+                rate_from_s=self._rate_from_s,
             )
