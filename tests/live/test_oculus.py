@@ -20,6 +20,73 @@ from tools.oculus_raw import read_pings
 
 METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h
 LOW, HIGH = 1, 2
+# Byte and type (as NumPy names it) of each number of a message, counted by hand in the packed structures of liboculus'
+# Oculus.h. The emulator shares nothing with them.
+HEADER = {
+    "oculusId": (0, "<u2"),
+    "srcDeviceId": (2, "<u2"),
+    "dstDeviceId": (4, "<u2"),
+    "msgId": (6, "<u2"),
+    "msgVersion": (8, "<u2"),
+    "payloadSize": (10, "<u4"),
+    "spare2": (14, "<u2"),
+}
+FIRE = HEADER | {
+    "masterMode": (16, "u1"),
+    "pingRate": (17, "u1"),
+    "networkSpeed": (18, "u1"),
+    "gammaCorrection": (19, "u1"),
+    "flags": (20, "u1"),
+    "range": (21, "<f8"),
+    "gainPercent": (29, "<f8"),
+    "speedOfSound": (37, "<f8"),
+    "salinity": (45, "<f8"),
+}
+RESULT_1 = FIRE | {
+    "pingId": (53, "<u4"),
+    "status": (57, "<u4"),
+    "frequency": (61, "<f8"),
+    "temperature": (69, "<f8"),
+    "pressure": (77, "<f8"),
+    "speedOfSoundUsed": (85, "<f8"),
+    "pingStartTime": (93, "<u4"),
+    "dataSize": (97, "u1"),
+    "rangeResolution": (98, "<f8"),
+    "nRanges": (106, "<u2"),
+    "nBeams": (108, "<u2"),
+    "imageOffset": (110, "<u4"),
+    "imageSize": (114, "<u4"),
+    "messageSize": (118, "<u4"),
+}
+RESULT_2 = FIRE | {
+    "extFlags": (53, "<u4"),  # and 32 bytes that are reserved
+    "pingId": (89, "<u4"),
+    "status": (93, "<u4"),
+    "frequency": (97, "<f8"),
+    "temperature": (105, "<f8"),
+    "pressure": (113, "<f8"),
+    "heading": (121, "<f8"),
+    "pitch": (129, "<f8"),
+    "roll": (137, "<f8"),
+    "speedOfSoundUsed": (145, "<f8"),
+    "pingStartTime": (153, "<f8"),
+    "dataSize": (161, "u1"),
+    "rangeResolution": (162, "<f8"),
+    "nRanges": (170, "<u2"),
+    "nBeams": (172, "<u2"),
+    "spare": (174, "<u4"),  # the first of four
+    "imageOffset": (190, "<u4"),
+    "imageSize": (194, "<u4"),
+    "messageSize": (198, "<u4"),
+}
+BEARINGS = {1: 122, 2: 202}  # where they begin
+
+
+def numbers_of(message, layout):
+    """Return the numbers of a message by their names in Oculus.h."""
+    return {
+        name: np.frombuffer(message, kind, 1, offset)[0].item() for name, (offset, kind) in layout.items()
+    }
 
 
 def fire_bytes(
@@ -82,6 +149,52 @@ def result_of(connection, fire):
         fields, message = next_result(connection)
         if message[16 : len(fire)] == fire[16:]:
             return fields, message
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_each_number_is_at_its_byte(version):
+    """All numbers differ, and so do their bytes."""
+    size, layout = {1: (53, RESULT_1), 2: (89, RESULT_2)}[version]
+    asked = {
+        "oculusId": 0x4F53, "srcDeviceId": 0, "dstDeviceId": 0, "msgId": 0x15, "msgVersion": version,
+        "payloadSize": size - 16, "spare2": 0, "masterMode": 2, "pingRate": 3, "networkSpeed": 201,
+        "gammaCorrection": 127, "flags": METRES | BITS_16 | ASSISTANCE, "range": 3.25, "gainPercent": 41.5,
+        "speedOfSound": 1511.5, "salinity": 34.5,
+    }  # fmt: skip
+    sent = bytearray(size)
+    for name, (offset, kind) in FIRE.items():
+        sent[offset : offset + np.dtype(kind).itemsize] = np.array(asked[name], kind).tobytes()
+    fire = parse_fire_message(version, bytes(sent[16:]))
+    assert (fire.version, fire.mode, fire.ping_rate, fire.gamma, fire.flags) == (version, 2, 3, 127, 0x13)
+    assert (fire.range, fire.gain_percent, fire.sound_speed_m_s) == (3.25, 41.5, 1511.5)
+    counts = np.arange(6, dtype=np.uint16).reshape(2, 3)
+    message = OculusResult(
+        fire,
+        number=0x01020304,
+        counts=counts,
+        azimuth_rad=np.radians([-12.34, 23.45]),
+        gain=np.ones(3),
+        bin_size_m=0.0625,
+        frequency_hz=1.25e6,
+        temperature_c=8.5,
+        pressure_bar=2.75,
+        sound_speed_m_s=1483.25,
+        heading_deg=77.5,
+        pitch_deg=-5.5,
+        roll_deg=3.75,
+        time_s=1.25,
+    ).message(0x0708)
+    assert numbers_of(message, layout) == asked | {
+        "srcDeviceId": 0x0708, "msgId": 0x23, "msgVersion": {1: 0, 2: 2}[version], "payloadSize": 2048 + 12 - 16,
+        "pingId": 0x01020304, "status": 0, "frequency": 1.25e6, "temperature": 8.5, "pressure": 2.75,
+        "speedOfSoundUsed": 1483.25, "pingStartTime": {1: 1_250_000_000, 2: 1.25}[version], "dataSize": 1,
+        "rangeResolution": 0.0625, "nRanges": 3, "nBeams": 2, "imageOffset": 2048, "imageSize": 12,
+        "messageSize": 2048 + 12,
+    } | ({} if version == 1 else {"extFlags": 0, "heading": 77.5, "pitch": -5.5, "roll": 3.75, "spare": 0})  # fmt: skip
+    # hundredths of a degree, positive to starboard; port first
+    assert np.frombuffer(message, "<i2", 2, BEARINGS[version]).tolist() == [-2345, 1234]
+    assert np.frombuffer(message, "<u2", 6, 2048).tolist() == [3, 0, 4, 1, 5, 2]
+    assert len(message) == 2048 + 12 and not any(message[BEARINGS[version] + 4 : 2048])
 
 
 def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
