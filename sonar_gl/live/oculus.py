@@ -117,14 +117,13 @@ class OculusHead:
 def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> OculusResult:
     """Return what an Oculus reports of a ping."""
     sonar, acoustics = ping.sonar, ping.acoustics
-    law = ping.counts_law()
     *_, roll, pitch, yaw = np.degrees(pose_numbers(ping.pose))
     return OculusResult(
         fire=fire,
         number=number,
-        counts=law.apply(ping.intensity),
+        counts=ping.counts(),
         azimuth_rad=ping.azimuth_rad,
-        gain=(10 ** (law.gain_db / 20) * np.sqrt(acoustics.tvg(ping.range_m, sonar))).astype(np.float32),
+        gain=acoustics.tvg(ping.range_m, sonar),
         bin_size_m=sonar.bin_size_m,
         frequency_hz=sonar.frequency_hz,
         temperature_c=acoustics.water.temperature_c,

@@ -234,8 +234,12 @@ def test_second_version_has_attitude_and_its_own_offsets(connection):
     bearings = np.frombuffer(message, "<i2", n_beams, 202)
     assert (np.diff(bearings) > 0).all() and (bearings[0], bearings[-1]) == (-6500, 6500)
     rows = np.frombuffer(message, np.uint8, offset=offset).reshape(n_bins, row)
-    gains, counts = rows[:, :4].copy().view("<f4")[:, 0], rows[:, 4:].copy().view("<u2")
-    assert (np.diff(gains) > 0).all()  # the TVG rises
+    gains, counts = rows[:, :4].copy().view("<u4")[:, 0], rows[:, 4:].copy().view("<u2")
+    range_m, water = (np.arange(n_bins) + 0.5) * bin_size_m, sg.Acoustics.physical().water
+    tvg_db = 20 * np.log10(range_m) + 2 * water.absorption(1.2e6) * range_m  # 20 log r, as by default
+    relative = 10 ** ((tvg_db - tvg_db[-1]) / 10)
+    assert gains[-1] == 2**31 - 1  # as much as fits into a signed number
+    assert np.abs(gains - relative * gains[-1]).max() <= 1  # rounded
     assert counts.max() == 65535  # automatic gain brings the strongest echoes to full scale
     starboard, port = counts[:, n_beams // 2 :], counts[:, : n_beams // 2]
     near = slice(
