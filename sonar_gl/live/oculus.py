@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.live.oculus_messages import (
     FIRE,
@@ -248,9 +248,16 @@ class OculusServer:
                     await asyncio.wait_for(self._asked.wait(), 0.1)
                 next_s = loop.time()
                 continue
-            result = await loop.run_in_executor(
-                self._simulation, self._device.ping, fire, loop.time() - began_s, number
-            )
+            try:
+                result = await loop.run_in_executor(
+                    self._simulation, self._device.ping, fire, loop.time() - began_s, number
+                )
+            except MachineError:
+                raise
+            except Error as why:
+                logger.warning("a fire message is ignored: %s", why)
+                self._fire = None if self._fire is fire else self._fire
+                continue
             number += 1
             self._send(result.message(DEVICE_ID))
             next_s = max(next_s + 1 / fire.ping_rate_hz, loop.time())

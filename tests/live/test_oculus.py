@@ -294,6 +294,23 @@ def test_wrong_fire_message_changes_nothing(connection):
         assert struct.unpack_from("<d", message, 21) == (3.5,)
 
 
+def test_settings_that_no_ping_can_be_made_with_are_ignored(connection, monkeypatch, caplog):
+    ping = SimulatedHead.ping
+
+    def limited(head, sonar, *values):
+        if sonar.range_max_m == 4.25:
+            raise Error("the ping must succeed (got 4.25 m)")
+        return ping(head, sonar, *values)
+
+    monkeypatch.setattr(SimulatedHead, "ping", limited)
+    connection.sendall(fire_bytes(range_m=4.25))
+    end_s = time.monotonic() + WAIT_S
+    while "a fire message is ignored: the ping must succeed (got 4.25 m)" not in caplog.messages:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    result_of(connection, fire_bytes(range_m=4.5))
+
+
 @pytest.mark.parametrize(
     "changes, words",
     [
