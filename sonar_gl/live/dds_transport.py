@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import ipaddress
 import logging
-import os
 import re
 import threading
 import time
@@ -28,7 +27,7 @@ from functools import cache, partial
 from itertools import count
 from types import SimpleNamespace
 
-from sonar_gl.core.checks import check_choice, check_whole_number
+from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.live.hosts import is_local
@@ -41,7 +40,7 @@ from sonar_gl.live.ros_discovery import (
     discovery_definition,
     discovery_message,
 )
-from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
+from sonar_gl.live.transport import Topic, Transport, ros_domain
 
 logger = logging.getLogger(__name__)
 
@@ -119,7 +118,7 @@ class DdsTransport(Transport):
         node: str = "sonar_gl",
         distribution: str = "jazzy",
     ):
-        self.domain = _domain(domain)
+        self.domain = ros_domain(domain)
         RosNode(node)  # checks the name
         check_choice("distribution", distribution, DISTRIBUTIONS)
         self._node, self._distribution = node, distribution
@@ -295,15 +294,6 @@ class _OpenDomain:
 # of this process, while a transport uses them
 _domains: weakref.WeakValueDictionary[int, _OpenDomain] = weakref.WeakValueDictionary()
 _domains_lock = threading.Lock()
-
-
-def _domain(domain: int | None) -> int:
-    if domain is not None:
-        return check_whole_number("the DDS domain", domain, 0, MAX_DOMAIN)
-    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not re.fullmatch("[0-9]{1,9}", text):
-        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {text!r})")
-    return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
 
 
 def _is_loopback(interface: str) -> bool:

@@ -20,7 +20,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.hosts import is_local
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, gid_of
-from sonar_gl.live.transport import Topic, Transport
+from sonar_gl.live.transport import Topic, Transport, ros_domain
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
@@ -64,7 +64,7 @@ class ZenohTransport(Transport):
     Parameters
     ----------
     connect : "tcp/HOST:PORT" of a zenoh router, such as rmw_zenohd
-    domain : ROS_DOMAIN_ID of the programs to reach, 0..232
+    domain : of the programs to reach, 0..232; None is the environment variable ROS_DOMAIN_ID, or 0
     node : name by which `ros2 node list` shows this program
     type_hashes : False for programs of ROS 2 Humble, whose topics have no hashes
 
@@ -81,9 +81,13 @@ class ZenohTransport(Transport):
     """
 
     def __init__(
-        self, connect: str = ROUTER, domain: int = 0, node: str = "sonar_gl", type_hashes: bool = True
+        self,
+        connect: str = ROUTER,
+        domain: int | None = None,
+        node: str = "sonar_gl",
+        type_hashes: bool = True,
     ):
-        self._node = RosNode(node, domain, type_hashes)
+        self._node = RosNode(node, ros_domain(domain), type_hashes)
         is_local = _is_local(connect)
         self._libraries, self._lock = _libraries(), threading.Lock()
         self._session = self._opened(connect, is_local)

@@ -641,7 +641,7 @@ def test_wrong_packets_neither_end_nor_stall_a_publisher(open_transport, domain,
 
 @pytest.mark.parametrize("wrong", [-1, 233, 1.5, "0", True])
 def test_a_domain_is_a_number_that_has_ports(wrong):
-    with pytest.raises(Error, match="the DDS domain must be"):
+    with pytest.raises(Error, match="the ROS domain must be"):
         DdsTransport(wrong)
 
 
