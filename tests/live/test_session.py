@@ -104,11 +104,11 @@ def test_the_rate_is_that_of_the_last_pings_since_somebody_listens_with_these_se
     session.change(tolerance=0.2)
     first_changed = len(frames)
     frames += [session.next_frame() for _ in range(3)]
-    first_heard = len(frames)
+    first_told = len(frames)
     with session.listen(frames.append, 1000):
-        wait_for(lambda: len(frames) >= first_heard + 30)
+        wait_for(lambda: len(frames) >= first_told + 30)
     times_s = [frame.clock_s for frame in frames]
-    for first, end in ((0, first_changed), (first_changed, first_heard), (first_heard, first_heard + 30)):
+    for first, end in ((0, first_changed), (first_changed, first_told), (first_told, first_told + 30)):
         assert frames[first].rate_hz == 0.0
         for k in range(first + 1, end):
             recent = [time_s for time_s in times_s[first : k + 1] if time_s >= times_s[k] - 0.1]
