@@ -205,10 +205,11 @@ class DdsTransport(Transport):
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
+        # not under the lock, which a function that receives a message may need to end
+        self._end_receiver()
         with self._lock:
             if self._participant is None:
                 return
-            self._end_receiver()
             # Cyclone DDS deletes what nothing refers to any more: what depends on the participant goes first
             self._writers, self._topics, self._announcer = {}, {}, None
             self._receiver = self._publisher = self._participant = self._opened = None
