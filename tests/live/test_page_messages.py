@@ -375,6 +375,18 @@ def test_the_page_says_that_the_picture_is_of_the_settings_before(session, brows
     assert session.frame.settings.range_m == 12.0
 
 
+def test_the_first_ping_has_no_rate(scene):
+    settings = SETTINGS.changed(max_rate_hz=0.01)  # there is no second one
+    with (
+        LiveSession(scene, settings) as session,
+        ViewerPage(session, port=0) as page,
+        connected(page.url) as browser,
+        telling(browser),
+    ):
+        wait_for(lambda: session.frame.number == 1)
+        wait_for(lambda: re.match(r"ping rate\s+–\s", words(browser, "ping rate")))
+
+
 # ---- trajectories -------------------------------------------------------------------------------------------
 
 
