@@ -275,7 +275,7 @@ class OculusServer:
     async def _announce(self) -> None:
         """Send the status again and again."""
         loop, to = asyncio.get_running_loop(), self._status_to
-        transport, _ = await loop.create_datagram_endpoint(
+        transport, protocol = await loop.create_datagram_endpoint(
             lambda: _StatusProtocol(to),
             local_addr=(self._host, 0),
             family=socket.AF_INET,
@@ -289,7 +289,13 @@ class OculusServer:
                     self._device.model.part_number,
                     self._device.head.acoustics.water.temperature_c,
                 )
-                transport.sendto(status_message(DEVICE_ID, part, own, connected, temperature_c), to)
+                message = status_message(DEVICE_ID, part, own, connected, temperature_c)
+                try:
+                    # in a thread: the look-up of a name may take seconds
+                    found = await loop.getaddrinfo(*to, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+                    transport.sendto(message, found[0][4])
+                except OSError as why:
+                    protocol.error_received(why)
                 await asyncio.sleep(STATUS_S)
         finally:
             transport.close()

@@ -2,6 +2,7 @@
 
 import re
 import socket
+import threading
 
 import pytest
 
@@ -96,9 +97,19 @@ def test_an_address_of_ipv6_is_an_error(device):
 
 
 def test_a_status_that_cannot_be_sent_is_said_once(monkeypatch, caplog):
+    """Names are looked up beside the thread that serves programs, which a slow answer would hold up."""
     monkeypatch.setattr(oculus, "STATUS_S", 0.01)
+    look_up, threads = socket.getaddrinfo, set()
+
+    def noted(host, *values, **more):
+        if host == "no.such.host.invalid":
+            threads.add(threading.current_thread())
+        return look_up(host, *values, **more)
+
+    monkeypatch.setattr(socket, "getaddrinfo", noted)
     words = "--status-to", "no.such.host.invalid", "--duration", "0.5"
     status, _, errors = run("emulate", "oculus", "pylon", "--port", "0", *words)
     assert status == 0 and "Ctrl-C stops it" in errors
+    assert threads and threading.main_thread() not in threads
     assert len(caplog.messages) == 1
     assert caplog.messages[0].startswith("no status reaches no.such.host.invalid:52102: ")

@@ -4,6 +4,7 @@ import random
 import socket
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.live import oculus
 from sonar_gl.live.oculus import MODELS, OculusHead, OculusServer
 from sonar_gl.live.oculus_messages import FireMessage, OculusResult, parse_fire_message, status_message
 from sonar_gl.live.pose_track import PoseTrack
@@ -340,6 +342,25 @@ def test_status_is_as_long_as_programs_expect():
     assert struct.unpack_from("<IHHI", message, 16) == (7, 1, 1042, 3)
     assert message[52:56] == bytes([192, 168, 1, 9])
     assert struct.unpack_from("<d", message, 70) == (12.5,)
+
+
+def test_the_status_says_where_the_device_is_and_who_is_connected(monkeypatch):
+    monkeypatch.setattr(oculus, "STATUS_S", 0.01)
+    device = OculusHead(MODELS["m750d"], SimpleNamespace(acoustics=sg.Acoustics.physical()))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(WAIT_S)
+        status_to = "localhost", listener.getsockname()[1]
+        with running(OculusServer(device, None, "localhost", port=0, status_to=status_to)) as server:
+            status = listener.recv(1000)
+            assert struct.unpack_from("<HHHHHI", status) == (0x4F53, 1, 0, 1, 1, len(status) - 16)
+            assert struct.unpack_from("<H", status, 22) == (1032,)  # partNumberM750d
+            assert (status[52:56], status[60:64]) == (bytes([127, 0, 0, 1]), bytes(4))
+            with socket.create_connection(("localhost", server.port), WAIT_S):
+                while listener.recv(1000)[60:64] != bytes([127, 0, 0, 1]):
+                    pass
+            while listener.recv(1000)[60:64] != bytes(4):
+                pass
 
 
 def test_result_of_odd_sizes_fits_its_header():
