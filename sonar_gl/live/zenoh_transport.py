@@ -94,17 +94,12 @@ class ZenohTransport(Transport):
         self._senders, self._numbers, self._dropped = {}, count(1), 0
         # what zenoh has declared lasts as long as Python holds it
         self._subscribed = {}  # inbox: subscriber and token
-        self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
-        if not is_local:
-            warn_caller(
-                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
-                "poses"
-            )
-        if not list(self._session.info.routers_zid()):
-            warn_caller(
-                f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "
-                "such as `ros2 run rmw_zenoh_cpp rmw_zenohd`"
-            )
+        try:
+            self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
+            self._warn(connect, is_local)
+        except BaseException:
+            self._session.close()
+            raise
 
     @property
     def session_id(self) -> str:
@@ -223,6 +218,19 @@ class ZenohTransport(Transport):
             raise MachineError(
                 f"a zenoh router must answer at {connect} (got {wait}; start it there, or give its address)"
             ) from None
+
+    def _warn(self, connect: str, is_local: bool) -> None:
+        """Warn of a router that other machines reach, and of none."""
+        if not is_local:
+            warn_caller(
+                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
+                "poses"
+            )
+        if not list(self._session.info.routers_zid()):
+            warn_caller(
+                f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "
+                "such as `ros2 run rmw_zenoh_cpp rmw_zenohd`"
+            )
 
     def _sender(self, topic: Topic) -> _Sender:
         """Return what sends the messages of a topic, declared on first use."""
