@@ -981,6 +981,25 @@ MUTATIONS = (
         "",
         ("test_emulate",),
     ),
+    Mutation("live/rate after a pause", "pinged_s[0] < from_s or", "", ("test_session",)),
+    Mutation(
+        "live/gains of an Oculus",
+        "self.gain / self.gain.max() * GREATEST_GAIN",
+        "self.gain",
+        ("test_oculus",),
+    ),
+    Mutation(
+        "live/pings that waited to be written",
+        "if problem := _problem(listener):",
+        'if problem := "":',
+        ("test_output",),
+    ),
+    Mutation(
+        "warn/other categories",
+        "if issubclass(category, collection.category):",
+        "if True:",
+        ("test_warn",),
+    ),
 )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from sonar_gl.acoustics.water import Water
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import receiver_levels_db
@@ -441,8 +441,7 @@ def price(
         if there is no pose, or an argument is wrong.
     """
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
-    with ExitStack() as stack, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
+    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
         comparison = _Comparison(stack, case, before_ping)
         prices = comparison.judge()
         acting = [
@@ -479,8 +478,7 @@ def needed_acoustics(
     acoustics = Acoustics.physical() if water is None else Acoustics.physical().in_water(water)
     poses = [pose] if pose is not None and np.ndim(pose) == 2 else pose
     case = _make_case(scene, sonar, tolerance, poses, acoustics)
-    with ExitStack() as stack, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceWarning)  # it is for callers that make pings
+    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
         prices = _Comparison(stack, case).judge()
     off = [term for term, found in zip(TERMS, prices, strict=True) if not found.on and not term.of_noise]
     return without(case.acoustics, case.noise, off)[0]

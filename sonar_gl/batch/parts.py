@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -40,6 +39,7 @@ from sonar_gl.batch.store import (
 )
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error, is_out_of_memory
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
@@ -180,8 +180,7 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     requests, found = batch.requests, []
     spread = [requests[number] for number in _spread_numbers(requests, scene)]
     bodies = ["", *(body.name for body in requests.scene(scene).bodies)]
-    with ExitStack() as stack, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceWarning)  # the estimates say so
+    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # the estimates say so
         for name, simulator in _open_simulators(batch, scene, stack).items():
             run, mount = simulator.run, requests.mounts[name]
             for request in spread:
@@ -422,13 +421,12 @@ class PartMaker:
 
         That a tolerance is not met is said once for each scene and sonar: the estimates tell of which pings.
         """
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", UserWarning)
+        with collected_warnings() as found:
             ping = make()
-        for warning in caught if ping.meta["has_echo"] else ():
+        for warning in found if ping.meta["has_echo"] else ():
             if issubclass(warning.category, ToleranceWarning):
                 if (scene, sonar) in self._unmet:
                     continue
                 self._unmet.add((scene, sonar))
-            task.report("warning", str(warning.message))
+            task.report("warning", warning.text)
         return ping

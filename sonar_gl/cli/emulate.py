@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import socket
 from concurrent.futures import ThreadPoolExecutor
 
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.live.hosts import LOCAL
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
 from sonar_gl.live.ping360 import PORT, Ping360Head, Ping360Server
 from sonar_gl.live.pose_track import PoseTrack
@@ -62,7 +63,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
         raise Error("--acoustics needed is for one sonar at one range; an emulated device changes both")
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
-    if options.host not in LOCAL:
+    if not is_local(options.host):
         echo(f"warning: any machine that reaches {options.host} can use this sonar", err=True)
     with ThreadPoolExecutor(1, "simulation") as simulation:
         settings = scene, sonar, acoustics, noise, PoseTrack(poses, times_s), options.tolerance, options.seed
@@ -104,4 +105,6 @@ async def _listen(server, line: str) -> None:
 
 def _reason(why: OSError) -> str:
     """Return why a port does not open; asyncio puts the address into the text, which the sentence has already."""
+    if isinstance(why, socket.gaierror):  # its numbers are those of the resolver
+        return why.strerror
     return os.strerror(why.errno) if why.errno else str(why)

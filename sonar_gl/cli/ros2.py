@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import time
 from types import SimpleNamespace
 
 from sonar_gl import live
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
 from sonar_gl.cli.output import echo
-from sonar_gl.core.checks import check_number, check_whole_number, shown
+from sonar_gl.core.checks import check_number, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.publisher import Publisher
 from sonar_gl.live.publisher_settings import TOPICS, PoseSource, PublisherSettings
 from sonar_gl.live.ros2_file import OPTIONS, Ros2File, read_ros2_file
-from sonar_gl.live.transport import MAX_DOMAIN
+from sonar_gl.live.transport import ros_domain
 from sonar_gl.noise.settings import Noise
 
 logger = logging.getLogger(__name__)
@@ -122,20 +121,10 @@ def _transport(kind: str, options, file: Ros2File):
     table = getattr(file, kind).model_dump(exclude_none=True)
     if kind == "foxglove":
         return live.FoxgloveTransport(**table)
-    domain, node = _domain(options), options.name.rpartition("/")[2]
+    domain, node = ros_domain(options.domain), options.name.rpartition("/")[2]
     if kind == "dds":
         return live.DdsTransport(domain=domain, node=node, **table)
     return live.ZenohTransport(domain=domain, node=node, **table)
-
-
-def _domain(options) -> int:
-    """Return the domain of --domain, or of ROS's environment variable."""
-    if options.domain is not None:
-        return options.domain
-    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not text.isdecimal():
-        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {shown(text)})")
-    return check_whole_number("ROS_DOMAIN_ID", int(text[:9]), 0, MAX_DOMAIN)
 
 
 def _run(publisher: Publisher, options, track: PoseTrack | None) -> None:

@@ -1,16 +1,68 @@
-"""Warnings that name the line of the calling program."""
+"""Warnings that name the line of the calling program, and that one thread can keep from being shown."""
 
 from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import NamedTuple
 
 from sonar_gl.core.errors import escape_controls
 
 
+class CollectedWarning(NamedTuple):
+    """A warning that was collected in place of being shown."""
+
+    text: str
+    category: type[Warning]
+
+
+class _Collection(NamedTuple):
+    category: type[Warning]
+    found: list[CollectedWarning]
+
+
+# of this thread, the innermost first
+_collections: ContextVar[tuple[_Collection, ...]] = ContextVar("collections of warnings", default=())
+
+
 def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
-    """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl."""
+    """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl.
+
+    Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown.
+    """
+    text = escape_controls(message)
+    for collection in _collections.get():
+        if issubclass(category, collection.category):
+            collection.found.append(CollectedWarning(text, category))
+            return
     level, frame = 1, sys._getframe(0)
     while frame.f_back is not None and frame.f_globals["__name__"].startswith("sonar_gl."):
         level, frame = level + 1, frame.f_back
-    warnings.warn(escape_controls(message), category, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)
+
+
+@contextmanager
+def collected_warnings(category: type[Warning] = UserWarning) -> Iterator[list[CollectedWarning]]:
+    """Have the warnings that `warn_caller` issues in the block go into the list that this yields; none is shown.
+
+    It holds for this thread alone, unlike `warnings.catch_warnings`, which changes the state of the process: of two
+    threads that use it at once, one shows what it should not, or swallows what the other should show, for ever.
+
+    Parameters
+    ----------
+    category : of the warnings; those of others are issued as they are
+
+    >>> with collected_warnings() as found:
+    ...     warn_caller("no echo came back")
+    >>> found[0].text
+    'no echo came back'
+    """
+    collection = _Collection(category, [])
+    token = _collections.set((collection, *_collections.get()))
+    try:
+        yield collection.found
+    finally:
+        _collections.reset(token)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import ipaddress
 import logging
-import os
 import re
 import threading
 import time
@@ -28,9 +27,10 @@ from functools import cache, partial
 from itertools import count
 from types import SimpleNamespace
 
-from sonar_gl.core.checks import check_choice, check_whole_number
+from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.rmw_zenoh import RosNode
 from sonar_gl.live.ros_discovery import (
     DISCOVERY_TOPIC,
@@ -40,12 +40,12 @@ from sonar_gl.live.ros_discovery import (
     discovery_definition,
     discovery_message,
 )
-from sonar_gl.live.transport import MAX_DOMAIN, Topic, Transport
+from sonar_gl.live.transport import Topic, Transport, ros_domain
 
 logger = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
-LOOPBACK_NAMES = "lo", "lo0", "localhost"
+LOOPBACK_NAMES = "lo", "lo0"
 # Participants of one machine take the ports of an index, and are looked for at those of all indices; 32 as in ROS 2's
 # own configuration for the range LOCALHOST.
 MAX_INDEX = 32
@@ -118,7 +118,7 @@ class DdsTransport(Transport):
         node: str = "sonar_gl",
         distribution: str = "jazzy",
     ):
-        self.domain = _domain(domain)
+        self.domain = ros_domain(domain)
         RosNode(node)  # checks the name
         check_choice("distribution", distribution, DISTRIBUTIONS)
         self._node, self._distribution = node, distribution
@@ -205,10 +205,11 @@ class DdsTransport(Transport):
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
+        # not under the lock, which a function that receives a message may need to end
+        self._end_receiver()
         with self._lock:
             if self._participant is None:
                 return
-            self._end_receiver()
             # Cyclone DDS deletes what nothing refers to any more: what depends on the participant goes first
             self._writers, self._topics, self._announcer = {}, {}, None
             self._receiver = self._publisher = self._participant = self._opened = None
@@ -296,20 +297,8 @@ _domains: weakref.WeakValueDictionary[int, _OpenDomain] = weakref.WeakValueDicti
 _domains_lock = threading.Lock()
 
 
-def _domain(domain: int | None) -> int:
-    if domain is not None:
-        return check_whole_number("the DDS domain", domain, 0, MAX_DOMAIN)
-    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not re.fullmatch("[0-9]{1,9}", text):
-        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {text!r})")
-    return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
-
-
 def _is_loopback(interface: str) -> bool:
-    try:
-        return ipaddress.ip_address(interface).is_loopback
-    except ValueError:
-        return interface in LOOPBACK_NAMES
+    return interface in LOOPBACK_NAMES or is_local(interface)
 
 
 def _open_domain(domain: int, interface: str) -> _OpenDomain:

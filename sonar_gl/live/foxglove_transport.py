@@ -12,7 +12,7 @@ from sonar_gl.core.checks import check_kind, check_whole_number
 from sonar_gl.core.errors import MachineError, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.live.hosts import LOCAL, wait_until_free
+from sonar_gl.live.hosts import is_local, wait_until_free
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.transport import Topic, Transport
 
@@ -65,7 +65,7 @@ class FoxgloveTransport(Transport):
         logging.getLogger(WRONG_REQUESTS).setLevel(
             logging.CRITICAL
         )  # viewers are told; nobody else can fill a log
-        if host not in LOCAL:
+        if not is_local(host):
             warn_caller(f"any machine that reaches {host} can see these topics, and publish poses")
         try:
             self._server = self._library.sdk.start_server(

@@ -24,7 +24,8 @@ class LiveFrame:
     ping : Ping, whose sonar has the law of counts of the settings
     picture : (H, W, 3) uint8 RGB
     settings : LiveSettings that it was made with
-    rate_hz : pings per second, a mean over the last ones; 0 for the first
+    rate_hz : pings per second, the mean of the last three seconds; 0 for the first since somebody listens, or since the
+        settings were changed
     samples : number of samples that were drawn for it
     bodies : names of the bodies that were moved to (4, 4) world_from_body
     highlight : (H, W) bool, pixels of the body that `LiveSession.highlight` names; None without one

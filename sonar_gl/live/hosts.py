@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import errno
+import ipaddress
 import socket
 import time
 
-LOCAL = "127.0.0.1", "localhost", "::1"
 OFTEN_S = 0.001  # between looks at a port
+
+
+def is_local(host: str) -> bool:
+    """Return whether an address is one of this machine's loopback interface, which no other machine reaches.
+
+    >>> is_local("127.0.0.1"), is_local("localhost"), is_local("::1"), is_local("0.0.0.0")
+    (True, True, True, False)
+    """
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
 
 
 def wait_until_free(host: str, port: int, limit_s: float) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections import OrderedDict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -26,7 +26,7 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
 
-RATE_PINGS = 20  # of which the ping rate is the mean
+RATE_S = 3.0  # of the last pings, whose mean rate is shown; two of them if they are further apart
 KEPT_LABELS = 4  # pings whose labels are kept for read-outs
 
 
@@ -41,6 +41,7 @@ class FrameRequest:
     bodies : names of the bodies that were moved, as `BodyPoses.moved`
     highlight : name of the body whose pixels the frame has; "" for none
     gain_from : LiveFrame by whose gain bins of a highlighted body are black or not; None for the first ping
+    rate_from_s : `time.monotonic` from which on pings count for the ping rate
     """
 
     settings: LiveSettings
@@ -48,6 +49,7 @@ class FrameRequest:
     bodies: Mapping[str, np.ndarray | None]
     highlight: str = ""
     gain_from: LiveFrame | None = None
+    rate_from_s: float = -math.inf
 
 
 class LiveSonar:
@@ -62,7 +64,7 @@ class LiveSonar:
     def __init__(self, scene: Scene, began_s: float):
         self._scene, self._home, self._began_s = scene, scene_poses(scene), began_s
         self._pool = SimulatorPool(scene)
-        self._number, self._pinged_s = 0, deque(maxlen=RATE_PINGS)
+        self._number, self._pinged_s = 0, deque()
         # until the first is moved, bodies stay where the simulators have them
         self._are_moved, self._placed = False, None
         self._labels: OrderedDict[LiveFrame, Ping] = OrderedDict()
@@ -73,8 +75,7 @@ class LiveSonar:
         self._place(request.bodies)
         simulator, number = self._simulator(settings), self._number
         self._number += 1
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", UserWarning)
+        with collected_warnings() as found:
             ping = simulator.ping(
                 request.place.pose,
                 settings.noise,
@@ -97,19 +98,18 @@ class LiveSonar:
             ping=ping,
             picture=picture_of(ping, settings),
             settings=settings,
-            rate_hz=self._rate_hz(),
+            rate_hz=self._rate_hz(request.rate_from_s),
             samples=simulator.sampling.count(settings.device),
             bodies=request.bodies,
             highlight=shown,
-            notes=tuple(dict.fromkeys(str(one.message) for one in caught)),
+            notes=tuple(dict.fromkeys(one.text for one in found)),
         )
 
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `LiveSession.still` does."""
         settings, pose = frame.settings, make_pose(*rounded_pose_numbers(frame.pose))
         self._place(frame.bodies)  # the next ping puts them back
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
+        with collected_warnings():
             world = self._simulator(settings)
             with Simulator(
                 world, settings.device, settings.acoustics, tolerance=settings.tolerance
@@ -127,8 +127,7 @@ class LiveSonar:
         if frame not in self._labels:
             while len(self._labels) >= KEPT_LABELS:
                 self._labels.popitem(last=False)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
+            with collected_warnings():
                 self._labels[frame] = self._simulator(frame.settings).ping(
                     frame.pose,
                     labels=True,
@@ -162,10 +161,13 @@ class LiveSonar:
             self._pool.place(self._home | bodies)
             self._placed = bodies
 
-    def _rate_hz(self) -> float:
-        """Return the mean rate of the last pings; 0 for the first."""
-        gone_s = self._pinged_s[-1] - self._pinged_s[0]
-        return (len(self._pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
+    def _rate_hz(self, from_s: float) -> float:
+        """Return the mean rate of the last pings; 0 for the first from a time on."""
+        pinged_s = self._pinged_s
+        while pinged_s[0] < from_s or (len(pinged_s) > 2 and pinged_s[0] < pinged_s[-1] - RATE_S):
+            pinged_s.popleft()
+        gone_s = pinged_s[-1] - pinged_s[0]
+        return (len(pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
 
 
 def _label_level_db(frame: LiveFrame, settings: LiveSettings) -> float:

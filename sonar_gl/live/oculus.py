@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.live.oculus_messages import (
     FIRE,
@@ -116,14 +117,13 @@ class OculusHead:
 def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> OculusResult:
     """Return what an Oculus reports of a ping."""
     sonar, acoustics = ping.sonar, ping.acoustics
-    law = ping.counts_law()
     *_, roll, pitch, yaw = np.degrees(pose_numbers(ping.pose))
     return OculusResult(
         fire=fire,
         number=number,
-        counts=law.apply(ping.intensity),
+        counts=ping.counts(),
         azimuth_rad=ping.azimuth_rad,
-        gain=(10 ** (law.gain_db / 20) * np.sqrt(acoustics.tvg(ping.range_m, sonar))).astype(np.float32),
+        gain=acoustics.tvg(ping.range_m, sonar),
         bin_size_m=sonar.bin_size_m,
         frequency_hz=sonar.frequency_hz,
         temperature_c=acoustics.water.temperature_c,
@@ -183,9 +183,10 @@ class OculusServer:
         Raises
         ------
         OSError
-            if the port is taken.
+            if the port is taken, or the host is no address of IPv4.
         """
-        server = await asyncio.start_server(self._serve, self._host, self._port)
+        # messages have room for addresses of IPv4 alone
+        server = await asyncio.start_server(self._serve, self._host, self._port, family=socket.AF_INET)
         self._port = server.sockets[0].getsockname()[1]
         if started is not None:
             started.set()
@@ -247,9 +248,16 @@ class OculusServer:
                     await asyncio.wait_for(self._asked.wait(), 0.1)
                 next_s = loop.time()
                 continue
-            result = await loop.run_in_executor(
-                self._simulation, self._device.ping, fire, loop.time() - began_s, number
-            )
+            try:
+                result = await loop.run_in_executor(
+                    self._simulation, self._device.ping, fire, loop.time() - began_s, number
+                )
+            except MachineError:
+                raise
+            except Error as why:
+                logger.warning("a fire message is ignored: %s", why)
+                self._fire = None if self._fire is fire else self._fire
+                continue
             number += 1
             self._send(result.message(DEVICE_ID))
             next_s = max(next_s + 1 / fire.ping_rate_hz, loop.time())
@@ -267,8 +275,11 @@ class OculusServer:
     async def _announce(self) -> None:
         """Send the status again and again."""
         loop, to = asyncio.get_running_loop(), self._status_to
-        transport, _ = await loop.create_datagram_endpoint(
-            asyncio.DatagramProtocol, local_addr=(self._host, 0), allow_broadcast=True
+        transport, protocol = await loop.create_datagram_endpoint(
+            lambda: _StatusProtocol(to),
+            local_addr=(self._host, 0),
+            family=socket.AF_INET,
+            allow_broadcast=True,
         )
         own = transport.get_extra_info("sockname")[0]
         try:
@@ -278,7 +289,33 @@ class OculusServer:
                     self._device.model.part_number,
                     self._device.head.acoustics.water.temperature_c,
                 )
-                transport.sendto(status_message(DEVICE_ID, part, own, connected, temperature_c), to)
+                message = status_message(DEVICE_ID, part, own, connected, temperature_c)
+                try:
+                    # in a thread: the look-up of a name may take seconds
+                    found = await loop.getaddrinfo(*to, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+                    transport.sendto(message, found[0][4])
+                except OSError as why:
+                    protocol.error_received(why)
                 await asyncio.sleep(STATUS_S)
         finally:
             transport.close()
+
+
+class _StatusProtocol(asyncio.DatagramProtocol):
+    """Says once why a status does not go out.
+
+    Parameters
+    ----------
+    to : (host, port) that should receive it
+    """
+
+    def __init__(self, to: tuple[str, int]):
+        self._to, self._has_failed = to, False
+
+    def error_received(self, why: OSError) -> None:
+        """Log the first reason."""
+        if not self._has_failed:
+            logger.warning(
+                "no status reaches %s:%d: %s (this is logged once)", *self._to, why.strerror or why
+            )
+        self._has_failed = True

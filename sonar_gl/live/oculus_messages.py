@@ -47,6 +47,7 @@ PING_RATES_HZ = {0: 10.0, 1: 15.0, 2: 40.0, 3: 5.0, 4: 2.0}
 IMAGING_SONAR, MAIN_PROGRAM_RUNS = 1, 3  # type of device, status
 MAX_RANGE_M = 1e3
 NANOSECONDS = 1_000_000_000
+GREATEST_GAIN = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ class OculusResult:
     number : of the ping
     counts : (B, K) uint8 or uint16, beams from starboard to port
     azimuth_rad : (B,) of the beams, radians, rising, positive to port
-    gain : (K,) that the receiver applies at each range
+    gain : (K,) linear power gain of the receiver at each range; only their ratios are sent
     bin_size_m : metres
     frequency_hz, temperature_c, pressure_bar, sound_speed_m_s : of the sonar and the water
     heading_deg, pitch_deg, roll_deg : degrees; of version 2
@@ -176,11 +177,22 @@ class OculusResult:
         return message.ljust(IMAGE_OFFSET, b"\0") + image
 
     def _image(self) -> bytes:
-        """Return the image: for each range its gain, float32, where that is asked for, and the counts of all beams."""
+        """Return the image: for each range its gain, where that is asked for, and the counts of all beams.
+
+        The layout gives gains 32 bits and no unit. Drivers read whole numbers, liboculus [1]_ signed ones, and
+        oculus_driver [2]_ divides counts by their square roots: so they are powers here, the greatest of a ping as much
+        as a signed number holds, the least 1.
+
+        References
+        ----------
+        .. [1] include/liboculus/SimplePingResult.h, GainData_t
+        .. [2] github.com/ENSTABretagneRobotics/oculus_driver, include/oculus_driver/helpers.h, ping_data_to_array
+        """
         numbers = self.counts[::-1].T
         rows = np.ascontiguousarray(numbers.astype(numbers.dtype.newbyteorder("<"))).view(np.uint8)
         if self.fire.flags & SENDS_GAIN:
-            rows = np.hstack([self.gain.astype("<f4")[:, None].view(np.uint8), rows])
+            gains = np.maximum(np.rint(self.gain / self.gain.max() * GREATEST_GAIN), 1).astype("<u4")
+            rows = np.hstack([gains[:, None].view(np.uint8), rows])
         return rows.tobytes()
 
 

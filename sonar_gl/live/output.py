@@ -80,8 +80,7 @@ class LiveOutput:
     @property
     def problem(self) -> str:
         """A sentence about why the recording ended, such as a full disk; "" if all is well."""
-        failure = None if self._listener is None else self._listener.failure
-        return "" if failure is None else str(failure) or type(failure).__name__
+        return "" if self._listener is None else _problem(self._listener)
 
     def start_recording(self) -> Path:
         """Record all pings from now on: each as NPZ, all as an MP4, and the poses as CSV; return their folder.
@@ -91,7 +90,8 @@ class LiveOutput:
         with self._lock:
             if self.is_recording:
                 raise Error("a recording must be stopped before another begins (got one that goes on)")
-            self._end_recording()
+            with suppress(Error):  # of one that has failed, which is known
+                self._end_recording()
             folder = output_folder(self._new_path(""))
             self._recording = Recording(folder)
             self._listener = self._session.listen(self._recording, WAITING_FRAMES)
@@ -100,20 +100,19 @@ class LiveOutput:
     def stop_recording(self) -> list[Path]:
         """End the recording; return its files, or [] if there was none. Raises Error if some could not be written."""
         with self._lock:
-            problem = self.problem
-            files = self._end_recording()
-            if problem:
-                raise Error(f"the recording ended early: {problem}")
-            return files
+            return self._end_recording()
 
     def _end_recording(self) -> list[Path]:
-        """Finish the files of the recording that there is."""
+        """Finish the files of the recording that there is; raise Error if some could not be written."""
         listener, recording, self._listener = self._listener, self._recording, None
         if listener is None:
             return []
         listener.close(None)
         self._n_missed = listener.missed
-        return recording.close()
+        files = recording.close()
+        if problem := _problem(listener):  # also one with the pings that were waiting
+            raise Error(f"the recording ended early: {problem}")
+        return files
 
     def save_picture(self, frame: LiveFrame | None = None) -> Path:
         """Save the picture of a ping from where the sonar is in a frame, as PNG and NPZ; return the path of the PNG.
@@ -128,7 +127,7 @@ class LiveOutput:
         still = self._session.still(frame or self._session.frame)
         with self._lock:
             output_folder(self._folder)
-            path = self._new_path(".png")
+            path = self._new_path(".png", ".npz")
             save_npz(path.with_suffix(".npz"), still.ping)
             save_png(path, still.picture)
         return path
@@ -187,12 +186,20 @@ class LiveOutput:
             )
         return self._source
 
-    def _new_path(self, suffix: str) -> Path:
-        """Return a path in the folder that is not taken: the scene's name and a number."""
+    def _new_path(self, *suffixes: str) -> Path:
+        """Return a path in the folder, the scene's name and a number, that is not taken with any of some suffixes.
+
+        It has the first of them.
+        """
         for number in range(1, MAX_NUMBER + 1):
-            path = self._folder / f"{self._name}_{number:04d}{suffix}"
-            if not path.exists():
-                return path
+            paths = [self._folder / f"{self._name}_{number:04d}{suffix}" for suffix in suffixes]
+            if not any(path.exists() for path in paths):
+                return paths[0]
         raise Error(
-            f"{str(self._folder)!r} is full of numbers (got {MAX_NUMBER} files {self._name}_*{suffix})"
+            f"{str(self._folder)!r} is full of numbers (got {MAX_NUMBER} files {self._name}_*{suffixes[0]})"
         )
+
+
+def _problem(listener: Listener) -> str:
+    """Return why a recording failed, "" if it did not."""
+    return "" if listener.failure is None else str(listener.failure) or type(listener.failure).__name__

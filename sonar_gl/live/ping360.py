@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import socket
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import replace
+from itertools import count
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.poses import pose
 from sonar_gl.live.ping360_messages import (
     ACK,
@@ -56,17 +59,21 @@ class Ping360Head:
         self.head, self._preset, self._number = head, load_sonar("ping360"), 0
 
     def sonar(self, settings: TransducerSettings) -> Sonar:
-        """Return the sonar with these settings: a sample is a bin, the pulse's bandwidth is one over its length."""
+        """Return the sonar with these settings: a sample is a bin, the pulse's bandwidth is one over its length.
+
+        A pulse has one period at least.
+        """
         speed_m_s = self.head.acoustics.sonar_sound_speed_m_s or self.head.acoustics.water.sound_speed()
         preset, range_m = self._preset, settings.n_samples * settings.sample_time_s * speed_m_s / 2
         counts = preset.counts.changed({"gain_db": GAIN_DB[settings.gain_setting]})
+        frequency_hz = 1e3 * settings.transmit_frequency_khz
         return replace(
             preset,
-            frequency_hz=1e3 * settings.transmit_frequency_khz,
+            frequency_hz=frequency_hz,
             n_bins=settings.n_samples,
             range_min_m=0.0,
             range_max_m=range_m,
-            bandwidth_hz=1e6 / settings.transmit_duration_us,
+            bandwidth_hz=min(1e6 / settings.transmit_duration_us, frequency_hz),
             counts=counts,
         )
 
@@ -114,10 +121,13 @@ class Ping360Server(asyncio.DatagramProtocol):
                 self.dropped += 1
 
     async def run(self, started: asyncio.Event | None = None) -> None:
-        """Serve until this is cancelled; raises OSError if the port is taken."""
+        """Serve until this is cancelled; raises OSError if the port is taken, or the host no address of IPv4."""
         loop = asyncio.get_running_loop()
         self._waiting, self._began_s = asyncio.Queue(MAX_WAITING), loop.time()
-        transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(self._host, self._port))
+        # of the addresses of a name, the one by which programs find a device, which knows IPv4 alone
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, local_addr=(self._host, self._port), family=socket.AF_INET
+        )
         self._port = transport.get_extra_info("sockname")[1]
         if started is not None:
             started.set()
@@ -132,7 +142,8 @@ class Ping360Server(asyncio.DatagramProtocol):
                     scan = self._checked(parse_scan, message, address)
                     scanning = scan and asyncio.create_task(self._scan_on(scan, address))
                 else:
-                    await self._answer(message, address)
+                    with self._refusing(message.kind, address):
+                        await self._answer(message, address)
         finally:
             if scanning is not None:
                 scanning.cancel()
@@ -170,14 +181,23 @@ class Ping360Server(asyncio.DatagramProtocol):
             self._send(_nack(message.kind, str(why)), address)
             return None
 
+    @contextmanager
+    def _refusing(self, kind: int, address):
+        """Refuse a type of message if its ping fails, but where the machine is at fault."""
+        try:
+            yield
+        except MachineError:
+            raise
+        except Error as why:
+            self._send(_nack(kind, str(why)), address)
+
     async def _scan_on(self, scan: Scan, address) -> None:
         """Scan until this is cancelled."""
-        number = 0
-        while True:
-            settings = replace(scan.settings, angle=scan.angle(number))
-            self._send(scan.data(settings, await self._counts(settings)), address)
-            number += 1
-            await asyncio.sleep(scan.delay_s)
+        with self._refusing(AUTO_TRANSMIT, address):
+            for number in count():
+                settings = replace(scan.settings, angle=scan.angle(number))
+                self._send(scan.data(settings, await self._counts(settings)), address)
+                await asyncio.sleep(scan.delay_s)
 
     async def _counts(self, settings: TransducerSettings) -> bytes:
         """Return the counts of a ping, made beside the network."""

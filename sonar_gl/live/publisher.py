@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nan
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, MachineError, closed_error
 from sonar_gl.core.poses import check_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.live.message_inputs import BodiesInput, ClockInput, FrameInput, PoseInput, RefusedMessages
 from sonar_gl.live.ping_schedule import PingSchedule
@@ -326,8 +326,7 @@ class Publisher:
         if order.bodies:  # of messages only those that the scene has, so what is wrong is the caller's
             self._simulator.place(order.bodies)
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # a device does not say that it sees nothing
+            with collected_warnings():  # a device does not say that it sees nothing
                 ping = self._simulator.ping(
                     pose, self._noise, settings.seed, ping_number=self._n_pings, time_s=time_ns / 1e9
                 )
@@ -351,8 +350,7 @@ class Publisher:
         Numerical kernels are compiled, samples searched and encoders of messages made before the sonar's time begins.
         """
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
+            with collected_warnings():
                 ping = self._simulator.ping(pose, self._noise, self.settings.seed)
             links = [self._types.transform(0, self.settings.world_frame, self.settings.frame, pose)]
             messages = [self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()]
@@ -439,7 +437,7 @@ class Publisher:
             logger.warning("%s", counts)
 
     def close(self) -> None:
-        """Finish the ping that is made, log what was lost, and give back what it holds; may be called twice."""
+        """Finish the ping that is made, and give back what it holds; `counts` stays. May be called twice."""
         executor, self._executor = self._executor, None
         if executor is None:
             return
@@ -452,7 +450,6 @@ class Publisher:
         executor.shutdown()
         if self._work is not None and (why := self._work.exception()) is not None:
             logger.warning("the last ping could not be made: %s", why)
-        logger.info("%s", self.counts)
 
     def __enter__(self):
         return self

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from collections.abc import Callable, Collection
 from pathlib import Path
 from threading import RLock
@@ -19,6 +18,7 @@ import numpy as np
 from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
@@ -88,7 +88,7 @@ class LiveSession:
         self._lock = RLock()  # guards all that follows but the sonar, which is the thread's alone
         self._trial, self._bodies = SettingsTrial(settings), BodyPoses(scene)
         self._motion = SonarMotion(pose, track, began_s)
-        self._highlight = ""
+        self._highlight, self._rate_from_s = "", began_s
         self._frame: LiveFrame | None = None
         self._sonar = LiveSonar(scene, began_s)
         self._thread = PingThread(
@@ -158,6 +158,7 @@ class LiveSession:
         with self._lock:
             settings = self._trial.settings.changed(**values)
             self._trial.change(settings)
+            self._rate_from_s = time.monotonic()
             return settings
 
     def switch(self, term: str, on: bool) -> LiveSettings:
@@ -188,25 +189,26 @@ class LiveSession:
         check()  # a simulator takes long to make
         with self._lock:
             settings, pose, bodies = self._trial.settings, self._motion.now().pose, dict(self._bodies.moved)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            with Simulator(
+        with (
+            collected_warnings(),
+            Simulator(
                 self.scene,
                 settings.device,
                 settings.acoustics,
                 tolerance=settings.tolerance,
                 engine=settings.engine,
-            ) as simulator:
-                simulator.place(bodies)
-                return price(
-                    simulator,
-                    settings.device,
-                    settings.tolerance,
-                    [pose],
-                    settings.acoustics,
-                    settings.noise,
-                    check,
-                )
+            ) as simulator,
+        ):
+            simulator.place(bodies)
+            return price(
+                simulator,
+                settings.device,
+                settings.tolerance,
+                [pose],
+                settings.acoustics,
+                settings.noise,
+                check,
+            )
 
     # ---- motion ---------------------------------------------------------------------------------------------
 
@@ -261,7 +263,12 @@ class LiveSession:
         The session pings as long as anybody listens. While the function is busy, the last frames wait, as many as
         `waiting`; it misses those before.
         """
-        return self._thread.listen(on_frame, waiting)
+        with self._lock:
+            if not self._thread.listeners:
+                self._rate_from_s = (
+                    time.monotonic()
+                )  # there were no pings before, or some that were asked for one by one
+            return self._thread.listen(on_frame, waiting)
 
     def next_frame(self) -> LiveFrame:
         """Make a ping now, and return its frame; listeners do not get it."""
@@ -379,4 +386,5 @@ class LiveSession:
                 bodies=self._bodies.moved,
                 highlight=self._highlight,
                 gain_from=self._frame,
+                rate_from_s=self._rate_from_s,
             )

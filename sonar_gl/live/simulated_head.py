@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.noise.settings import Noise
@@ -61,8 +60,7 @@ class SimulatedHead:
         pose = self.track.at(time_s)
         pose = pose if turn is None else pose @ turn
         simulator = self._simulators.simulator(sonar, acoustics, self._tolerance)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a device does not say that it sees nothing
+        with collected_warnings():  # a device does not say that it sees nothing
             return simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
 
     def close(self) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.frame import Surface
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.fan import azimuths_of_cones
@@ -50,8 +50,7 @@ def surface_in_bin(
         first_rad, last_rad = azimuths_of_cones(shown_rad, shown_rad, top_rad)
     fov_deg = width_deg + math.degrees(last_rad - first_rad)
     sampling = replace(RAYS, columns_per_beam=RAYS.columns_per_beam * fov_deg / width_deg)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of numbers that the sonar itself has, too
+    with collected_warnings():  # of numbers that the sonar itself has, too
         narrow = replace(
             true,
             n_beams=1,

@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from sonar_gl.batch.ros_messages import message_types
+from sonar_gl.core.checks import check_whole_number, shown
+from sonar_gl.core.errors import Error
 
 MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
+
+
+def ros_domain(domain: int | None = None) -> int:
+    """Return a domain of ROS 2; None is the environment variable ROS_DOMAIN_ID, or 0, as for nodes of ROS 2.
+
+    Raises
+    ------
+    Error
+        if it is no whole number in 0..232.
+    """
+    if domain is not None:
+        return check_whole_number("the ROS domain", domain, 0, MAX_DOMAIN, "as in ROS_DOMAIN_ID")
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not re.fullmatch("[0-9]{1,9}", text):
+        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {shown(text)})")
+    return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.hosts import LOCAL
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.listeners import Listener
 from sonar_gl.live.output import DEFAULT_FOLDER
 from sonar_gl.live.page import ViewerPage, load_viser
@@ -104,7 +104,7 @@ class LiveView:
 
 def warn_of_host(host: str) -> None:
     """Warn of an address that other machines may reach."""
-    if host not in LOCAL:
+    if not is_local(host):
         warn_caller(f"any machine that reaches {host} can see this page, and move its sonar")
 
 

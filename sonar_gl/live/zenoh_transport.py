@@ -17,13 +17,13 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, MachineError, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.live.hosts import is_local
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, gid_of
-from sonar_gl.live.transport import Topic, Transport
+from sonar_gl.live.transport import Topic, Transport, ros_domain
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
-LOCAL = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 REMOTE_TIMEOUT_MS = 3000  # for the first connection to a router of another machine
 HEARTBEAT_S = 0.5  # between announcements of the last message of a latched topic; rmw_zenoh's
 MAX_BATCHES = 16  # zenoh's most; its default, 2, does not hold a ping of 256 beams and 512 bins
@@ -64,7 +64,7 @@ class ZenohTransport(Transport):
     Parameters
     ----------
     connect : "tcp/HOST:PORT" of a zenoh router, such as rmw_zenohd
-    domain : ROS_DOMAIN_ID of the programs to reach, 0..232
+    domain : of the programs to reach, 0..232; None is the environment variable ROS_DOMAIN_ID, or 0
     node : name by which `ros2 node list` shows this program
     type_hashes : False for programs of ROS 2 Humble, whose topics have no hashes
 
@@ -81,26 +81,25 @@ class ZenohTransport(Transport):
     """
 
     def __init__(
-        self, connect: str = ROUTER, domain: int = 0, node: str = "sonar_gl", type_hashes: bool = True
+        self,
+        connect: str = ROUTER,
+        domain: int | None = None,
+        node: str = "sonar_gl",
+        type_hashes: bool = True,
     ):
-        self._node = RosNode(node, domain, type_hashes)
+        self._node = RosNode(node, ros_domain(domain), type_hashes)
         is_local = _is_local(connect)
         self._libraries, self._lock = _libraries(), threading.Lock()
         self._session = self._opened(connect, is_local)
         self._senders, self._numbers, self._dropped = {}, count(1), 0
         # what zenoh has declared lasts as long as Python holds it
         self._subscribed = {}  # inbox: subscriber and token
-        self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
-        if not is_local:
-            warn_caller(
-                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
-                "poses"
-            )
-        if not list(self._session.info.routers_zid()):
-            warn_caller(
-                f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "
-                "such as `ros2 run rmw_zenoh_cpp rmw_zenohd`"
-            )
+        try:
+            self._declared = [self._session.liveliness().declare_token(self._node.token(self.session_id))]
+            self._warn(connect, is_local)
+        except BaseException:
+            self._session.close()
+            raise
 
     @property
     def session_id(self) -> str:
@@ -220,6 +219,19 @@ class ZenohTransport(Transport):
                 f"a zenoh router must answer at {connect} (got {wait}; start it there, or give its address)"
             ) from None
 
+    def _warn(self, connect: str, is_local: bool) -> None:
+        """Warn of a router that other machines reach, and of none."""
+        if not is_local:
+            warn_caller(
+                f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "
+                "poses"
+            )
+        if not list(self._session.info.routers_zid()):
+            warn_caller(
+                f"no zenoh router answers at {connect}: other programs find these topics once one runs there, "
+                "such as `ros2 run rmw_zenoh_cpp rmw_zenohd`"
+            )
+
     def _sender(self, topic: Topic) -> _Sender:
         """Return what sends the messages of a topic, declared on first use."""
         with self._lock:
@@ -264,4 +276,4 @@ def _is_local(connect: str) -> bool:
     found = ADDRESS.fullmatch(connect) if isinstance(connect, str) else None
     if found is None or not 0 < int(found[2]) < 2**16:
         raise Error(f"the address of a zenoh router must be like {ROUTER!r} (got {shown(connect)})")
-    return LOCAL.fullmatch(found[1]) is not None
+    return is_local(found[1].strip("[]"))

@@ -25,9 +25,11 @@ from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
 from sonar_gl.batch.store import PingTable
-from sonar_gl.engine import sequence
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.engine import pipeline, sequence
 from sonar_gl.engine.run import Run
 from sonar_gl.imaging.boxes import body_map, boxes_of
+from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import LABELS, MORE, files_of, make_all, open_batch, write_job, write_plain_job
 from tests.support.command_line import run
 
@@ -238,6 +240,30 @@ def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
     names = [name for name, found in record["files"].items() if found]
     for name in [*names, "parts/0000001.json", "batch.json"]:
         assert made[name] == before[name]
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_warnings_of_pings_are_reported_a_tolerance_once_for_a_sonar(
+    small, tmp_path, monkeypatch, one_by_one
+):
+    finish = pipeline.finish
+
+    def warns(*values):
+        warn_caller("the ping is odd")
+        warn_caller("the tolerance cannot be met", ToleranceWarning)
+        return finish(*values)
+
+    for module in (sequence, pipeline):
+        monkeypatch.setattr(module, "finish", warns)
+    batch, reports = open_batch(small / "job.toml", tmp_path / "out"), []
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    make_part(batch, 1, one_by_one=one_by_one, report=lambda *report: reports.append(report))
+    batch.close()
+    texts = [value for kind, value in reports if kind == "warning"]
+    assert texts.count("the tolerance cannot be met") == len(batch.requests.sonars)
+    assert set(texts) == {"the ping is odd", "the tolerance cannot be met"}
+    assert len(texts) > 2
 
 
 HARD = """<model name="rod"><static>true</static><pose>3.2 1.0 0.2 0.6 0 0</pose><link name="l"><collision name="c">

@@ -1,10 +1,13 @@
 """The command `emulate`."""
 
+import re
 import socket
+import threading
 
 import pytest
 
 from sonar_gl.cli import emulate
+from sonar_gl.live import oculus
 from sonar_gl.live.simulated_head import SimulatedHead
 from tests.support.command_line import run
 
@@ -59,3 +62,54 @@ def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
     monkeypatch.setattr(SimulatedHead, "ping", interrupt)
     status, _, errors = run("emulate", device, "pylon", "--port", "0")
     assert status == 130 and "Traceback" not in errors
+
+
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.0.0.2", "0.0.0.0", "192.0.2.1"])
+def test_an_address_that_other_machines_may_reach_is_warned_of(device, host, monkeypatch):
+    """The last is for documentation; nobody listens at any, as the server is left out."""
+
+    async def listen(server, line):
+        assert f"at {host}:" in line
+
+    monkeypatch.setattr(SimulatedHead, "ping", lambda *_, **__: None)
+    monkeypatch.setattr(emulate, "_listen", listen)
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--host", host)
+    warning = f"warning: any machine that reaches {host} can use this sonar\n"
+    is_reached = host in ("0.0.0.0", "192.0.2.1")
+    assert status == 0 and errors == warning * is_reached
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_host_that_is_none_is_an_error(device):
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--host", "no.such.host.invalid")
+    assert status == 2
+    # the words are those of the system's resolver
+    assert re.search(r"must be able to listen at no\.such\.host\.invalid \(got [A-Za-z -]+; ", errors)
+    assert "Unknown error" not in errors
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_an_address_of_ipv6_is_an_error(device):
+    """Messages of an Oculus have room for addresses of IPv4 alone; the devices know no others."""
+    status, _, errors = run("emulate", device, "pylon", "--port", "0", "--host", "::1", "--duration", "5")
+    assert status == 2 and "the emulator must be able to listen at ::1 (got " in errors
+
+
+def test_a_status_that_cannot_be_sent_is_said_once(monkeypatch, caplog):
+    """Names are looked up beside the thread that serves programs, which a slow answer would hold up."""
+    monkeypatch.setattr(oculus, "STATUS_S", 0.01)
+    look_up, threads = socket.getaddrinfo, set()
+
+    def noted(host, *values, **more):
+        if host == "no.such.host.invalid":
+            threads.add(threading.current_thread())
+        return look_up(host, *values, **more)
+
+    monkeypatch.setattr(socket, "getaddrinfo", noted)
+    words = "--status-to", "no.such.host.invalid", "--duration", "0.5"
+    status, _, errors = run("emulate", "oculus", "pylon", "--port", "0", *words)
+    assert status == 0 and "Ctrl-C stops it" in errors
+    assert threads and threading.main_thread() not in threads
+    assert len(caplog.messages) == 1
+    assert caplog.messages[0].startswith("no status reaches no.such.host.invalid:52102: ")

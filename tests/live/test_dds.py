@@ -31,6 +31,7 @@ from rosbags.serde.errors import SerdeError
 from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command
+from sonar_gl.live import dds_transport
 from sonar_gl.live.dds_transport import DdsTransport
 from sonar_gl.live.transport import Topic
 from tests.support import dds_entities, dds_types
@@ -537,6 +538,32 @@ def test_a_function_may_close_its_transport(open_transport, name):
         wait_for(lambda: other.publish(topic, header_bytes(1), 0))
 
 
+def test_a_function_that_publishes_does_not_hold_up_the_end_of_its_transport(
+    open_transport, name, monkeypatch, caplog
+):
+    patience_s = 20.0
+    monkeypatch.setattr(dds_transport, "PATIENCE_S", patience_s)
+    transport, other = open_transport(), open_transport()
+    is_inside, may_answer = threading.Event(), threading.Event()
+
+    def answer(message):
+        is_inside.set()
+        assert may_answer.wait(WAIT_S)
+        other.publish(topic_of(name + "/answer"), message, 0)
+
+    other.subscribe(topic_of(name), answer)
+    transport.publish(topic_of(name), header_bytes(0), 0)
+    assert is_inside.wait(WAIT_S)
+    closing = threading.Thread(target=other.close)
+    began_s = time.monotonic()
+    closing.start()
+    time.sleep(0.2)  # until it waits for the function
+    may_answer.set()
+    closing.join(WAIT_S)
+    assert time.monotonic() - began_s < patience_s / 2
+    assert caplog.messages == []
+
+
 # ---- fuzzed messages and packets --------------------------------------------------------------------
 
 
@@ -641,7 +668,7 @@ def test_wrong_packets_neither_end_nor_stall_a_publisher(open_transport, domain,
 
 @pytest.mark.parametrize("wrong", [-1, 233, 1.5, "0", True])
 def test_a_domain_is_a_number_that_has_ports(wrong):
-    with pytest.raises(Error, match="the DDS domain must be"):
+    with pytest.raises(Error, match="the ROS domain must be"):
         DdsTransport(wrong)
 
 

@@ -1,4 +1,4 @@
-"""Ports that are given back."""
+"""Addresses of this machine alone, and ports that are given back."""
 
 import socket
 import threading
@@ -6,7 +6,28 @@ import time
 
 import pytest
 
-from sonar_gl.live.hosts import wait_until_free
+from sonar_gl.live.hosts import is_local, wait_until_free
+from sonar_gl.live.view.origin import is_other_site
+
+
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1", "127.0.0.2", "127.255.255.254", "localhost", "LocalHost", "::1"]
+)
+def test_addresses_of_the_loopback_interface_are_local(host):
+    assert is_local(host)
+
+
+@pytest.mark.parametrize(
+    "host", ["0.0.0.0", "::", "", "192.0.2.1", "128.0.0.1", "127.0.0.1.example.org", "localhost.example.org"]
+)
+def test_others_are_not(host):
+    assert not is_local(host)
+
+
+@pytest.mark.parametrize("listens_at", ["127.0.0.1", "127.0.0.2", "localhost", "::1"])
+def test_a_site_whose_name_means_this_machine_is_another_site(listens_at):
+    assert is_other_site("http://example.org:8080", "example.org:8080", listens_at)
+    assert not is_other_site("http://127.0.0.2:8080", "127.0.0.2:8080", listens_at)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])

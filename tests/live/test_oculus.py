@@ -4,6 +4,7 @@ import random
 import socket
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.live import oculus
 from sonar_gl.live.oculus import MODELS, OculusHead, OculusServer
 from sonar_gl.live.oculus_messages import FireMessage, OculusResult, parse_fire_message, status_message
 from sonar_gl.live.pose_track import PoseTrack
@@ -20,6 +22,73 @@ from tools.oculus_raw import read_pings
 
 METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h
 LOW, HIGH = 1, 2
+# Byte and type (as NumPy names it) of each number of a message, counted by hand in the packed structures of liboculus'
+# Oculus.h. The emulator shares nothing with them.
+HEADER = {
+    "oculusId": (0, "<u2"),
+    "srcDeviceId": (2, "<u2"),
+    "dstDeviceId": (4, "<u2"),
+    "msgId": (6, "<u2"),
+    "msgVersion": (8, "<u2"),
+    "payloadSize": (10, "<u4"),
+    "spare2": (14, "<u2"),
+}
+FIRE = HEADER | {
+    "masterMode": (16, "u1"),
+    "pingRate": (17, "u1"),
+    "networkSpeed": (18, "u1"),
+    "gammaCorrection": (19, "u1"),
+    "flags": (20, "u1"),
+    "range": (21, "<f8"),
+    "gainPercent": (29, "<f8"),
+    "speedOfSound": (37, "<f8"),
+    "salinity": (45, "<f8"),
+}
+RESULT_1 = FIRE | {
+    "pingId": (53, "<u4"),
+    "status": (57, "<u4"),
+    "frequency": (61, "<f8"),
+    "temperature": (69, "<f8"),
+    "pressure": (77, "<f8"),
+    "speedOfSoundUsed": (85, "<f8"),
+    "pingStartTime": (93, "<u4"),
+    "dataSize": (97, "u1"),
+    "rangeResolution": (98, "<f8"),
+    "nRanges": (106, "<u2"),
+    "nBeams": (108, "<u2"),
+    "imageOffset": (110, "<u4"),
+    "imageSize": (114, "<u4"),
+    "messageSize": (118, "<u4"),
+}
+RESULT_2 = FIRE | {
+    "extFlags": (53, "<u4"),  # and 32 bytes that are reserved
+    "pingId": (89, "<u4"),
+    "status": (93, "<u4"),
+    "frequency": (97, "<f8"),
+    "temperature": (105, "<f8"),
+    "pressure": (113, "<f8"),
+    "heading": (121, "<f8"),
+    "pitch": (129, "<f8"),
+    "roll": (137, "<f8"),
+    "speedOfSoundUsed": (145, "<f8"),
+    "pingStartTime": (153, "<f8"),
+    "dataSize": (161, "u1"),
+    "rangeResolution": (162, "<f8"),
+    "nRanges": (170, "<u2"),
+    "nBeams": (172, "<u2"),
+    "spare": (174, "<u4"),  # the first of four
+    "imageOffset": (190, "<u4"),
+    "imageSize": (194, "<u4"),
+    "messageSize": (198, "<u4"),
+}
+BEARINGS = {1: 122, 2: 202}  # where they begin
+
+
+def numbers_of(message, layout):
+    """Return the numbers of a message by their names in Oculus.h."""
+    return {
+        name: np.frombuffer(message, kind, 1, offset)[0].item() for name, (offset, kind) in layout.items()
+    }
 
 
 def fire_bytes(
@@ -84,6 +153,52 @@ def result_of(connection, fire):
             return fields, message
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_each_number_is_at_its_byte(version):
+    """All numbers differ, and so do their bytes."""
+    size, layout = {1: (53, RESULT_1), 2: (89, RESULT_2)}[version]
+    asked = {
+        "oculusId": 0x4F53, "srcDeviceId": 0, "dstDeviceId": 0, "msgId": 0x15, "msgVersion": version,
+        "payloadSize": size - 16, "spare2": 0, "masterMode": 2, "pingRate": 3, "networkSpeed": 201,
+        "gammaCorrection": 127, "flags": METRES | BITS_16 | ASSISTANCE, "range": 3.25, "gainPercent": 41.5,
+        "speedOfSound": 1511.5, "salinity": 34.5,
+    }  # fmt: skip
+    sent = bytearray(size)
+    for name, (offset, kind) in FIRE.items():
+        sent[offset : offset + np.dtype(kind).itemsize] = np.array(asked[name], kind).tobytes()
+    fire = parse_fire_message(version, bytes(sent[16:]))
+    assert (fire.version, fire.mode, fire.ping_rate, fire.gamma, fire.flags) == (version, 2, 3, 127, 0x13)
+    assert (fire.range, fire.gain_percent, fire.sound_speed_m_s) == (3.25, 41.5, 1511.5)
+    counts = np.arange(6, dtype=np.uint16).reshape(2, 3)
+    message = OculusResult(
+        fire,
+        number=0x01020304,
+        counts=counts,
+        azimuth_rad=np.radians([-12.34, 23.45]),
+        gain=np.ones(3),
+        bin_size_m=0.0625,
+        frequency_hz=1.25e6,
+        temperature_c=8.5,
+        pressure_bar=2.75,
+        sound_speed_m_s=1483.25,
+        heading_deg=77.5,
+        pitch_deg=-5.5,
+        roll_deg=3.75,
+        time_s=1.25,
+    ).message(0x0708)
+    assert numbers_of(message, layout) == asked | {
+        "srcDeviceId": 0x0708, "msgId": 0x23, "msgVersion": {1: 0, 2: 2}[version], "payloadSize": 2048 + 12 - 16,
+        "pingId": 0x01020304, "status": 0, "frequency": 1.25e6, "temperature": 8.5, "pressure": 2.75,
+        "speedOfSoundUsed": 1483.25, "pingStartTime": {1: 1_250_000_000, 2: 1.25}[version], "dataSize": 1,
+        "rangeResolution": 0.0625, "nRanges": 3, "nBeams": 2, "imageOffset": 2048, "imageSize": 12,
+        "messageSize": 2048 + 12,
+    } | ({} if version == 1 else {"extFlags": 0, "heading": 77.5, "pitch": -5.5, "roll": 3.75, "spare": 0})  # fmt: skip
+    # hundredths of a degree, positive to starboard; port first
+    assert np.frombuffer(message, "<i2", 2, BEARINGS[version]).tolist() == [-2345, 1234]
+    assert np.frombuffer(message, "<u2", 6, 2048).tolist() == [3, 0, 4, 1, 5, 2]
+    assert len(message) == 2048 + 12 and not any(message[BEARINGS[version] + 4 : 2048])
+
+
 def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
     fields, message = result_of(connection, fire_bytes())
     assert fields[0] == 0x4F53 and fields[3:5] == (0x23, 0) and fields[5] == len(message) - 16
@@ -121,8 +236,12 @@ def test_second_version_has_attitude_and_its_own_offsets(connection):
     bearings = np.frombuffer(message, "<i2", n_beams, 202)
     assert (np.diff(bearings) > 0).all() and (bearings[0], bearings[-1]) == (-6500, 6500)
     rows = np.frombuffer(message, np.uint8, offset=offset).reshape(n_bins, row)
-    gains, counts = rows[:, :4].copy().view("<f4")[:, 0], rows[:, 4:].copy().view("<u2")
-    assert (np.diff(gains) > 0).all()  # the TVG rises
+    gains, counts = rows[:, :4].copy().view("<u4")[:, 0], rows[:, 4:].copy().view("<u2")
+    range_m, water = (np.arange(n_bins) + 0.5) * bin_size_m, sg.Acoustics.physical().water
+    tvg_db = 20 * np.log10(range_m) + 2 * water.absorption(1.2e6) * range_m  # 20 log r, as by default
+    relative = 10 ** ((tvg_db - tvg_db[-1]) / 10)
+    assert gains[-1] == 2**31 - 1  # as much as fits into a signed number
+    assert np.abs(gains - relative * gains[-1]).max() <= 1  # rounded
     assert counts.max() == 65535  # automatic gain brings the strongest echoes to full scale
     starboard, port = counts[:, n_beams // 2 :], counts[:, : n_beams // 2]
     near = slice(
@@ -177,6 +296,23 @@ def test_wrong_fire_message_changes_nothing(connection):
         assert struct.unpack_from("<d", message, 21) == (3.5,)
 
 
+def test_settings_that_no_ping_can_be_made_with_are_ignored(connection, monkeypatch, caplog):
+    ping = SimulatedHead.ping
+
+    def limited(head, sonar, *values):
+        if sonar.range_max_m == 4.25:
+            raise Error("the ping must succeed (got 4.25 m)")
+        return ping(head, sonar, *values)
+
+    monkeypatch.setattr(SimulatedHead, "ping", limited)
+    connection.sendall(fire_bytes(range_m=4.25))
+    end_s = time.monotonic() + WAIT_S
+    while "a fire message is ignored: the ping must succeed (got 4.25 m)" not in caplog.messages:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    result_of(connection, fire_bytes(range_m=4.5))
+
+
 @pytest.mark.parametrize(
     "changes, words",
     [
@@ -206,6 +342,25 @@ def test_status_is_as_long_as_programs_expect():
     assert struct.unpack_from("<IHHI", message, 16) == (7, 1, 1042, 3)
     assert message[52:56] == bytes([192, 168, 1, 9])
     assert struct.unpack_from("<d", message, 70) == (12.5,)
+
+
+def test_the_status_says_where_the_device_is_and_who_is_connected(monkeypatch):
+    monkeypatch.setattr(oculus, "STATUS_S", 0.01)
+    device = OculusHead(MODELS["m750d"], SimpleNamespace(acoustics=sg.Acoustics.physical()))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(WAIT_S)
+        status_to = "localhost", listener.getsockname()[1]
+        with running(OculusServer(device, None, "localhost", port=0, status_to=status_to)) as server:
+            status = listener.recv(1000)
+            assert struct.unpack_from("<HHHHHI", status) == (0x4F53, 1, 0, 1, 1, len(status) - 16)
+            assert struct.unpack_from("<H", status, 22) == (1032,)  # partNumberM750d
+            assert (status[52:56], status[60:64]) == (bytes([127, 0, 0, 1]), bytes(4))
+            with socket.create_connection(("localhost", server.port), WAIT_S):
+                while listener.recv(1000)[60:64] != bytes([127, 0, 0, 1]):
+                    pass
+            while listener.recv(1000)[60:64] != bytes(4):
+                pass
 
 
 def test_result_of_odd_sizes_fits_its_header():

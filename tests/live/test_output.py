@@ -237,6 +237,54 @@ def test_a_full_disk_ends_the_recording_with_a_sentence(session, monkeypatch):
     assert session.output.stop_recording()
 
 
+def test_pings_that_cannot_be_written_once_the_recording_is_stopped_are_told(session, monkeypatch):
+    """Some wait to be written then."""
+    is_writing, may_fail, found = threading.Event(), threading.Event(), Queue()
+
+    def full(path, _ping):
+        is_writing.set()
+        assert may_fail.wait(WAIT_S)
+        raise sg.Error(f"cannot write {str(path)!r}: No space left on device")
+
+    def stop():
+        try:
+            found.put(session.output.stop_recording())
+        except sg.Error as why:
+            found.put(str(why))
+
+    monkeypatch.setattr(recording_module, "save_npz", full)
+    session.output.start_recording()
+    assert is_writing.wait(WAIT_S)
+    stopping = threading.Thread(target=stop, daemon=True)
+    stopping.start()
+    wait_for(lambda: not session.output.is_recording)
+    may_fail.set()
+    told = found.get(timeout=WAIT_S)
+    assert str(told).startswith("the recording ended early: cannot write ") and told.endswith("on device")
+
+
+def test_a_recording_that_failed_is_in_the_way_of_no_other(session, monkeypatch):
+    def full(path, frames, fps):
+        next(iter(frames))
+        raise sg.Error("only 1 of 9 frames could be written as MP4 (is the disk full?)")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recording_module, "save_animation", full)
+        session.output.start_recording()
+        wait_for(lambda: session.output.problem)
+    session.output.start_recording()
+    wait_for(lambda: session.output.n_recorded >= 1)
+    assert session.output.stop_recording()
+
+
+def test_a_picture_takes_no_name_of_another_file(session):
+    folder = session.output.folder
+    folder.mkdir()
+    (folder / "pylon_0001.npz").write_text("mine")
+    assert session.output.save_picture() == folder / "pylon_0002.png"
+    assert (folder / "pylon_0001.npz").read_text() == "mine"
+
+
 def test_a_film_that_cannot_be_written_ends_the_recording(session, monkeypatch):
     def full(path, frames, fps):
         next(iter(frames))

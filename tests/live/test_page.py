@@ -195,6 +195,40 @@ def test_a_slider_is_moved_by_keys(viewer):
     wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
 
 
+def choose(tab, label, option):
+    """Choose an option of a dropdown."""
+    control(tab, label).click()
+    tab.get_by_role("option", name=option, exact=True).click()
+
+
+def test_noise_water_and_engine_are_those_of_the_next_pings(viewer):
+    session, tab = viewer.session, viewer.tab
+    before = session.settings
+    folders = [tab.get_by_text(name, exact=True) for name in ("Acoustics and noise", "Water")]
+    try:
+        for folder in folders:
+            folder.click()
+        control(tab, "salinity, psu").wait_for(state="visible", timeout=1000 * WAIT_S)
+        choose(tab, "noise", "none")
+        field = control(tab, "temperature, °C")
+        field.fill("4")
+        field.press("Enter")
+        choose(tab, "engine", "auto")
+        water = replace(before.water, temperature_c=4.0)
+        expected = before.changed(noise="none", water=water, engine="auto")
+        wait_for(lambda: session.frame.settings == expected)
+        assert session.frame.ping.acoustics.water == water
+        tab.get_by_text("speckle", exact=True).click()  # a term by itself, which no profile of noise has
+        wait_for(lambda: control(tab, "noise").input_value() == "other")
+        assert session.settings == expected.switched("speckle", True)
+    finally:
+        for folder in folders:
+            folder.click()
+        tab.evaluate("document.activeElement.blur()")
+        session.change(noise=before.noise, acoustics=before.acoustics, engine=before.engine)
+    wait_for(lambda: control(tab, "engine").input_value() == "cpu")
+
+
 def test_a_sonar_of_ones_own_is_offered_beside_the_presets(viewer, tmp_path):
     session, tab, given = viewer.session, viewer.tab, viewer.session.settings.sonar
     dropdown = control(tab, "sonar")

@@ -19,6 +19,7 @@ from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.control_panel import MAX_OWN
 from sonar_gl.live.view.scene_nodes import pose_of
 from sonar_gl.live.viewer import LiveView
 from tests.support.viser_client import WAIT_S, connected, wait_for
@@ -374,6 +375,18 @@ def test_the_page_says_that_the_picture_is_of_the_settings_before(session, brows
     assert session.frame.settings.range_m == 12.0
 
 
+def test_the_first_ping_has_no_rate(scene):
+    settings = SETTINGS.changed(max_rate_hz=0.01)  # there is no second one
+    with (
+        LiveSession(scene, settings) as session,
+        ViewerPage(session, port=0) as page,
+        connected(page.url) as browser,
+        telling(browser),
+    ):
+        wait_for(lambda: session.frame.number == 1)
+        wait_for(lambda: re.match(r"ping rate\s+–\s", words(browser, "ping rate")))
+
+
 # ---- trajectories -------------------------------------------------------------------------------------------
 
 
@@ -468,6 +481,20 @@ def test_the_range_ends_where_the_sonar_does_and_stays_where_the_next_sonar_allo
     browser.change("sonar", "p900-45 (given)")
     wait_for(lambda: slider["max"] == 100.0)
     assert session.settings.device.range_max_m == 8.0 and len(browser.notes) == 1
+
+
+def test_a_program_that_changes_the_sonar_again_and_again_fills_no_list(session, browser):
+    dropdown = browser.values[browser.uuid("sonar")]
+    first, own = dropdown["value"], session.settings.sonar
+    for number in range(2, 13):
+        session.change(sonar=replace(own, tilt_deg=number / 10))
+        wait_for(lambda number=number: dropdown["value"] == f"{own.name} (given {number})")
+    wait_for(lambda: dropdown["value"] in dropdown["options"])
+    offered = [name for name in dropdown["options"] if "given" in name]
+    assert offered[0] == first == f"{own.name} (given)" and offered[-1] == dropdown["value"]
+    assert len(offered) == MAX_OWN
+    browser.change("sonar", first)
+    wait_for(lambda: session.settings.sonar == own)
 
 
 def test_the_polar_form_has_no_picture_in_3d(session, browser):

@@ -149,3 +149,35 @@ def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, client
     while (angle := answer_to(11, WAIT_S).angle) == 9:  # to a request that was repeated
         pass
     assert angle == 11
+
+
+def test_settings_that_no_ping_can_be_made_with_are_refused(client, monkeypatch):
+    ping = SimulatedHead.ping
+
+    def limited(head, sonar, *values):
+        if sonar.n_bins == 201:
+            raise Error("the ping must succeed (got 201 bins)")
+        return ping(head, sonar, *values)
+
+    monkeypatch.setattr(SimulatedHead, "ping", limited)
+    client.control_transducer(1, 0, 9, 32, 400, 750, 201, 1, 0)
+    answer = client.wait_message([brping.definitions.COMMON_NACK], WAIT_S)
+    assert (answer.nacked_id, bytes(answer.nack_message)) == (2601, b"the ping must succeed (got 201 bins)\0")
+    client.control_auto_transmit(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)
+    assert client.wait_message([brping.definitions.COMMON_NACK], WAIT_S).nacked_id == 2602
+    assert client.transmitAngle(7).angle == 7
+
+
+@pytest.mark.parametrize("duration_us, frequency_khz", [(1, 500), (1, 999), (1000, 1000)])
+def test_the_shortest_and_the_longest_pulse_are_made(client, duration_us, frequency_khz):
+    client.control_transducer(1, 0, 9, duration_us, 400, frequency_khz, 200, 1, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], WAIT_S)
+    assert (answer.transmit_duration, answer.transmit_frequency) == (duration_us, frequency_khz)
+    assert len(answer.data) == 200
+
+
+@pytest.mark.parametrize("n_samples, sample_period", [(1, 80), (1, 40_000), (1200, 80), (1200, 40_000)])
+def test_the_nearest_and_the_farthest_range_are_made(client, n_samples, sample_period):
+    client.control_transducer(1, 0, 9, 32, sample_period, 750, n_samples, 1, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], WAIT_S)
+    assert (answer.sample_period, len(answer.data)) == (sample_period, n_samples)

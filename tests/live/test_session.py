@@ -96,6 +96,27 @@ def test_a_rate_is_kept(scene):
     assert times_s[4] - times_s[0] > 0.2
 
 
+def test_the_rate_is_that_of_the_last_pings_since_somebody_listens_with_these_settings(session, monkeypatch):
+    monkeypatch.setattr(live_sonar_module, "RATE_S", 0.1)
+    frames = [session.frame, *(session.next_frame() for _ in range(30))]
+    time.sleep(0.2)  # longer than what counts
+    frames += [session.next_frame() for _ in range(2)]
+    session.change(tolerance=0.2)
+    first_changed = len(frames)
+    frames += [session.next_frame() for _ in range(3)]
+    first_told = len(frames)
+    with session.listen(frames.append, 1000):
+        wait_for(lambda: len(frames) >= first_told + 30)
+    times_s = [frame.clock_s for frame in frames]
+    for first, end in ((0, first_changed), (first_changed, first_told), (first_told, first_told + 30)):
+        assert frames[first].rate_hz == 0.0
+        for k in range(first + 1, end):
+            recent = [time_s for time_s in times_s[first : k + 1] if time_s >= times_s[k] - 0.1]
+            recent = recent if len(recent) > 1 else times_s[k - 1 : k + 1]
+            # times of this clock are sums, rounded to 1e-16 of what they are
+            assert frames[k].rate_hz == pytest.approx((len(recent) - 1) / (recent[-1] - recent[0]))
+
+
 def test_no_echo_is_explained(scene):
     with LiveSession(scene, QUIET, sg.pose(yaw=math.pi)) as session:
         (note,) = session.frame.notes

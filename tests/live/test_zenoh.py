@@ -10,6 +10,7 @@ import warnings
 from contextlib import ExitStack
 
 import pytest
+import zenoh
 
 from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.errors import Error, MachineError
@@ -447,6 +448,21 @@ def test_there_is_no_warning_with_a_router(router, transports):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         transports()
+
+
+def test_a_warning_that_is_an_error_leaves_no_session(port, monkeypatch):
+    really_open, opened = zenoh.open, []
+
+    def noted(config):
+        opened.append(really_open(config))
+        return opened[-1]
+
+    monkeypatch.setattr(zenoh, "open", noted)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="no zenoh router answers"):
+            ZenohTransport(f"tcp/127.0.0.1:{port}")
+    assert [session.is_closed() for session in opened] == [True]
 
 
 def test_a_router_of_another_machine_is_warned_of(router, transports, port):

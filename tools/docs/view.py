@@ -77,6 +77,7 @@ def film(browser, path: Path) -> None:
     """Write a film of the pylon scene while the sonar turns."""
     frames = []
     for tab, session in show(browser, "pylon"):
+        # so that a browser that draws in software, on the cores that make the pings, keeps up with them
         session.change(max_rate_hz=2.0)
         for number in range(FILM_FRAMES):
             keys = {"arrowleft" if number < FILM_FRAMES // 2 else "arrowright", "w"}

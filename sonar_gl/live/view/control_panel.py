@@ -26,6 +26,7 @@ NOISES = ("none", "demarco2015", "physical")
 OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
+MAX_OWN = 8  # sonars on offer beside the presets
 PANEL_WIDTH = 330  # pixels of the page
 SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
 
@@ -80,7 +81,7 @@ class ControlPanel:
         self._is_closed = False
         self.steps = Steps()
         settings = session.settings
-        self._sonars = dict(presets())
+        self._sonars, self._n_given = dict(presets()), 0
         self._name_of_sonar(session.scene.sonar or settings.sonar)
         self._add_motion(on_mover)
         self._add_sonar(settings)
@@ -126,13 +127,20 @@ class ControlPanel:
             self._body.value = name or NO_BODY
 
     def _name_of_sonar(self, sonar: Sonar) -> str:
-        """Return the name by which the page offers a sonar, which may differ from a preset of its own name."""
+        """Return the name by which the page offers a sonar, which may differ from a preset of its own name.
+
+        Of those that are no presets the last ones are on offer, and the first.
+        """
         for name, one in self._sonars.items():
             if one == sonar:
                 return name
+        own = [name for name in self._sonars if name not in presets()]
+        if len(own) >= MAX_OWN:
+            del self._sonars[own[1]]  # the first is that of the scene
         name = sonar.name
-        while name in self._sonars:
-            name += OWN
+        if name in self._sonars:
+            self._n_given += 1
+            name += OWN if self._n_given == 1 else f"{OWN[:-1]} {self._n_given})"
         self._sonars[name] = sonar
         return name
 
@@ -201,7 +209,7 @@ class ControlPanel:
             tell(client, "Range", f"{allowed_m:g} m, since {name} does not allow {range_m:g} m")
 
     def _shown_sonar(self, dropdown, sonar: Sonar) -> str:
-        """Return what the dropdown shows for a sonar; it offers all that a session has had."""
+        """Return what the dropdown shows for a sonar, and have it offer that."""
         name = self._name_of_sonar(sonar)
         if name not in dropdown.options:
             dropdown.options = tuple(self._sonars)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
-from sonar_gl.live.hosts import LOCAL
+from sonar_gl.live.hosts import is_local
 
 
 def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool:
@@ -32,7 +32,7 @@ def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool
     if site is not None and site != host:
         return True
     # a site whose name was made to mean 127.0.0.1 is of its own origin
-    return listens_at in LOCAL and name not in (*LOCAL, listens_at)
+    return is_local(listens_at) and not is_local(name or "")
 
 
 @contextmanager

@@ -151,7 +151,7 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
         [("ping rate", PENDING, 7)]
         if is_pending
         else [
-            ("ping rate", f"{frame.rate_hz:.1f} Hz", 7),
+            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, 7),
             ("samples", f"{frame.samples:,}".replace(",", "\u2009"), 5),
         ],
         [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", 7)],
