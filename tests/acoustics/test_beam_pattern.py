@@ -21,6 +21,8 @@ from sonar_gl.acoustics.beam_pattern import (
 from sonar_gl.analysis.verify import ping_error
 from tests.support.settings import described
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 
 @pytest.mark.parametrize("width_deg", [0.25, 1.0, 2.0, 20.0, 90.0])
 @pytest.mark.parametrize("steer_deg", [0.0, 65.0, -180.0])

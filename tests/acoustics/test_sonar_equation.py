@@ -41,6 +41,7 @@ def ping(scene, acoustics, sonar=SONAR):
         return simulator.ping(np.eye(4))
 
 
+@pytest.mark.usefixtures("few_first_rays")
 @pytest.mark.parametrize("make", [ping, lambda s, a: sg.reference_ping(s, SONAR, np.eye(4), a, 0.05)])
 def test_a_wrong_speed_of_sound_scales_ranges(make):
     """A sonar set to 1500 m/s in water of 1450 m/s shows 10 m as 10.345 m, in bins at the ranges of its settings."""

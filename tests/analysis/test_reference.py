@@ -14,6 +14,8 @@ from sonar_gl.acoustics.boundary import cos_incidence
 from sonar_gl.core.extras import install_command
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo, plate_on_floor_echo, sphere_echo
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 ELEVATION = math.radians(10.0)
 # the halves then differ by 0.3 % at most; their mean is half as far from the exact echo, about 0.15 %
 ERROR = 0.03

@@ -19,6 +19,8 @@ from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import material
 from tests.support import glsl
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 SONAR = sg.Sonar("test", 900e3, 64, 200, 32.0, 20.0, 0.5, 0.5, 12.0)  # box beams without overlap
 BEAM_SR = np.radians(0.5) * 2 * np.sin(np.radians(10))
 AHEAD = np.eye(4)

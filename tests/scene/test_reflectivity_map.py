@@ -14,6 +14,8 @@ from sonar_gl.scene import primitives as meshes
 from sonar_gl.scene import reflectivity_map as maps
 from sonar_gl.scene.reflectivity_map import read_image, textured, textured_from_above
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 PLATE = meshes.plane(size=(10, 10))[0]
 UV = (PLATE.vertices[:, :2] + 5) / 10
 RANDOM = np.random.default_rng(0)
