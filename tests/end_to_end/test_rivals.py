@@ -16,6 +16,8 @@ from tools.chart.rivals.rays import Lattice, Tubes
 from tools.chart.rivals.slices import Slices
 from tools.chart.scenes import make_scene, tank
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 IDEAL = sg.Acoustics.ideal()
 SMALL = sg.Sonar("small", 900e3, 32, 128, 45.0, 20.0, 2.0, 0.5, 30.0)
 
@@ -141,7 +143,10 @@ def test_slices_are_exact_on_a_plate_and_in_its_shadow():
     assert error(got, want) < 5e-4  # the edges of shadows move through bins from slice to slice
 
 
-@pytest.mark.parametrize("rival, resolution", [(Tubes, (2, 48)), (Lattice, (2, 48)), (Slices, (8, 0))])
+@pytest.mark.parametrize(
+    "rival, resolution",
+    [pytest.param(Tubes, (2, 48), marks=pytest.mark.slow), (Lattice, (2, 48)), (Slices, (8, 0))],
+)
 def test_footprints_of_rivals_are_exact_on_a_floor(rival, resolution):
     scene = sg.Scene(floor_and_plate().bodies[:1], sg.pose(z=HEIGHT))
     top, edges = math.radians(SMALL.elevation_fov_deg) / 2, SMALL.bin_edges_m
