@@ -150,7 +150,7 @@ def test_slices_are_exact_on_a_plate_and_in_its_shadow():
 def test_footprints_of_rivals_are_exact_on_a_floor(rival, resolution):
     scene = sg.Scene(floor_and_plate().bodies[:1], sg.pose(z=HEIGHT))
     top, edges = math.radians(SMALL.elevation_fov_deg) / 2, SMALL.bin_edges_m
-    want = box_beams(SMALL, lambda azimuth: plane_echo((0, 0, -1), HEIGHT, azimuth, (-top, 0.0), edges))
+    want = box_beams(SMALL, lambda azimuth: plane_echo((0, 0, -1), HEIGHT, azimuth, (-top, 0.0), edges), 20)
     if rival is Slices:
         one = rival(scene, SMALL, IDEAL, None, resolution)
     else:
