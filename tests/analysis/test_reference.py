@@ -102,7 +102,7 @@ def test_planes_in_beams_of_all_kinds(name, beams):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.slow if name in ("upright", "sloping floor") else ())
+        pytest.param(name, marks=pytest.mark.slow if name in ("upright", "sloping floor", "ceiling") else ())
         for name in PLANES
     ],
 )
