@@ -108,7 +108,7 @@ def check(ratios):
     "diameter, range_m, beam_width, number",
     [
         *fast_ones(NUMBERED, FAST),
-        (0.050, 50.0, WIDE_BEAMS_DEG, 8),
+        pytest.param(0.050, 50.0, WIDE_BEAMS_DEG, 8, marks=pytest.mark.slow),
         *HARD_ALONE,
     ],
 )
