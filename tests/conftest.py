@@ -59,6 +59,14 @@ def run_beside(request):
     return run
 
 
+@pytest.fixture(scope="module")
+def few_first_rays():
+    """Has references compare their halves early, as a million rays are more than small scenes need; `error` holds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sonar_gl.analysis.reference.FIRST_RAYS", 2**17)
+        yield
+
+
 @pytest.fixture
 def opengl_engine(monkeypatch):
     """Has simulators draw by OpenGL, also on a software driver."""

@@ -79,13 +79,15 @@ PLANES = {
 }
 
 
+FLOOR = 0, 0, -1  # whose echo is the same at all azimuths
+SLOW = "yawed wall", "sloping floor"
 BEAMS = (9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)  # apart, overlapping, contiguous and narrow
 
 
 @pytest.mark.parametrize(
     "name, beams, fov, width",
-    [  # each plane in one kind of beams, each kind before several planes
-        pytest.param(name, *kind, marks=() if number % 3 == turn else pytest.mark.slow)
+    [  # each plane in one kind of beams, each kind before several planes; a leaning wall is yawed, a ceiling slopes
+        pytest.param(name, *kind, marks=() if number % 3 == turn and name not in SLOW else pytest.mark.slow)
         for number, name in enumerate(PLANES)
         for turn, kind in enumerate(BEAMS)
     ],
@@ -94,8 +96,12 @@ def test_planes(name, beams, fov, width):
     normal, distance = PLANES[name]
     normal = np.array(normal) / np.linalg.norm(normal)
     it = sonar(beams, fov, width)
+    # errs by 3e-5 of a beam's echo at most, and 2e-4 for walls, whose echo from one azimuth lies in few bins
+    nodes = 200 if name in ("wall", "yawed wall") else 50
     exact = box_beams(
-        it, lambda azimuth: plane_echo(normal, distance, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m)
+        it,
+        lambda azimuth: plane_echo(normal, distance, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m),
+        nodes,
     )
     plane = [plane_body(normal, distance)]
     fine = ping(plane, it, samples(it, *FINE)).intensity
@@ -108,7 +114,7 @@ def test_planes(name, beams, fov, width):
 def test_floor_in_fine_and_coarse_bins(bin_m):
     it = sonar(9, 9.0, 1.0, bins=round(20 / bin_m), range_min_m=10.0, range_max_m=10.0 + 20)
     exact = box_beams(
-        it, lambda azimuth: plane_echo((0, 0, -1), 3.0, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m)
+        it, lambda azimuth: plane_echo(FLOOR, 3.0, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m), 20
     )
     measured = ping([plane_body((0, 0, -1), 3.0)], it, samples(it, *FINE)).intensity
     assert beam_errors(measured, exact).max() < PLANE_TOLERANCE
@@ -121,7 +127,7 @@ def test_floor_in_fine_and_coarse_bins(bin_m):
 def test_point_bins_leave_rings_where_footprints_do_not():
     it = sonar(9, 9.0, 1.0)
     exact = box_beams(
-        it, lambda azimuth: plane_echo((0, 0, -1), 3.0, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m)
+        it, lambda azimuth: plane_echo(FLOOR, 3.0, azimuth, (-ELEVATION, ELEVATION), it.bin_edges_m), 20
     )
     floor = [plane_body((0, 0, -1), 3.0)]
     naive = ping(floor, it, sg.Sampling(12, 100, reducer="point")).intensity
@@ -178,7 +184,7 @@ def test_plate_and_its_shadow():
     plate = sg.Body("plate", trimesh.creation.box((0.002, 400, 1.0)), sg.pose(10.001, 0, -2.5), 1.0)
     floor = plane_body((0, 0, -1), 3.0)
     exact = box_beams(
-        it, lambda azimuth: plate_on_floor_echo(3.0, 1.0, 10.0, azimuth, ELEVATION, it.bin_edges_m)
+        it, lambda azimuth: plate_on_floor_echo(3.0, 1.0, 10.0, azimuth, ELEVATION, it.bin_edges_m), 20
     )
     result = ping([plate, floor], it, labels=True)
     # at 17 degrees of grazing the plate hides the floor from 10 m to 15 m
@@ -211,8 +217,14 @@ def first_bottom_return(it, height, exact):
     return ring & (exact > exact[ring].max() / 10)
 
 
-@pytest.mark.parametrize("taper", ["uniform", "hamming"])
-@pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -10.0])
+@pytest.mark.parametrize(
+    "pitch_deg, taper",
+    [
+        *((pitch_deg, "uniform") for pitch_deg in (0.0, 15.0, -10.0)),
+        (0.0, "hamming"),
+        *(pytest.param(pitch_deg, "hamming", marks=pytest.mark.slow) for pitch_deg in (15.0, -10.0)),
+    ],
+)
 @pytest.mark.parametrize("height", [pytest.param(1.0, marks=pytest.mark.slow), 5.0])
 def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     """Each bin of the ring within 1 dB, by a tolerance; the closed form has no limit of elevation or level."""
@@ -248,7 +260,13 @@ def test_a_sphere_about_the_sonar_returns_its_reflectivity():
     np.testing.assert_allclose(totals, 0.3, rtol=2e-3)  # facets of 2 degrees are tilted by up to 1 degree
 
 
-@pytest.mark.parametrize("fov", [20.0, 45.0, 90.0, 130.0, 179.0, 180.0, 181.0, 270.0, 360.0])
+@pytest.mark.parametrize(
+    "fov",
+    [
+        *(20.0, 130.0, 180.0, 181.0, 360.0),
+        *(pytest.param(fov, marks=pytest.mark.slow) for fov in (45.0, 90.0, 179.0, 270.0)),
+    ],
+)
 def test_energy_does_not_depend_on_samples_or_seams(fov):
     """A tilted room at any field of view: the sums of 1x, 2x and 4x samples agree."""
     room = sg.Body("room", trimesh.creation.box((22, 17, 9)), sg.pose(1, 2, 0.5, 0.1, 0.2, 0.3), 1.0)

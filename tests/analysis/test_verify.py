@@ -22,6 +22,8 @@ from sonar_gl.ping import Ping
 from tests.support import command_line
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
 
 

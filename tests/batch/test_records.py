@@ -230,7 +230,10 @@ def on_another_system(monkeypatch, **changes):
     monkeypatch.setattr(System, "of", lambda gl_info: replace(real(gl_info), **changes))
 
 
-@pytest.mark.parametrize("field", OTHERS)
+@pytest.mark.parametrize(
+    "field",
+    ["gl_renderer", "numpy", *(pytest.param(x, marks=pytest.mark.slow) for x in ("gl_version", "numba"))],
+)
 def test_a_batch_is_not_resumed_on_another_system_unless_that_is_wanted(made, half, field, monkeypatch):
     before = files_of(half)
     planned = json.loads(before[BEGUN])["system"][field]

@@ -17,6 +17,8 @@ from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sector import cone_end_rad
 from tests.support.fans import make_sonar
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 EVEN = sg.Acoustics.ideal()
 CONES = replace(EVEN, beam_pattern="line_array", conical_beams=True)
 UPRIGHT = replace(CONES, conical_beams=False)

@@ -201,6 +201,7 @@ def test_compiled_functions_are_counted_with_the_time_and_the_folder(well):
     assert detail.startswith(f"{len(warm_up.compiled_functions())}; ")
 
 
+@pytest.mark.slow
 def test_what_is_compiled_once_is_read_from_disk(well):
     assert warm_up.compile_everything().n_compiled == 0
 

@@ -6,6 +6,8 @@ import os
 import pkgutil
 import re
 import shlex
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -39,10 +41,12 @@ CLIENTS = re.compile(
 )  # of blocks that tests/live/test_clients.py runs
 
 
+@cache
 def text_of(page):
     return page.read_text(encoding="utf-8")
 
 
+@cache
 def anchors_of(page):
     """Anchors of a page's headings, as GitHub forms them."""
     headings = re.findall(r"^#+ (.+)$", text_of(page), re.MULTILINE)
@@ -57,6 +61,15 @@ def blocks(language, pages=None):
             yield pytest.param(match[1], id=f"{page.name}:{line}")
 
 
+FILES = {POSES_FILE: next(blocks("csv")).values[0]} | dict(
+    zip(
+        ("rov.toml", "gazebo.toml", "stonefish.toml"),
+        [block.values[0] for block in blocks("toml", [ROS2])],
+        strict=True,
+    )
+)  # that the pages show, and their commands read
+
+
 def shell_lines():
     """Every line of the pages' shell blocks, without its comment."""
     for block in [*blocks("sh"), *blocks("sh", [BATCHES, ROS2])]:
@@ -66,25 +79,30 @@ def shell_lines():
 
 
 def commands():
-    """Commands of the pages; those that price all terms, or draw the largest scenes or fan, are slow."""
+    """Commands of the pages; slow are those that price all terms, or draw the largest scenes or fan.
+
+    Slow are also those whose arguments, options and settings (as `looks` in `looks=2`) commands before them have.
+    """
     found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
-    slow = {"plan", "needed", "ocean_floor", "diver_vertical", "p900-130"}
-    return [
-        pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if slow & set(p.values[0]) else ())
-        for p in found
-    ]
+    slow, seen, params = {"plan", "needed", "ocean_floor", "diver_vertical", "p900-130"}, set(), []
+    for p in found:
+        _, command, *words = p.values[0]
+        named = {*takewhile(lambda word: not word.startswith("--"), words), command}
+        named |= {word for word in words if word.startswith("--")}
+        named |= {name for word in words for name in re.findall(r"(\w+)=", word)}
+        new = {(command, name) for name in named} - seen
+        is_slow = slow & {command, *words} or not new
+        seen |= set() if is_slow else new
+        params.append(pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if is_slow else ()))
+    return params
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """An empty working directory, but for the poses that README shows."""
+    """An empty working directory, but for FILES."""
     monkeypatch.chdir(tmp_path)
-    for block in blocks("csv"):
-        Path(POSES_FILE).write_text(block.values[0])
-    for block, name in zip(
-        blocks("toml", [ROS2]), ("rov.toml", "gazebo.toml", "stonefish.toml"), strict=True
-    ):
-        Path(name).write_text(block.values[0])
+    for name, text in FILES.items():
+        Path(name).write_text(text)
     return tmp_path
 
 

@@ -45,7 +45,7 @@ FLOORS = (
     {"height_m": 3.0, "roll": 0.3, "pitch": 0.1, "yaw": 0.7},
     {"height_m": 3.0, "roll": -0.3, "yaw": 3.0},
     {"height_m": 3.0, "roll": math.pi, "pitch": 0.05},
-    {"height_m": 3.0, "roll": 1.2},
+    {"height_m": 3.0, "roll": 1.2, "nodes": 200},
 )
 
 

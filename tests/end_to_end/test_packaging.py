@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tarfile
 from configparser import ConfigParser
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from zipfile import ZipFile
@@ -85,6 +86,7 @@ def installed(wheel, tmp_path_factory):
     return folder
 
 
+@cache
 def look_around(folder):
     """What the package in `folder` finds when asked from elsewhere."""
     environment = {**os.environ, "PYTHONPATH": str(folder)}

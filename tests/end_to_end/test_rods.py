@@ -52,6 +52,7 @@ HARD_BEFORE_A_FLOOR = [
 ]
 
 
+@pytest.mark.usefixtures("few_first_rays")
 def test_the_true_echo_of_a_rod_agrees_with_the_reference():
     """The quadrature used as the truth agrees with ray casting."""
     rng = rng_of(0)
@@ -107,7 +108,7 @@ def check(ratios):
     "diameter, range_m, beam_width, number",
     [
         *fast_ones(NUMBERED, FAST),
-        (0.050, 50.0, WIDE_BEAMS_DEG, 8),
+        pytest.param(0.050, 50.0, WIDE_BEAMS_DEG, 8, marks=pytest.mark.slow),
         *HARD_ALONE,
     ],
 )

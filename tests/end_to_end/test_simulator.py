@@ -509,6 +509,7 @@ def test_a_closed_simulator_raises_an_error():
     assert str(caught.value) == "this Simulator is closed; make a new one"
 
 
+@pytest.mark.usefixtures("few_first_rays")
 def test_reference_and_raster_agree_on_the_pylons():
     """Ray casting by Embree and rasterization, which share no code, agree on a bundled scene with flat faces."""
     scene = sg.load_scene("pylon")

@@ -19,6 +19,8 @@ from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import material
 from tests.support import glsl
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 SONAR = sg.Sonar("test", 900e3, 64, 200, 32.0, 20.0, 0.5, 0.5, 12.0)  # box beams without overlap
 BEAM_SR = np.radians(0.5) * 2 * np.sin(np.radians(10))
 AHEAD = np.eye(4)
@@ -63,9 +65,10 @@ def test_the_formula_gives_the_target_strength_of_a_sphere(slope):
 def test_a_sphere_has_its_target_strength(slope, how):
     ball = body("ball", primitives.sphere(0.5), sg.pose(5.0), roughness_rad=slope)
     rays = how == "rays"
-    found = sg.reference_ping(sg.Scene([ball]), SONAR, AHEAD, IDEAL) if rays else ping([ball])
+    found = sg.reference_ping(sg.Scene([ball]), SONAR, AHEAD, IDEAL, error=0.03) if rays else ping([ball])
     total = float(found.intensity.sum(dtype=np.float64)) * BEAM_SR
-    # the mesh is within 5e-4 of the radius, and interpolated normals err slightly; the tolerance allows the rest
+    # the mesh is within 5e-4 of the radius, and interpolated normals err slightly; the tolerance allows the rest, such
+    # as 1e-3 of rays, whose echo is in wrong bins by 0.3 %
     assert total == pytest.approx(sphere_total(0.5, 5.0, 0.8, slope), rel=6e-3)
 
 
@@ -115,9 +118,9 @@ def shiny_world(slope=0.1):
 def test_raster_against_rays(profile, slope):
     scene = sg.Scene(shiny_world(slope))
     acoustics, pose = replace(getattr(sg.Acoustics, profile)(), specular=True), sg.pose(pitch=0.1)
-    truth = sg.reference_ping(scene, SONAR, pose, acoustics)
+    truth = sg.reference_ping(scene, SONAR, pose, acoustics, error=0.03)
     found = ping(scene.bodies, acoustics, pose=pose)
-    assert ping_error(found, truth) <= 0.01
+    assert ping_error(found, truth) <= 0.01  # of which the reference has 0.3 %
     dark = ping(scene.bodies, replace(acoustics, specular=False), pose=pose)
     assert ping_error(dark, truth) > 0.1  # the lobes count
 

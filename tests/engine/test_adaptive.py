@@ -20,6 +20,8 @@ from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
 SONAR = sg.Sonar("plan", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
 

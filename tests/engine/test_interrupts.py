@@ -8,10 +8,13 @@ EVERY = 20
 
 
 @pytest.mark.timeout(60, method="thread")  # a hang may be one that no signal ends
-def test_a_ping_is_interrupted_at_each_of_its_lines():
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_ping_is_interrupted_at_its_lines(every):
     """Early versions hung, gave the ping before, or lacked framebuffers."""
-    found = interrupts.interrupt(interrupts.ACTIONS["ping"], lambda places: dict.fromkeys(places))
-    assert found.n_interrupts > 300
+    found = interrupts.interrupt(
+        interrupts.ACTIONS["ping"], lambda places: list(dict.fromkeys(places))[::every]
+    )
+    assert found.n_interrupts > 300 / every
     assert found.faults == []
 
 

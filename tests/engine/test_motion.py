@@ -76,7 +76,7 @@ def test_a_scene_against_pings_from_the_poses_of_reception():
     scene, sonar = sg.load_scene("pylon"), replace(SONAR, n_bins=60)
     acoustics = sg.Acoustics.physical(water=sg.Water(sound_speed_m_s=1480.0))
     yaw = -0.4
-    with simulator(scene, sonar, acoustics) as run:
+    with sg.Simulator(scene, sonar, acoustics, sg.Sampling(4, 100)) as run:
         pose = scene.sonar_pose
         still, got = run.ping(pose), run.ping(pose, velocity=(0, 0, 0, 0, 0, yaw))
         truth = np.stack(

@@ -1,6 +1,7 @@
 """The example clients, run as their readers do: beside the real commands, on loopback.
 
-Clients are processes of their own. Of the commands one is, too; others run in this process, where kernels are loaded.
+Clients are processes of their own, but for those that end at once. Commands run in this process, where kernels are
+loaded; a slow test of tests/cli/test_ros2.py has a process of its own.
 
 All look at a ball to port, whose nearest point has a range and a bearing of closed form.
 """
@@ -9,6 +10,7 @@ import contextlib
 import math
 import os
 import re
+import runpy
 import select
 import signal
 import subprocess
@@ -61,27 +63,23 @@ def scene(tmp_path):
 
 @contextlib.contextmanager
 def running(program, until):
-    """Run a program beside a block, once it has printed a text; it ends as by Ctrl-C.
-
-    Yields a list that afterwards holds all that it has printed.
-    """
+    """Run a program beside a block, once it has printed a text; it ends as by Ctrl-C."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     child = subprocess.Popen(
         [sys.executable, *program],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment, cwd=ROOT,
     )  # fmt: skip
-    printed, end_s = [], time.monotonic() + WAIT_S
+    end_s = time.monotonic() + WAIT_S
     try:
         text = b""
         while until not in text.decode(errors="replace"):
             assert time.monotonic() < end_s and child.poll() is None, text.decode()
             if select.select([child.stdout], [], [], 0.1)[0]:
                 text += os.read(child.stdout.fileno(), 65536)
-        yield printed
+        yield
         child.send_signal(signal.SIGINT)
         rest = child.communicate(timeout=WAIT_S)[0]
-        printed.append((text + rest).decode())
-        assert child.returncode == 0, printed[0]
+        assert child.returncode == 0, (text + rest).decode()
     finally:
         child.kill()
         child.communicate()
@@ -102,9 +100,12 @@ def run(*program):
     return done.stdout
 
 
-def sonar_gl(*words):
-    """The words of a command that runs until Ctrl-C."""
-    return ["-m", "sonar_gl", *words]
+def run_here(monkeypatch, capsys, *program):
+    """Run a program in this process until it exits; return its status, and what it printed to stdout and stderr."""
+    monkeypatch.setattr(sys, "argv", list(map(str, program)))
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(ROOT / program[0]), run_name="__main__")
+    return caught.value.code, *capsys.readouterr()
 
 
 def check_ball(line):
@@ -157,20 +158,19 @@ def test_poses_of_the_example_move_the_sonar_over_zenoh(scene, tmp_path):
     router, config = f"tcp/127.0.0.1:{port}", tmp_path / "zenoh.toml"
     config.write_text(f'[zenoh]\nconnect = "{router}"\n')
     over_zenoh = "--transport", "zenoh", *domain
-    command = sonar_gl(
-        "ros2", scene, "--sonar", "p900-90", "--range", "12", "--rate", "2", *FAST, *over_zenoh
-    )
+    command = ["ros2", scene, "--sonar", "p900-90", "--range", "12", "--rate", "2", *FAST, *over_zenoh]
     command += ["--pose-from", "pose=/rov/pose", "--config", str(config)]
     poses = ["examples/ros2_poses.py", "--scene", scene, *over_zenoh, "--router", router]
-    with (
-        running(["examples/zenoh_router.py", "--port", str(port)], "Ctrl-C ends it"),
-        running(command, "Ctrl-C stops it") as printed,
-        running(poses, "sends poses"),
-    ):
-        read = "examples/ros2_subscriber.py", "--pings", "6", "--out", tmp_path
-        lines = run(*read, *over_zenoh, "--router", router).splitlines()
-    assert "ignored" not in printed[0]
-    bearings_deg = []
+
+    def read():
+        subscriber = "examples/ros2_subscriber.py", "--pings", "6", "--out", tmp_path
+        with running(poses, "sends poses"):
+            return run(*subscriber, *over_zenoh, "--router", router)
+
+    with running(["examples/zenoh_router.py", "--port", str(port)], "Ctrl-C ends it"):
+        printed, lines = commands_beside.run_beside(command, read, WAIT_S)
+    assert "ignored" not in printed
+    lines, bearings_deg = lines.splitlines(), []
     for line in lines:
         found = re.search(STRONGEST, line)
         assert found, line
@@ -184,16 +184,13 @@ def test_poses_of_the_example_move_the_sonar_over_zenoh(scene, tmp_path):
     assert len(lines) == 6 and max(bearings_deg) - min(bearings_deg) > 1.0
 
 
-def test_a_scene_without_a_place_for_the_sonar_is_told(tmp_path):
+def test_a_scene_without_a_place_for_the_sonar_is_told(tmp_path, monkeypatch, capsys):
     pytest.importorskip("cyclonedds")
     path = tmp_path / "none.sdf"
     path.write_text(re.sub(r"<model name=\"sonar\">.*?</model>", "", SCENE, flags=re.DOTALL))
-    done = subprocess.run(
-        [sys.executable, "examples/ros2_poses.py", "--scene", path], capture_output=True, text=True, cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: the scene must have a place for the sonar") and done.stdout == ""
+    status, out, err = run_here(monkeypatch, capsys, "examples/ros2_poses.py", "--scene", path)
+    assert (status, out) == (2, "")
+    assert err.startswith("error: the scene must have a place for the sonar")
 
 
 def block_of(page, beginning):
@@ -251,16 +248,12 @@ def test_the_client_of_an_oculus_prints_results_and_paints_one(scene, tmp_path):
     check_picture(tmp_path / "oculus_client.png")
 
 
-def test_an_oculus_that_is_not_there_is_told(tmp_path):
+def test_an_oculus_that_is_not_there_is_told(tmp_path, monkeypatch, capsys):
     port = str(free_port())
-    done = subprocess.run(
-        [sys.executable, "examples/oculus_client.py", "--port", port, "--out", tmp_path],
-        capture_output=True, text=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr == (
-        f"error: an Oculus must answer at 127.0.0.1:{port} (got [Errno 111] Connection refused)\n"
-    )
+    program = "examples/oculus_client.py", "--port", port, "--out", tmp_path
+    status, _, err = run_here(monkeypatch, capsys, *program)
+    assert status == 2
+    assert err == (f"error: an Oculus must answer at 127.0.0.1:{port} (got [Errno 111] Connection refused)\n")
 
 
 def test_the_lines_of_the_page_turn_the_head_of_a_ping360(scene):

@@ -184,7 +184,10 @@ def test_the_error_without_the_extra_says_how_to_add_it(monkeypatch):
 # ---- loopback -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("type_hashes", [True, False], ids=["jazzy", "humble"])
+@pytest.mark.parametrize(
+    "type_hashes",
+    [pytest.param(True, id="jazzy"), pytest.param(False, id="humble", marks=pytest.mark.slow)],
+)
 def test_another_program_receives_pings(port, router, transports, type_hashes):
     topic, (ping, message) = sonar_topic(), ping_message(64, 300)
     digest = topic.type_hash if type_hashes else "TypeHashNotSupported"

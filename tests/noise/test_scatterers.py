@@ -53,7 +53,7 @@ def numbers_in_cells(sonar, density_m3=FEW_M3) -> np.ndarray:
     return density_m3 * sonar.range_m**2 * BIN_M * beam_angle_rad * height
 
 
-@pytest.mark.parametrize("bandwidth_hz", [None, 30e3])
+@pytest.mark.parametrize("bandwidth_hz", [pytest.param(None, marks=pytest.mark.slow), 30e3])
 def test_moments_of_a_box_are_those_of_campbells_theorem(bandwidth_hz):
     """Mean 1, and mean square 2 + κ: κ = (∫A⁴ / ∫A²) Σ w⁴ over the number in a cell."""
     ping = ping_of_water(bandwidth_hz=bandwidth_hz, pulse=bandwidth_hz is not None, pulse_taper="uniform")

@@ -46,15 +46,20 @@ def views():
         return [SectorView(sector) for sector in it.fan.sectors]
 
 
-def choose(bodies, pose, view):
-    """Return the list of (patch, body) that a sector draws, the meshes, and the placed bodies."""
+def meshes_of(bodies):
+    """Return the meshes of bodies, divided into patches."""
     some = scene_meshes.SceneMeshes()
     some.add(bodies)
+    return some
+
+
+def choose(some, pose, view):
+    """Return the list of (patch, body) that a sector draws of some meshes, and the placed bodies."""
     placed = some.view_from(pose)
     room = np.empty((some.most_patches, 2), np.int32)
     found = some.choose(view, placed, FAR_M, SONAR.range_max_m, room)
     assert found.n_faces == some.levels["n_faces"][found.chosen[:, 0]].sum()
-    return [tuple(row) for row in found.chosen.tolist()], some, placed
+    return [tuple(row) for row in found.chosen.tolist()], placed
 
 
 def corners_in(view, some, placed, patch, body, m=None):
@@ -110,10 +115,11 @@ def test_visible_leaves_are_drawn_and_others_culled(views, keep_points, monkeypa
     ground = terrain(np.random.default_rng(1), 60.0, 6.0, 48)
     ball = trimesh.creation.icosphere(4, 5.0)
     bodies = [sg.Body("ground", ground, sg.pose(z=-2)), sg.Body("ball", ball, sg.pose(3, 2))]
+    some = meshes_of(bodies)
     left_out = wasted = drawn = 0
     for pose in poses():
         for view in views:
-            chosen, some, placed = choose(bodies, pose, view)
+            chosen, placed = choose(some, pose, view)
             assert len(set(chosen)) == len(chosen)
             for body, (first, end) in enumerate(some.boxes.roots):
                 for patch in range(first, end):
@@ -147,7 +153,8 @@ def test_back_faces_of_open_bodies_and_from_inside_are_drawn(views, keep_points)
     bowl = trimesh.Trimesh(ball.vertices, ball.faces[:-1], process=False)
     n = {}
     for name, mesh, x in (("closed", ball, 8), ("open", bowl, 8), ("inside", ball, 1)):
-        chosen, some, _ = choose([sg.Body("ball", mesh, sg.pose(x))], np.eye(4), views[len(views) // 2])
+        some = meshes_of([sg.Body("ball", mesh, sg.pose(x))])
+        chosen, _ = choose(some, np.eye(4), views[len(views) // 2])
         n[name] = int(some.levels["n_faces"][[patch for patch, _ in chosen]].sum())
     assert n["closed"] < 0.75 * n["open"]
     assert n["inside"] > 0
@@ -228,23 +235,22 @@ def test_a_high_fan_does_not_look_through_a_slab_above_it(monkeypatch, engine):
 
 
 def test_bodies_behind_or_beyond_the_fan_draw_nothing(views, hills):
+    some = meshes_of([sg.Body("hills", hills)])
     for pose in (sg.pose(-2000), sg.pose(200), sg.pose(z=200), sg.pose(z=-200)):
         for view in views:
-            chosen, _, _ = choose([sg.Body("hills", hills)], pose, view)
+            chosen, _ = choose(some, pose, view)
             assert chosen == []
 
 
 def test_levels_cover_a_body_once_and_coarsen_with_distance(views, monkeypatch):
     """No patch is drawn with one of its descendants; from further away a smaller share of the faces is drawn."""
     view, ground = views[0], terrain(np.random.default_rng(0), 60.0, 1.0, 80)
-    faces = {}
+    some, faces = meshes_of([sg.Body("ground", ground)]), {}
     for error_samples in (scene_meshes.ERROR_SAMPLES, 0.0):
         monkeypatch.setattr(scene_meshes, "ERROR_SAMPLES", error_samples)
         faces[error_samples] = []
         for x in (20, 50, 80, 110):
-            chosen, some, _ = choose(
-                [sg.Body("ground", ground)], sg.pose(-x, 0, 5, pitch=0.05, yaw=0.5), view
-            )
+            chosen, _ = choose(some, sg.pose(-x, 0, 5, pitch=0.05, yaw=0.5), view)
             patches = sorted(patch for patch, _ in chosen)
             for one, following in pairwise(patches):
                 assert some.levels["skip"][one] <= following
@@ -258,11 +264,11 @@ def test_levels_cover_a_body_once_and_coarsen_with_distance(views, monkeypatch):
 
 def test_the_error_of_drawn_patches_is_within_the_limit(views, hills):
     """The error is at most a fraction of a sample's width at the patch; beyond the last bin, BEYOND times more."""
-    coarse = 0
+    some, coarse = meshes_of([sg.Body("hills", hills)]), 0
     for x in (20, 35, 50):
         for view in views:
             pose = sg.pose(-x, 0, 5, pitch=0.05)
-            chosen, some, _ = choose([sg.Body("hills", hills)], pose, view)
+            chosen, _ = choose(some, pose, view)
             eye = pose[:3, 3] - some.boxes.centres[0]
             for patch, _ in chosen:
                 error_m, box = some.levels["error_m"][patch], some.levels["box"][patch]

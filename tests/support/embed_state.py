@@ -64,7 +64,7 @@ def use(context=None):
     simulator.add(sg.Body("rod", trimesh.creation.cylinder(0.2, 3.0), sg.pose(5, -1, -1)))
     yield "add", []
     yield "ping after the changes", [simulator.ping(POSE, labels=True)]
-    other = sg.Simulator(simulator, replace(soak.SONAR, n_beams=32), MULTIPATH)
+    other = sg.Simulator(simulator, replace(soak.SONAR, n_beams=32), MULTIPATH, tolerance=0.1)
     yield "second", []
     yield "multipath", [other.ping(POSE)]
     yield "gbuffers", simulator.gbuffers(POSE)

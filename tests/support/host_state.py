@@ -192,6 +192,15 @@ class GL:
         self.GetIntegerv(enum(name), self._room_at)
         return self._room[0]
 
+    def integers(self, names) -> list[int]:
+        """Return the first number of each value, which is quicker than one by one."""
+        out, room, room_at = [], self._room, self._room_at
+        get = ctypes.CFUNCTYPE(ctypes.c_uint)(self._library.glXGetProcAddressARB(b"glGetIntegerv"))
+        for name in names:
+            get(enum(name), room_at)
+            out.append(room[0])
+        return out
+
     def text(self, name: str) -> str:
         function = ctypes.CFUNCTYPE(ctypes.c_char_p)(self._library.glXGetProcAddressARB(b"glGetString"))
         return function(enum(name)).decode()
@@ -283,10 +292,10 @@ def snapshot(gl: GL, platform=tuple) -> dict:
         for k in range(gl.integer(limit) if extension in gl.has else 0):
             out[f"{name}[{k}]"] = gl.IsEnabledi(enum(name), k)
     active = gl.integer("ACTIVE_TEXTURE")
+    names = _names(TEXTURES, gl)
     for k in range(gl.integer("MAX_COMBINED_TEXTURE_IMAGE_UNITS")):
         gl.ActiveTexture(enum("TEXTURE0") + k)
-        for name in _names(TEXTURES, gl):
-            out[f"{name}[{k}]"] = gl.integer(name)
+        out |= {f"{name}[{k}]": value for name, value in zip(names, gl.integers(names), strict=True)}
     gl.ActiveTexture(active)
     if "KHR_debug" in gl.has:
         room = np.zeros(1, np.uint64)
@@ -321,6 +330,8 @@ def _attributes(gl: GL) -> dict:
 
 def changes(before: dict, after: dict) -> dict:
     """Return the values that differ, as a dict from names to (before, after)."""
+    if before == after:
+        return {}
     names = before.keys() | after.keys()
     differ = sorted(name for name in names if before.get(name) != after.get(name))
     return {name: (before.get(name), after.get(name)) for name in differ}

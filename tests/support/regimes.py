@@ -62,13 +62,13 @@ def wide_fan(fov_deg):
 
 
 def grazing_floor(
-    height_m, tolerance, lowest_deg=1.0, roll=0.0, pitch=0.0, yaw=0.0, width_deg=1.0, bins=1000, nodes=200
+    height_m, tolerance, lowest_deg=1.0, roll=0.0, pitch=0.0, yaw=0.0, width_deg=1.0, bins=1000, nodes=50
 ):
     """Measure a level floor at grazing angles from 20 degrees down to `lowest_deg`.
 
     Errors of single bins count where the floor fills the bin across the whole beam, independent of the aperture.
 
-    nodes : quadrature nodes of the truth across a beam; a sonar rolled by 90 degrees needs more
+    nodes : quadrature nodes of the truth across a beam; a sonar rolled by 1 radian or more needs more
 
     Returns
     -------
@@ -114,7 +114,7 @@ def fine_bins(tolerance):
     sonar = sg.Sonar("fine", 900e3, 9, 2000, 9.0, 20.0, 1.0, 20.0, 25.0)
     floor, down = sg.Body("floor", quad(3000), reflectivity=1.0), (0.0, 0.0, -1.0)
     aperture, pose = (-math.radians(10.0), math.radians(10.0)), sg.pose(0, 0, 3)
-    exact = box_beams(sonar, lambda azimuth: plane_echo(down, 3.0, azimuth, aperture, sonar.bin_edges_m))
+    exact = box_beams(sonar, lambda azimuth: plane_echo(down, 3.0, azimuth, aperture, sonar.bin_edges_m), 20)
     with sg.Simulator(sg.Scene([floor]), sonar, sg.Acoustics.ideal(), tolerance=tolerance) as simulator:
         ours, sampling = simulator.ping(pose).intensity, simulator.sampling
     with naive.plain_grid():
