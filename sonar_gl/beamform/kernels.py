@@ -350,7 +350,13 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     middle, last_step = (n - 1) / 2, np.int32(n - 2)
     for m in range(uint64(first), uint64(last if n else first)):
         low, high = border[m], border[uint64(m + 1)]
-        vc, one_over_L, s, b = (low + high) / 2, inverse_length[m], work[S, m], work[B, m]
+        vc, half, one_over_L, s, b = (
+            (low + high) / 2,
+            (high - low) / 2,
+            inverse_length[m],
+            work[S, m],
+            work[B, m],
+        )
         uc = line_u[m] + tilt[m] * vc
         place = middle + middle * vc * one_over_L
         i = uint64(min(max(np.int32(place), np.int32(0)), last_step))
@@ -358,7 +364,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         power = elevation_pattern[i] + (place - i) * step
         energy[m] *= power
         # from the middle to the upper end the sine rises by `rise`
-        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * (high - low) / 2
+        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * half
         change = step * middle * rise / max(power, LEAST_POWER)
         change = min(max(change, -1.0), 1.0)  # no more than leaves all densities positive
         is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
@@ -384,9 +390,9 @@ def _below(s, middle, wide, thin):
 
 
 @compiled
-def _slanted(slant, s, nearer, further, wide):
+def _slanted(rise, s, nearer, further, wide):
     """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends."""
-    return 1.0 + slant * min(max(((nearer + further) / 2 - s) / wide, -1.0), 1.0)
+    return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)
 
 
 @compiled
@@ -405,15 +411,15 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
     row, first = uint64(c), uint64(int((1.0 / high - first_m) * per_metre))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
-    nearer = _below(high, s, wide, thin)
+    nearer, rise = _below(high, s, wide, thin), slant / wide if slant != 0.0 else 0.0
     for k in range(first, last):
         edge = bins_s[uint64(k + 1)]
         further = _below(edge, s, wide, thin)
         echo = scale * max(nearer - further, 0.0)
-        sums[row, k] += np.float32(echo * _slanted(slant, s, high, edge, wide))
+        sums[row, k] += np.float32(echo * _slanted(rise, s, high, edge, wide))
         nearer, high = further, edge
     echo = scale * max(nearer - _below(low, s, wide, thin), 0.0)
-    sums[row, last] += np.float32(echo * _slanted(slant, s, high, low, wide))
+    sums[row, last] += np.float32(echo * _slanted(rise, s, high, low, wide))
     return first, last
 
 
@@ -909,12 +915,12 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
     first = uint64(int((1.0 / high - first_m) * per_metre))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
-    slant = work[SLANT, m]
+    rise = work[SLANT, m] / wide
     elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
     for k in range(first, uint64(last + 1)):
         edge = bins_s[uint64(k + 1)] if k < last else low
         further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-        slanted, even_echo = _slanted(slant, s, high, edge, wide), scale * max(nearer - further, 0.0)
+        slanted, even_echo = _slanted(rise, s, high, edge, wide), scale * max(nearer - further, 0.0)
         echo = even_echo * slanted
         sums[row, k] += np.float32(echo)
         range_ = np.float32((scale * (range_nearer - range_further) - even_echo * middle_m[k]) * slanted)
