@@ -86,9 +86,24 @@ MUTATIONS = (
     Mutation("footprints/no trapezoids", "if 8 * thin * per_metre >= s * s:", "if False:", FOOTPRINTS),
     Mutation(
         "footprints/inner bins",
-        "(bins_s[last] ** 2 - far * far)) height = np.float32(2 * half_height)",
-        "(bins_s[last] ** 2 - far * far)) height = np.float32(half_height)",
+        "bins_s[last], 0.0, np.float32(2 * half_height)",
+        "bins_s[last], 0.0, np.float32(half_height)",
         FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/slant of inner bins",
+        "rise = work[SLANT, m] / wide",
+        "rise = -work[SLANT, m] / wide",
+        (
+            *FOOTPRINTS,
+            "tests/analysis/test_closed_forms.py::test_a_few_rows_of_a_smooth_floor_follow_the_pattern",
+        ),
+    ),
+    Mutation(
+        "footprints/slant by the pattern",
+        "(change if is_nearer_above else -change) if is_long else 0.0",
+        "change if is_long else 0.0",
+        ("tests/analysis/test_closed_forms.py::test_a_few_rows_of_a_smooth_floor_follow_the_pattern",),
     ),
     Mutation(
         "footprints/edge where planes meet",

@@ -63,6 +63,7 @@ class BinTable(NamedTuple):
     s : (K + 1,) s = 1/r at the edges, falling
     density, density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of
         height 1 that covers the bin; in float64 and float32
+    middle_s32 : (K,) middle of each bin in s, float32
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
     first_m, per_metre : where the first bin begins, and bins per metre
@@ -72,6 +73,7 @@ class BinTable(NamedTuple):
     s: np.ndarray
     density: np.ndarray
     density32: np.ndarray
+    middle_s32: np.ndarray
     middle_m: np.ndarray
     q_unseen: float
     first_m: float
@@ -102,12 +104,14 @@ class Strip(NamedTuple):
 # curved; v of the ray. By `_gather_samples`: 1/x on the ray, 0 where it met nothing; the plane that it met: 1/x on that
 # line at v = 0, its slope along the line, with v, and its slope along u; the echo per steradian. By
 # `_find_borders`: v where the sample's footprint begins. By
-# `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r. By
+# `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r; by how much its density at the
+# nearer end is more than that of an even footprint, as a share of it, and less at the further end. By
 # `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and
 # incidence, radians.
 SAMPLE, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(10)
-ENERGY, S, A, B, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(10, 21)
+ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(10, 22)
 FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE + 1
+LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
 
@@ -118,8 +122,8 @@ def bin_table(bin_edges_m: np.ndarray) -> BinTable:
     middle_m, q_unseen = 2.0 / (s[:-1] + s[1:]), float(1.0 / (FAR_FACTOR * bin_edges_m[-1]))
     first_m, last_m = float(bin_edges_m[0]), float(bin_edges_m[-1])
     per_metre = len(density) / (last_m - first_m)
-    density32 = density.astype(np.float32)
-    return BinTable(bin_edges_m, s, density, density32, middle_m, q_unseen, first_m, per_metre)
+    density32, middle_s32 = density.astype(np.float32), ((s[:-1] + s[1:]) / 2).astype(np.float32)
+    return BinTable(bin_edges_m, s, density, density32, middle_s32, middle_m, q_unseen, first_m, per_metre)
 
 
 # ---- strips ------------------------------------------------------------------------------------------
@@ -312,14 +316,19 @@ def _clear_row(c, sums, spans):
 
 
 @compiled
-def _find_footprints(work, strip, elevation_pattern):
-    """Find energy, centre and half-widths of a strip's footprints.
+def _find_footprints(work, strip, elevation_pattern, per_metre):
+    """Find energy, centre, half-widths and slant of a strip's footprints.
+
+    Within a footprint the elevation pattern is linear. That slants footprints that extend along the strip over several
+    bins; in others the slants of neighbours make up for each other.
 
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
+    per_metre : of BinTable
     """
     rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
+    energy, slant, inverse_length = work[ENERGY], work[SLANT], work[NEAR]
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
@@ -332,19 +341,35 @@ def _find_footprints(work, strip, elevation_pattern):
         if are_cones:
             across *= length2 / (max(cosine * (1.0 + vc * vc) + sine * uc, LEAST_AHEAD) * one_over_L)
         at = rest[m] + along[m] * vc
-        work[ENERGY, m] = echo[m] * across * height * one_over_L * one_over_L2
+        energy[m] = echo[m] * across * height * one_over_L * one_over_L2
         work[S, m] = at * one_over_L
         work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * across / 2
         work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
-    middle = (elevation_pattern.shape[0] - 1) / 2
-    for m in range(first, last if elevation_pattern.shape[0] else first):
-        vc = (border[m] + border[m + 1]) / 2
-        uc = line_u[m] + tilt[m] * vc
-        place = middle + middle * vc / math.sqrt(1.0 + uc * uc + vc * vc)
-        i = min(max(int(place), 0), elevation_pattern.shape[0] - 2)
-        work[ENERGY, m] *= elevation_pattern[i] + (place - i) * (
-            elevation_pattern[i + 1] - elevation_pattern[i]
+        slant[m], inverse_length[m] = 0.0, one_over_L
+    n = elevation_pattern.shape[0]
+    middle, last_step = (n - 1) / 2, np.int32(n - 2)
+    for m in range(uint64(first), uint64(last if n else first)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, half, one_over_L, s, b = (
+            (low + high) / 2,
+            (high - low) / 2,
+            inverse_length[m],
+            work[S, m],
+            work[B, m],
         )
+        uc = line_u[m] + tilt[m] * vc
+        place = middle + middle * vc * one_over_L
+        i = uint64(min(max(np.int32(place), np.int32(0)), last_step))
+        step = elevation_pattern[i + uint64(1)] - elevation_pattern[i]
+        power = elevation_pattern[i] + (place - i) * step
+        energy[m] *= power
+        # from the middle to the upper end the sine rises by `rise`
+        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * half
+        change = step * middle * rise / max(power, LEAST_POWER)
+        change = min(max(change, -1.0), 1.0)  # no more than leaves all densities positive
+        is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
+        is_long = (2 * b * per_metre > s * s) & (work[A, m] < b) & (b < s)
+        slant[m] = (change if is_nearer_above else -change) if is_long else 0.0
 
 
 @compiled
@@ -365,7 +390,13 @@ def _below(s, middle, wide, thin):
 
 
 @compiled
-def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin):
+def _slanted(rise, s, nearer, further, wide):
+    """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends."""
+    return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)
+
+
+@compiled
+def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin, slant):
     """Add a footprint with ramps of more than a fraction of a bin to a row of bins; return first and last
     bin.
     """
@@ -380,12 +411,15 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
     row, first = uint64(c), uint64(int((1.0 / high - first_m) * per_metre))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
-    nearer = _below(high, s, wide, thin)
+    nearer, rise = _below(high, s, wide, thin), slant / wide if slant != 0.0 else 0.0
     for k in range(first, last):
-        further = _below(bins_s[uint64(k + 1)], s, wide, thin)
-        sums[row, k] += np.float32(scale * max(nearer - further, 0.0))
-        nearer = further
-    sums[row, last] += np.float32(scale * max(nearer - _below(low, s, wide, thin), 0.0))
+        edge = bins_s[uint64(k + 1)]
+        further = _below(edge, s, wide, thin)
+        echo = scale * max(nearer - further, 0.0)
+        sums[row, k] += np.float32(echo * _slanted(rise, s, high, edge, wide))
+        nearer, high = further, edge
+    echo = scale * max(nearer - _below(low, s, wide, thin), 0.0)
+    sums[row, last] += np.float32(echo * _slanted(rise, s, high, low, wide))
     return first, last
 
 
@@ -414,11 +448,11 @@ def spread_footprints(work, start, stop, sums, spans, c, bins):
 
     Parameters
     ----------
-    work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A and B, from `start` to before `stop`, are read
+    work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A, B and SLANT, from `start` to before `stop`, are read
     spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
     bins : BinTable
     """
-    K, bins_s, density32 = sums.shape[1], bins.s, bins.density32
+    K, bins_s, density32, middle_s32 = sums.shape[1], bins.s, bins.density32, bins.middle_s32
     first_m, per_metre = bins.first_m, bins.per_metre
     _find_intervals(work, start, stop, bins)
     row, lowest, highest = uint64(c), uint64(K), uint64(0)
@@ -429,7 +463,8 @@ def spread_footprints(work, start, stop, sums, spans, c, bins):
         wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
         # short ramps are neglected: those of neighbouring samples overlap and add up to the same
         if 8 * thin * per_metre >= s * s:
-            first, last = _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin)
+            slant = work[SLANT, m]
+            first, last = _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin, slant)
             lowest, highest = min(lowest, first), max(highest, last)
             continue
         near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
@@ -441,11 +476,19 @@ def spread_footprints(work, start, stop, sums, spans, c, bins):
         if first >= last:
             sums[row, last] += np.float32(half_height * (near - far) * (near + far))
             continue
-        sums[row, first] += np.float32(half_height * (near * near - bins_s[uint64(first + 1)] ** 2))
-        sums[row, last] += np.float32(half_height * (bins_s[last] ** 2 - far * far))
-        height = np.float32(2 * half_height)
-        for k in range(uint64(first + 1), last):
-            sums[row, k] += height * density32[k]
+        inner, outer, rise, height = bins_s[uint64(first + 1)], bins_s[last], 0.0, np.float32(2 * half_height)
+        if work[SLANT, m] == 0.0:
+            for k in range(uint64(first + 1), last):
+                sums[row, k] += height * density32[k]
+        else:
+            rise = work[SLANT, m] / wide
+            steepness, middle_s = np.float32(2 * half_height * rise), np.float32(s)
+            for k in range(uint64(first + 1), last):
+                sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
+        slanted = 1.0 + rise * ((near + inner) / 2 - s)
+        sums[row, first] += np.float32(half_height * (near * near - inner**2) * slanted)
+        slanted = 1.0 + rise * ((outer + far) / 2 - s)
+        sums[row, last] += np.float32(half_height * (outer**2 - far * far) * slanted)
     if lowest <= highest:
         spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
 
@@ -487,7 +530,7 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
         strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
         if strip.first == strip.last:
             continue
-        _find_footprints(work, strip, elevation_pattern)
+        _find_footprints(work, strip, elevation_pattern, bins.per_metre)
         if spread:
             spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins)
         else:
@@ -872,22 +915,24 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
     first = uint64(int((1.0 / high - first_m) * per_metre))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
+    rise = work[SLANT, m] / wide
     elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
     for k in range(first, uint64(last + 1)):
         edge = bins_s[uint64(k + 1)] if k < last else low
         further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-        echo = scale * max(nearer - further, 0.0)
+        slanted, even_echo = _slanted(rise, s, high, edge, wide), scale * max(nearer - further, 0.0)
+        echo = even_echo * slanted
         sums[row, k] += np.float32(echo)
-        range_ = np.float32(scale * (range_nearer - range_further) - echo * middle_m[k])
+        range_ = np.float32((scale * (range_nearer - range_further) - even_echo * middle_m[k]) * slanted)
         _add_moments(cells, slot, k, np.float32(echo), elevation, incidence, range_)
-        nearer, range_nearer = further, range_further
+        nearer, range_nearer, high = further, range_further, edge
     return first, last
 
 
 @inlined
 def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
     """Do as `spread_footprints`, and the same into one body's cells; return the first bin and past the last."""
-    bins_s, middle_m, density32 = bins.s, bins.middle_m, bins.density32
+    bins_s, middle_m, density32, middle_s32 = bins.s, bins.middle_m, bins.density32, bins.middle_s32
     first_m, per_metre = bins.first_m, bins.per_metre
     K, slot, row = middle_m.shape[0], uint64(slot), uint64(row)
     lowest, highest = uint64(K), uint64(0)
@@ -914,20 +959,28 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
             _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
             continue
         inner, outer = bins_s[uint64(first + 1)], bins_s[last]
-        echo = half_height * (near * near - inner**2)
+        rise = work[SLANT, m] / max(work[A, m], work[B, m])
+        slanted, even_echo = 1.0 + rise * ((near + inner) / 2 - s), half_height * (near * near - inner**2)
+        echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
-        range_ = np.float32(2 * half_height * (near - inner) - echo * middle_m[first])
+        range_ = np.float32((2 * half_height * (near - inner) - even_echo * middle_m[first]) * slanted)
         _add_moments(cells, slot, first, np.float32(echo), elevation, incidence, range_)
-        echo = half_height * (outer**2 - far * far)
+        slanted, even_echo = 1.0 + rise * ((outer + far) / 2 - s), half_height * (outer**2 - far * far)
+        echo = even_echo * slanted
         sums[row, last] += np.float32(echo)
-        range_ = np.float32(2 * half_height * (outer - far) - echo * middle_m[last])
+        range_ = np.float32((2 * half_height * (outer - far) - even_echo * middle_m[last]) * slanted)
         _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
-        height = np.float32(2 * half_height)
+        height, middle_s = np.float32(2 * half_height), np.float32(s)
+        steepness = np.float32(2 * half_height * rise)
         # not in the loop below: there the product would be rounded before it is added, and sums have other bits
+        if rise == 0.0:
+            for k in range(uint64(first + 1), last):
+                sums[row, k] += height * density32[k]
+        else:
+            for k in range(uint64(first + 1), last):
+                sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
         for k in range(uint64(first + 1), last):
-            sums[row, k] += height * density32[k]
-        for k in range(uint64(first + 1), last):
-            echo32 = height * density32[k]
+            echo32 = (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
             cells[slot, CELL_ECHO, k] += echo32
             cells[slot, CELL_ELEVATION, k] += echo32 * elevation
             cells[slot, CELL_INCIDENCE, k] += echo32 * incidence
@@ -997,7 +1050,7 @@ def sum_bodies(
         if label_column[column] != joined:
             store = _store_runs(bodies, joined, store)
             bodies, joined = ColumnBodies(bodies.slots, 0, bodies.cells), label_column[column]
-        _find_footprints(work, strip, elevation_pattern)
+        _find_footprints(work, strip, elevation_pattern, bins.per_metre)
         _find_angles(work, strip)
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
         if spread:
@@ -1733,6 +1786,7 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         end_length = math.sqrt(1.0 + end_u * end_u + high * high)
         high_s = 2.0 / (end_length * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
         work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * across / 4, abs(high_s - low_s) / 2
+        work[SLANT, m] = 0.0
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
         strength = single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading
@@ -1784,7 +1838,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
         )
         is_reflected = True
         if reflection.from_image:
-            _find_footprints(work, strip, elevation_pattern)
+            _find_footprints(work, strip, elevation_pattern, bins.per_metre)
             for m in range(reflected_first, reflected_last):
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
             spread_footprints(work, reflected_first, reflected_last, sums, spans, strip.column, bins)

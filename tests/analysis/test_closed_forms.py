@@ -243,6 +243,17 @@ def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     assert np.abs(10 * np.log10(measured[bright] / exact[bright])).max() < 1.0
 
 
+@pytest.mark.parametrize("roll", [0.0, math.pi])
+def test_a_few_rows_of_a_smooth_floor_follow_the_pattern(roll):
+    """A floor whose rows are many bins long, right way up and overhead: the pattern is linear within each row."""
+    scene, pose, exact = floor_before_a_line_array(RING, 2.0, 10.0)
+    pose = pose @ sg.pose(roll=roll)
+    with sg.Simulator(scene, RING, LINE_ARRAY, sg.Sampling(1.0, 24)) as simulator:
+        measured = simulator.ping(pose).intensity[RING.n_beams // 2]
+    # 2.3 % with one value of the pattern for each row. What is left is the curvature of the pattern in a row.
+    assert np.abs(measured - exact).sum() < 0.004 * exact.sum()
+
+
 @pytest.mark.slow
 def test_the_reference_has_the_first_bottom_return():
     scene, pose, exact = floor_before_a_line_array(RING, 2.0, 0.0)

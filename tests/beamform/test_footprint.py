@@ -10,6 +10,7 @@ from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights
 from sonar_gl.beamform.kernels import (
     ENERGY,
     FOOTPRINT_ROWS,
+    SLANT,
     A,
     B,
     S,
@@ -26,7 +27,7 @@ from sonar_gl.sonar.samples import SectorSamples
 EDGES = np.linspace(0.5, 30.5, 301)
 
 
-def spread(s, a, b, energy=1.0, edges=EDGES):
+def spread(s, a, b, energy=1.0, edges=EDGES, slant=0.0):
     """Return the bins of one footprint, or of several if s, a and b are arrays."""
     s, a, b = np.broadcast_arrays(np.atleast_1d(s), a, b)
     sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
@@ -34,6 +35,7 @@ def spread(s, a, b, energy=1.0, edges=EDGES):
     spans = np.tile([K, 0], (3, 1))
     work = np.full((FOOTPRINT_ROWS, len(s) + 2), np.nan)  # the first and the last are not used
     work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
+    work[SLANT, 1:-1] = slant
     spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins)
     assert not sums[[0, 2]].any()
     assert (spans[[0, 2]] == [K, 0]).all()
@@ -41,16 +43,20 @@ def spread(s, a, b, energy=1.0, edges=EDGES):
     return sums[1].astype(float)
 
 
-def brute(s, a, b, edges=EDGES):
-    """Return the energy s ds by a fine grid over the rectangle; beyond the horizon, s <= 0, there is none."""
+def brute(s, a, b, edges=EDGES, slant=0.0):
+    """Return the energy s ds by a fine grid over the rectangle; beyond the horizon, s <= 0, there is none.
+
+    It is denser by `slant` at the end of b that is nearer, and less dense by as much at the other one.
+    """
     n = 2000 if a and b else 100_000
 
     def middles(half):
         return half * ((np.arange(n) + 0.5) / n * 2 - 1) if half else np.zeros(1)
 
-    values = (s + middles(a)[:, None] + middles(b)[None, :]).ravel()
-    n, values = len(values), values[values > 0]
-    return np.histogram(1 / values, bins=edges, weights=values)[0] / n
+    values = s + middles(a)[:, None] + middles(b)[None, :]
+    weights = (values * (1 + slant * middles(b) / b) if slant else values).ravel()
+    n, values = values.size, values.ravel()
+    return np.histogram(1 / values[values > 0], bins=edges, weights=weights[values > 0])[0] / n
 
 
 @pytest.mark.parametrize(
@@ -80,6 +86,19 @@ def test_spread_is_the_distribution_over_the_rectangle(s, a, b):
     thin, wide = min(a, b), max(a, b, 1e-12)
     steps = thin / wide / 2 if 4 * thin < wide else 0.0
     assert np.abs(got - want).sum() <= (0.01 + steps) * want.sum()
+
+
+@pytest.mark.parametrize("slant", [-1.0, -0.3, 0.6])
+@pytest.mark.parametrize(
+    "s, a, b", [(0.1, 0.0, 0.02), (0.06, 0.0, 0.05), (0.1, 0.001, 0.02), (0.3, 0.02, 0.2)]
+)
+def test_a_slanted_footprint_is_denser_at_one_end(s, a, b, slant):
+    got, even, want = spread(s, a, b, slant=slant), spread(s, a, b), brute(s, a, b, slant=slant)
+    # ramps have the densities of the ends, and are about as long as a tenth of the footprint where it has any
+    error = 0.006 if a else 0.002
+    assert np.abs(got - want).sum() < error * want.sum()
+    assert abs(got.sum() / want.sum() - 1) < error / 2
+    assert np.abs(even - want).sum() > 0.15 * want.sum()
 
 
 def test_a_footprint_keeps_its_energy():

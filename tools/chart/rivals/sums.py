@@ -131,7 +131,8 @@ def tubes(
     first, last : which columns of tubes; bins : kernels.BinTable; sums : added to
     """
     C = len(column)
-    work, spans = np.empty((FOOTPRINT_ROWS, 4 * len(height))), np.zeros((sums.shape[0], 2), np.int64)
+    # zeros: no footprint is slanted
+    work, spans = np.zeros((FOOTPRINT_ROWS, 4 * len(height))), np.zeros((sums.shape[0], 2), np.int64)
     for i in range(first, last):
         c, n = column[i], 0
         for j in range(len(height)):
