@@ -18,7 +18,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -384,11 +384,13 @@ class _Comparison:
 
         Speckle has the mean 1; noise adds its mean power, raised by the TVG.
         """
-        acoustics, noise = without(self._case.acoustics, self._case.noise, terms)
-        levels_db = receiver_levels_db(noise, self._case.sonar, acoustics)
-        power = sum(10 ** (db / 10) for db in levels_db)
-        power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
-        ringing = ring_down_power(self._case.sonar.range_m, self._case.sonar, acoustics)
+        (acoustics, noise), sonar = without(self._case.acoustics, self._case.noise, terms), self._case.sonar
+        tvg = acoustics.tvg(sonar.range_m, sonar)
+        power = sum(10 ** (db / 10) for db in receiver_levels_db(noise, sonar, acoustics)) * tvg
+        if noise.self_noise and sonar.common_noise_db is not None:
+            pattern = common_noise_pattern(sonar.azimuth_rad, sonar.common_noise_width_deg)
+            power = power + np.outer(pattern, 10 ** (sonar.common_noise_db / 10) * tvg)
+        ringing = ring_down_power(sonar.range_m, sonar, acoustics)
         if noise.self_noise and ringing is not None:
             power = power + ringing
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
