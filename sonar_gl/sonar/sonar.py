@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import lru_cache
@@ -26,6 +25,7 @@ from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.toml import read_toml
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
 PRESETS = Path(__file__).with_name("sonars.toml")
@@ -202,7 +202,7 @@ class Sonar:
                 f"(got {self.bandwidth_hz:g} and {self.frequency_hz:g}; give both in hertz)"
             )
         for text in self._likely_mistakes():
-            warnings.warn(f"{location}: {text}", stacklevel=3)
+            warn_caller(f"{location}: {text}")
         if self.beam_azimuths_deg is not None:
             azimuths = frozen_array(
                 self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
