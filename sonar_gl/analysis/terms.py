@@ -44,7 +44,7 @@ class Term:
     Attributes
     ----------
     name : as in reports
-    on : function (acoustics, noise, sonar) -> fields that switch the term on; {} if it is on
+    on : function (acoustics, noise) -> fields that switch the term on; {} if it is on
     off : fields that switch it off
     of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
@@ -52,7 +52,7 @@ class Term:
     """
 
     name: str
-    on: Callable[[Acoustics, Noise, Sonar], dict]
+    on: Callable[[Acoustics, Noise], dict]
     off: dict
     of_noise: bool = False
     of_water: bool = False
@@ -70,18 +70,18 @@ class Term:
 
 def _field_on(name: str, on, off) -> Callable:
     """Return `Term.on` of a term that is off where one field of Acoustics has the value `off`."""
-    return lambda acoustics, noise, sonar: {name: on} if getattr(acoustics, name) == off else {}
+    return lambda acoustics, noise: {name: on} if getattr(acoustics, name) == off else {}
 
 
-def _absorption_on(acoustics, noise, sonar) -> dict:
+def _absorption_on(acoustics, noise) -> dict:
     return {"absorption_db_m": None} if acoustics.water.absorption_db_m == 0 else {}
 
 
-def _speckle_on(acoustics, noise, sonar) -> dict:
+def _speckle_on(acoustics, noise) -> dict:
     return {} if noise.speckle else {"speckle": True, "follow_motion": Noise.physical().follow_motion}
 
 
-def _receiver_noise_on(acoustics, noise, sonar) -> dict:
+def _receiver_noise_on(acoustics, noise) -> dict:
     return {} if noise.has_receiver_noise else {"self_noise": True}
 
 
@@ -158,10 +158,10 @@ TERMS = (
 )
 
 
-def everything_on(acoustics: Acoustics, noise: Noise, sonar: Sonar) -> tuple[Acoustics, Noise]:
+def everything_on(acoustics: Acoustics, noise: Noise) -> tuple[Acoustics, Noise]:
     """Return both with every term on; a term that is on stays as it is."""
     for term in TERMS:
-        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise, sonar))
+        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise))
     return acoustics, noise
 
 
@@ -286,7 +286,7 @@ def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _C
     if not len(poses):
         raise Error("poses must hold at least one pose (got none)")
     picked = np.unique(np.linspace(0, len(poses) - 1, MAX_POSES).round().astype(int))
-    acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical(), sonar)
+    acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical())
     return _Case(scene, sonar, acoustics, noise, [check_pose(poses[k]) for k in picked], tolerance)
 
 
