@@ -18,7 +18,7 @@ from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -44,7 +44,7 @@ class Term:
     Attributes
     ----------
     name : as in reports
-    on : function (acoustics, noise, sonar) -> fields that switch the term on; {} if it is on
+    on : function (acoustics, noise) -> fields that switch the term on; {} if it is on
     off : fields that switch it off
     of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
@@ -52,7 +52,7 @@ class Term:
     """
 
     name: str
-    on: Callable[[Acoustics, Noise, Sonar], dict]
+    on: Callable[[Acoustics, Noise], dict]
     off: dict
     of_noise: bool = False
     of_water: bool = False
@@ -70,18 +70,18 @@ class Term:
 
 def _field_on(name: str, on, off) -> Callable:
     """Return `Term.on` of a term that is off where one field of Acoustics has the value `off`."""
-    return lambda acoustics, noise, sonar: {name: on} if getattr(acoustics, name) == off else {}
+    return lambda acoustics, noise: {name: on} if getattr(acoustics, name) == off else {}
 
 
-def _absorption_on(acoustics, noise, sonar) -> dict:
+def _absorption_on(acoustics, noise) -> dict:
     return {"absorption_db_m": None} if acoustics.water.absorption_db_m == 0 else {}
 
 
-def _speckle_on(acoustics, noise, sonar) -> dict:
+def _speckle_on(acoustics, noise) -> dict:
     return {} if noise.speckle else {"speckle": True, "follow_motion": Noise.physical().follow_motion}
 
 
-def _receiver_noise_on(acoustics, noise, sonar) -> dict:
+def _receiver_noise_on(acoustics, noise) -> dict:
     return {} if noise.has_receiver_noise else {"self_noise": True}
 
 
@@ -158,10 +158,10 @@ TERMS = (
 )
 
 
-def everything_on(acoustics: Acoustics, noise: Noise, sonar: Sonar) -> tuple[Acoustics, Noise]:
+def everything_on(acoustics: Acoustics, noise: Noise) -> tuple[Acoustics, Noise]:
     """Return both with every term on; a term that is on stays as it is."""
     for term in TERMS:
-        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise, sonar))
+        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise))
     return acoustics, noise
 
 
@@ -286,7 +286,7 @@ def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _C
     if not len(poses):
         raise Error("poses must hold at least one pose (got none)")
     picked = np.unique(np.linspace(0, len(poses) - 1, MAX_POSES).round().astype(int))
-    acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical(), sonar)
+    acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical())
     return _Case(scene, sonar, acoustics, noise, [check_pose(poses[k]) for k in picked], tolerance)
 
 
@@ -384,11 +384,13 @@ class _Comparison:
 
         Speckle has the mean 1; noise adds its mean power, raised by the TVG.
         """
-        acoustics, noise = without(self._case.acoustics, self._case.noise, terms)
-        levels_db = receiver_levels_db(noise, self._case.sonar, acoustics)
-        power = sum(10 ** (db / 10) for db in levels_db)
-        power = power * acoustics.tvg(self._case.sonar.range_m, self._case.sonar)
-        ringing = ring_down_power(self._case.sonar.range_m, self._case.sonar, acoustics)
+        (acoustics, noise), sonar = without(self._case.acoustics, self._case.noise, terms), self._case.sonar
+        tvg = acoustics.tvg(sonar.range_m, sonar)
+        power = sum(10 ** (db / 10) for db in receiver_levels_db(noise, sonar, acoustics)) * tvg
+        if noise.self_noise and sonar.common_noise_db is not None:
+            pattern = common_noise_pattern(sonar.azimuth_rad, sonar.common_noise_width_deg)
+            power = power + np.outer(pattern, 10 ** (sonar.common_noise_db / 10) * tvg)
+        ringing = ring_down_power(sonar.range_m, sonar, acoustics)
         if noise.self_noise and ringing is not None:
             power = power + ringing
         return [ping.intensity + power for ping in self._pings_with(acoustics)]

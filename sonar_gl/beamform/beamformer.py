@@ -185,7 +185,7 @@ def make_beamformer(
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
-    is_box = pattern is None
+    is_box, transmit = pattern is None, acoustics.transmit_pattern(sonar)
     fan = make_fan(
         true_range,
         extend_rows(sampling, sonar, true_range),
@@ -195,13 +195,10 @@ def make_beamformer(
         max_column_width,
         *((acoustics.dense_elevation_deg(sonar), acoustics.max_elevation_deg(sonar)) if side_lobes else ()),
         are_cones=acoustics.has_cones(sonar),
+        transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
     )
     workspace = workspace or Workspace()
-    far_pattern, transmit, edges = (
-        acoustics.far_pattern(sonar),
-        acoustics.transmit_pattern(sonar),
-        fan.column_edges_rad,
-    )
+    far_pattern, edges = acoustics.far_pattern(sonar), fan.column_edges_rad
 
     def weigh() -> tuple[BeamWeights, FarLobes | None]:
         blocks = None

@@ -28,11 +28,11 @@ def check_no_link_loop(path) -> None:
         raise Error(f"{path}: must be a file or folder (got {LINK_LOOP}; remove the link, and make it again)")
 
 
-def check_is_file(path, hint: str = "") -> None:
-    """Raise an `Error` unless there is a regular file at a path; the hint follows "there is no such file"."""
+def check_is_file(path) -> None:
+    """Raise an `Error` unless there is a regular file at a path."""
     check_no_link_loop(path)
     if not Path(path).is_file():
-        raise Error(f"{path}: there is no such file{hint and f' ({hint})'}")
+        raise Error(f"{path}: there is no such file")
 
 
 def read_error_text(why: OSError) -> str:

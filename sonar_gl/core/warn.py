@@ -29,7 +29,7 @@ _collections: ContextVar[tuple[_Collection, ...]] = ContextVar("collections of w
 
 
 def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
-    """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl.
+    """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl and of `dataclasses.replace`.
 
     Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown.
     """
@@ -39,7 +39,9 @@ def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
             collection.found.append(CollectedWarning(text, category))
             return
     level, frame = 1, sys._getframe(0)
-    while frame.f_back is not None and frame.f_globals["__name__"].startswith("sonar_gl."):
+    while frame.f_back is not None and f"{frame.f_globals['__name__']}.".startswith(
+        ("sonar_gl.", "dataclasses.")
+    ):
         level, frame = level + 1, frame.f_back
     warnings.warn(text, category, stacklevel=level)
 

@@ -20,7 +20,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
-from sonar_gl.scene.state import SceneState
+from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
@@ -151,7 +151,7 @@ class ImageSources:
         if scene is not self._scene:
             self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m, self._wave_height_m)
             self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
-            self._brightest = max([float(np.max(body.reflectivity)) for body in scene.bodies], default=0.0)
+            self._reflectivity = GreatestReflectivity(scene.bodies)
             self._scene = scene
 
     def reset(self) -> None:
@@ -260,7 +260,8 @@ class ImageSources:
             stage.beamformer.elevation_table,
             reflected,
         )
-        counts = MULTIPATH_GAIN * self._brightest * reflected > self._tolerance * echo
+        brightest = self._reflectivity.in_state(state).max(initial=0.0)
+        counts = MULTIPATH_GAIN * brightest * reflected > self._tolerance * echo
         counts &= np.abs(distances_m) > BIAS_M
         kept: list[int] = []
         for n in sorted(np.flatnonzero(counts), key=lambda n: -found[n].area_m2):

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.core.compiled import compiled
-from sonar_gl.scene.state import SceneState
+from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 from sonar_gl.sonar.sonar import Sonar
 
@@ -174,10 +174,6 @@ class BodyExtents:
     ----------
     bodies : of the scene
     specular : with the specular lobes of smooth bodies
-
-    Attributes
-    ----------
-    reflectivity : (bodies + 1,) by number, lobes included
     """
 
     def __init__(self, bodies, specular: bool = False):
@@ -187,8 +183,7 @@ class BodyExtents:
         self._centres = np.array([sphere.centre for sphere in spheres]).reshape(-1, 3)
         self._radii_m = np.array([sphere.radius_m for sphere in spheres])
         lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
-        self.reflectivity = np.array([0.0] + [np.max(body.reflectivity) for body in bodies])
-        self.reflectivity[1:] += lobes
+        self._lobes, self._reflectivity = np.array(lobes), GreatestReflectivity(bodies)
         # the silhouette of a surface is half of its area at most, and inside that of its sphere
         self._area_m2 = np.minimum(
             np.pi * self._radii_m**2,
@@ -230,5 +225,9 @@ class BodyExtents:
         angle = np.minimum(self._area_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
         sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))
         weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
-        out[1:] = np.where(inside, angle * weight, 0.0) * self.reflectivity[1:]
+        out[1:] = np.where(inside, angle * weight, 0.0) * self.greatest_backscatter(state)
         return out
+
+    def greatest_backscatter(self, state: SceneState) -> np.ndarray:
+        """Return (bodies,) the most that each body may return per steradian: reflectivity, and lobe face on."""
+        return self._reflectivity.in_state(state) + self._lobes

@@ -50,7 +50,7 @@ def boxes_of(ping: Ping, height: int = 800) -> Boxes:
     Raises
     ------
     Error
-        if the ping has no labels, or the height is out of bounds.
+        if the ping has no labels, or they do not match, or the height is out of bounds.
     """
     geometry, plan = _geometry_and_plan(ping, height)
     found = np.empty((len(ping.body_echo), 9), np.int64)
@@ -99,8 +99,25 @@ class _Plan(NamedTuple):
 def _geometry_and_plan(ping: Ping, height: int) -> tuple[FanGeometry, _Plan]:
     if ping.body_id is None or ping.body_echo is None:
         raise Error("a ping must have labels to find bodies in it (got none; make it with labels=True)")
+    _check_labels(ping)
     geometry = fan_geometry(ping, height)
     return geometry, _plan(geometry, ping.body_id.shape, azimuth_key(ping))
+
+
+def _check_labels(ping: Ping) -> None:
+    """Raise an Error unless numbers of bodies are entries of `body_echo`: compiled functions take them as they are."""
+    body_id, n_numbers = ping.body_id, len(ping.body_echo)
+    if body_id.dtype.kind not in "iu" or body_id.shape != ping.intensity.shape:
+        got = f"{body_id.dtype} of shape {body_id.shape}"
+        raise Error(
+            f"body_id of a ping must hold whole numbers of the shape of its intensity, {ping.intensity.shape} "
+            f"(got {got})"
+        )
+    if body_id.size and not 0 <= int(body_id.min()) <= int(body_id.max()) < n_numbers:
+        raise Error(
+            f"body_id of a ping must lie in 0..{n_numbers - 1}, since its body_echo has {n_numbers} entries "
+            f"(got {body_id.min()} to {body_id.max()})"
+        )
 
 
 @lru_cache(maxsize=4)

@@ -134,7 +134,7 @@ class LiveSettings:
 
     def is_on(self, term: str) -> bool:
         """Return whether a term of acoustics or noise is on, by its name in `analysis.terms.TERMS`."""
-        return not _term(term).on(self.acoustics, self.noise, self.device)
+        return not _term(term).on(self.acoustics, self.noise)
 
     def switched(self, term: str, on: bool) -> LiveSettings:
         """Return these settings with a term of acoustics or noise on or off.
@@ -143,7 +143,7 @@ class LiveSettings:
         'incoherent'
         """
         found = _term(term)
-        values = found.on(self.acoustics, self.noise, self.device) if on else found.off
+        values = found.on(self.acoustics, self.noise) if on else found.off
         acoustics, noise = found.changed(self.acoustics, self.noise, values)
         return replace(self, acoustics=acoustics, noise=noise)
 

@@ -112,7 +112,7 @@ class FieldNoise:
             power = self._mean_power(noise.interference_db)
             receiver = (
                 self._correlation,
-                self._bin_size_m,
+                self._ping.bin_size_m,
                 self._sound_speed_m_s,
                 self._stream("interference"),
             )
@@ -179,7 +179,7 @@ class FieldNoise:
     def _place_locked_field(self, term: str, look: int) -> np.ndarray:
         """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number."""
         sonar, pose = self._required("sonar", PLACE_LOCKED), self._required("pose", PLACE_LOCKED)
-        shape = len(self._ping.range_m), self._bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
+        shape = len(self._ping.range_m), self._ping.bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
         place = np.asarray(sonar.head_pose(pose), np.float64)[:2].tobytes()
         correlation = self._correlation._replace(pulse_weights=None)
         return _field_at(correlation, *shape, self._pulse, place, (self._seed, term, look))
@@ -240,7 +240,7 @@ class FieldNoise:
         tapered = acoustics is not None and acoustics.beam_pattern == "line_array"
         # a Chebyshev array counts as Taylor's of the same side lobes
         series = taper_series(sonar.receive_taper, sonar.side_lobe_db) if tapered and sonar else ()
-        pulse_weights = None if self._pulse is None else field_weights(self._bin_size_m, *self._pulse)
+        pulse_weights = None if self._pulse is None else field_weights(self._ping.bin_size_m, *self._pulse)
         azimuth_rad = tuple(np.asarray(self._ping.azimuth_rad, np.float64).tolist())
         return FieldCorrelation(azimuth_rad, width_rad, series, pulse_weights)
 
@@ -256,11 +256,6 @@ class FieldNoise:
     def _sound_speed_m_s(self) -> float:
         acoustics = self._ping.acoustics
         return SOUND_SPEED_M_S if acoustics is None else acoustics.water.sound_speed()
-
-    @cached_property
-    def _bin_size_m(self) -> float:
-        r = self._ping.range_m
-        return float((r[-1] - r[0]) / (len(r) - 1)) if len(r) > 1 else float(r[0])
 
     def _required(self, name: str, purpose: str):
         """Return the ping's attribute `name`, or raise an Error if the ping has none."""

@@ -42,16 +42,14 @@ def add_noise(
     seed, ping_number = check_seed(seed), check_seed(ping_number, "ping_number")
     if noise is None:
         return ping
-    receiver = noise.has_receiver_noise or noise.interference_lines
-    field_terms = noise.speckle or receiver
-    has_self_noise = noise.self_noise
-    ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if has_self_noise else None
+    of_field = noise.speckle or noise.has_receiver_noise or noise.interference_lines
     of_bins = noise.gaussian or noise.median or noise.salt_and_pepper or noise.dropped_beams
-    if not (field_terms or of_bins):
+    if not (of_field or of_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
-    if field_terms:
+    if of_field:
         FieldNoise(ping, noise, seed, ping_number, thread).apply(out)
+    ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
     if ringing is not None:
         out += ringing.astype(np.float32)
     if noise.gaussian:

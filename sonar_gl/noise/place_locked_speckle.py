@@ -80,14 +80,26 @@ def _shift_weights(
     return (weights / np.sqrt((weights**2).sum(1, keepdims=True))).astype(np.float32), first
 
 
-def _nodes(azimuth_rad: np.ndarray, width_rad: float, taper_series: tuple[float, ...]):
-    """Return azimuths at which fewer fields than beams tell those of all beams, and how to interpolate them.
+class Nodes(NamedTuple):
+    """Azimuths at which fewer fields than beams tell those of all beams, and how to interpolate them.
 
-    Returns
-    -------
-    None where that takes no fewer; or
+    Attributes
+    ----------
     azimuth_rad : (N,) radians in the world, on a grid that does not depend on the sonar's heading
     first, weights : (B,) int64 and (B, TAPS) float32: the first of the nodes about each beam, and their weights
+    span_rad : the greatest distance of the first and the last of them, at any heading
+    """
+
+    azimuth_rad: np.ndarray
+    first: np.ndarray
+    weights: np.ndarray
+    span_rad: float
+
+
+def _nodes(
+    heading_rad: float, beams_rad: np.ndarray, width_rad: float, taper_series: tuple[float, ...]
+) -> Nodes | None:
+    """Return the nodes of a sonar; None where they would hardly be fewer than its (B,) beams, at any heading.
 
     Notes
     -----
@@ -100,16 +112,17 @@ def _nodes(azimuth_rad: np.ndarray, width_rad: float, taper_series: tuple[float,
     """
     n_circle = int(np.ceil(OVERSAMPLING * aperture_width(taper_series) * 2 * np.pi / width_rad))
     step = 2 * np.pi / n_circle
-    place = azimuth_rad / step
+    most = int(np.ceil(np.ptp(beams_rad) / step)) + TAPS
+    if most > MOST_NODES * len(beams_rad):
+        return None
+    place = (heading_rad + beams_rad) / step
     first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
     numbers = np.arange(first.min(), first.max() + TAPS)
-    if len(numbers) > MOST_NODES * len(azimuth_rad):
-        return None
     off = place[:, None] - first[:, None] - np.arange(TAPS)
     window = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
     weights = np.sinc(off) * window
     weights /= weights.sum(1, keepdims=True)
-    return numbers * step, first - first.min(), weights.astype(np.float32)
+    return Nodes(numbers * step, first - first.min(), weights.astype(np.float32), (most - 1) * step)
 
 
 @compiled
@@ -277,15 +290,14 @@ def place_locked_field(
     cell are uncorrelated. Pitch, roll and heave leave the pattern as it is. As an approximation, the bearing
     of a scatterer does not change as the sonar passes it; near ones would move by d / r.
     """
-    azimuth = np.arctan2(pose[1, 0], pose[0, 0]) + np.asarray(correlation.azimuth_rad)
+    heading, beams = np.arctan2(pose[1, 0], pose[0, 0]), np.asarray(correlation.azimuth_rad)
     width, taper_series = correlation.beam_width_rad, correlation.taper_series
-    nodes = _nodes(azimuth, width, taper_series)
-    if nodes is not None:
-        azimuth = nodes[0]
+    nodes = _nodes(heading, beams, width, taper_series)
+    azimuth, span = (heading + beams, np.ptp(beams)) if nodes is None else (nodes.azimuth_rad, nodes.span_rad)
     # number of waves in an aperture, if the field repeats after one full circle ...
     waves = aperture_width(taper_series) * 2 * np.pi / width
-    # ... and after the `repeats`-th part of it, which must be longer than the fan
-    repeats = max(1, int(min(2 * np.pi / (1.2 * np.ptp(azimuth) + 12 * width), waves / MIN_WAVES)))
+    # ... and after the `repeats`-th part of it, which must be longer than the fan; the same at any heading
+    repeats = max(1, int(min(2 * np.pi / (1.2 * span + 12 * width), waves / MIN_WAVES)))
     length = waves / repeats
     spacing_m = wavelength_m * repeats / (2 * np.pi)
     response, reach = None, 1
@@ -318,6 +330,6 @@ def place_locked_field(
         _sum_waves(coefficients, start - chunks.start * CHUNK, *matrix, shift + margin, weights, out)
     if nodes is None:
         return out
-    fields, out = out, np.empty((len(correlation.azimuth_rad), 2, n_bins), np.float32)
-    _interpolate(fields, *nodes[1:], out)
+    fields, out = out, np.empty((len(beams), 2, n_bins), np.float32)
+    _interpolate(fields, nodes.first, nodes.weights, out)
     return out

@@ -77,14 +77,16 @@ class SceneMeshes:
         n_patches = len(self.levels.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
-            key = id(body.surface), id(body.normals), id(body.reflectivity) if by_face else None
+            made_of = body.surface, body.normals, body.reflectivity if by_face else None
+            key = tuple(map(id, made_of))
             if key not in meshes:
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                meshes[key] = one.centre, one.bounds, one.closed, (n_patches, end)
+                # a body may take another surface later: held here, so that no other object has the id of the first
+                meshes[key] = made_of, (one.centre, one.bounds, one.closed, (n_patches, end))
                 n_patches = end
                 made.append(one)
-            added.append(meshes[key])
+            added.append(meshes[key][1])
             mu = 1.0 if by_face else body.reflectivity
             rows.append([0.0] * 12 + [mu, number, body.specular, body.roughness_rad])
         self._meshes = meshes

@@ -1,10 +1,15 @@
-"""The state of a scene in one ping: where bodies and bubbles are."""
+"""The state of a scene in one ping: where bodies and bubbles are, and what bodies reflect at most."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from sonar_gl.scene.scene import Body
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,3 +56,21 @@ class SceneState:
     def without_bubbles(self) -> SceneState:
         """Return this state without bubbles."""
         return replace(self, bubbles=None)
+
+
+class GreatestReflectivity:
+    """The greatest reflectivity of any face, of each of n bodies.
+
+    Attributes
+    ----------
+    own : (n,) float64, that of the bodies themselves
+    """
+
+    def __init__(self, bodies: Sequence[Body]):
+        self.own = np.array([np.max(body.reflectivity) for body in bodies], np.float64)
+        by_face = np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool)
+        self._per_unit = np.where(by_face, self.own, 1.0)
+
+    def in_state(self, state: SceneState) -> np.ndarray:
+        """Return (n,) float64, with the reflectivity that the state has in place of the bodies' own."""
+        return self.own if state.reflectivity is None else self._per_unit * state.reflectivity

@@ -38,6 +38,9 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam
 # spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
+# A column is weighed by the mean of the transmit beam over it, whatever its echo is at either end. Columns of boxes are
+# as wide as a beam, but there are at least so many in the −3 dB width of the transmit beam.
+COLUMNS_PER_TRANSMIT_BEAM = 16
 
 # The skirts and side lobes of a pattern in elevation return little, so that their samples are this many times wider and
 # higher than the others, and twice as many times again in each further sector.
@@ -118,6 +121,7 @@ def make_fan(
     dense_elevation_deg: float = 90.0,
     max_elevation_deg: float = 0.0,
     are_cones: bool = False,
+    transmit_width_rad: float = math.inf,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
@@ -134,6 +138,7 @@ def make_fan(
     max_elevation_deg : from there up to this elevation the fan has sectors of skirts and side lobes; below 90, and
         without effect inside the aperture
     are_cones : whether columns are cones; without effect on boxes
+    transmit_width_rad : −3 dB width of the transmit beam; infinite where the fan is insonified evenly
     """
     are_cones = are_cones and not box
     azimuths = sonar.azimuth_rad
@@ -142,6 +147,8 @@ def make_fan(
         start, stop = -math.pi, math.pi
     if are_cones:
         start, stop = max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
+    elif sonar.steered == "straight" and not box:  # such beams receive nothing from behind the array
+        start, stop = max(start, -math.pi / 2), min(stop, math.pi / 2)
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
@@ -186,6 +193,8 @@ def make_fan(
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
+    if box and math.isfinite(transmit_width_rad):
+        edges = _divided(edges, transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
@@ -213,6 +222,19 @@ def azimuths_of_cones(first_rad: float, last_rad: float, elevation_rad: float) -
     ends = (math.asin(min(max(math.sin(one) / level, -1.0), 1.0)) for one in (first_rad, last_rad))
     first, last = (min(max(one, -MAX_AZIMUTH_RAD), MAX_AZIMUTH_RAD) for one in ends)
     return min(first, first_rad), max(last, last_rad)
+
+
+def _divided(edges_rad: np.ndarray, widest_rad: float) -> np.ndarray:
+    """Return the edges of columns, rising, of which those that are wider than the widest are divided evenly.
+
+    >>> _divided(np.array([0.0, 1.0, 3.0]), 1.5).tolist()
+    [0.0, 1.0, 2.0, 3.0]
+    """
+    pieces = np.maximum(np.ceil(np.diff(edges_rad) / widest_rad - 1e-9), 1).astype(int)
+    parts = [
+        np.linspace(*ends, n, endpoint=False) for ends, n in zip(pairwise(edges_rad), pieces, strict=True)
+    ]
+    return np.append(np.concatenate(parts), edges_rad[-1])
 
 
 def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) -> np.ndarray:

@@ -61,7 +61,7 @@ def image_of(ping, acoustics, noise, speckle):
 @pytest.mark.slow
 def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
     scene = room()
-    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
+    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     noise = replace(noise, self_noise=False, ambient_db=-50.0)
     with sg.Simulator(scene, SONAR, full, tolerance=0.05) as simulator:
         ping = simulator.ping(scene.sonar_pose)
@@ -74,12 +74,12 @@ def test_the_mean_of_many_pings_with_noise_is_echo_plus_noise_power():
 
 def test_every_switch_switches_its_term_off_and_on_again():
     start = sg.Acoustics.physical(), sg.Noise.physical()
-    full = everything_on(*start, SONAR)
-    assert everything_on(*full, SONAR) == full
+    full = everything_on(*start)
+    assert everything_on(*full) == full
     for term in TERMS:
         less = without(*full, [term])
         assert less != full and less[term.of_noise is False] == full[term.of_noise is False]
-        assert everything_on(*less, SONAR)[1 if term.of_noise else 0] == full[1 if term.of_noise else 0]
+        assert everything_on(*less)[1 if term.of_noise else 0] == full[1 if term.of_noise else 0]
     bare = without(*full, TERMS)
     assert bare[1] == sg.Noise.none()
     # then the settings are those of "ideal", except for the range law, of which only absorption is a term
@@ -98,7 +98,7 @@ def test_settings_of_terms_that_are_on_stay():
         tvg_k=40.0,
     )
     noise = sg.Noise(speckle=True, looks=3, ambient_db=-70.0)
-    assert everything_on(mine, noise, SONAR) == (mine, noise)
+    assert everything_on(mine, noise) == (mine, noise)
     assert without(mine, noise, TERMS[1:2])[0] == replace(mine, beam_pattern="box")
 
 
@@ -106,7 +106,7 @@ def test_settings_of_terms_that_are_on_stay():
 def test_differences_are_those_of_pings_by_hand():
     """Each term's change, from two pings with the same samples, each in a world of its own."""
     scene = room(0.0, surface_z_m=3.0)
-    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), SONAR)
+    full, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     with sg.Simulator(scene, SONAR, full, tolerance=0.01) as simulator:
         simulator.plan([scene.sonar_pose])
         sampling = simulator.sampling
@@ -252,7 +252,7 @@ def test_a_term_that_changes_the_display_is_needed_however_little_echo_it_change
 def needed_and_full(scene, sonar, tolerance):
     """Return the needed acoustics, those with everything on, and the share by which their pings differ."""
     needed = sg.needed_acoustics(scene, sonar, tolerance)
-    full, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), sonar)
+    full, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     with sg.Simulator(scene, sonar, full, tolerance=tolerance) as simulator:
         simulator.plan([scene.sonar_pose])
         full_ping = simulator.ping(scene.sonar_pose)

@@ -271,6 +271,21 @@ def test_the_ray_caster_agrees_on_wide_beams_that_are_steered_far():
     np.testing.assert_allclose(ping.intensity.sum(axis=1), reference.sum(axis=1), rtol=0.15)
 
 
+@pytest.mark.filterwarnings("ignore:no echo came back")
+def test_upright_beams_of_a_straight_array_receive_nothing_from_behind_it():
+    """Beams of 8 degrees at ±75 are so wide that their supports end far behind the array."""
+    sonar = make_sonar(150.0, 2, 8.0, steered="straight", beam_spacing="sine")
+    acoustics = sg.Acoustics.physical(elevation_pattern="box", conical_beams=False)
+    bodies = [
+        sg.Body(f"ball at {x} m", trimesh.creation.icosphere(3, 0.5), sg.pose(x, -4, 0), 0.5)
+        for x in (-1.5, 1.5)  # at azimuths of -111 and -69 degrees
+    ]
+    behind, ahead = (echo_of(sonar, acoustics, [body], sampling=sg.Sampling(64, 64)) for body in bodies)
+    assert not behind.intensity.any()
+    reference = reference_ping(sg.Scene(bodies), sonar, np.eye(4), acoustics, error=0.02).intensity
+    assert np.abs(ahead.intensity - reference).sum() < 0.02 * reference.sum()
+
+
 def test_bodies_beside_the_cones_take_no_samples():
     """Views reach as far aside as the outermost cone at their highest elevation: their lower corners are in no beam."""
     sonar = make_sonar(45.0, 32, 1.5, beam_spacing="sine")

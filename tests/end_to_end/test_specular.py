@@ -17,6 +17,7 @@ from sonar_gl.raster.cpu.visibility_buffer import lobe_times_range
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import material
+from sonar_gl.scene.state import SceneState
 from tests.support import glsl
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
@@ -207,10 +208,10 @@ def test_invalid_materials_raise_errors(arguments, message):
 def test_the_greatest_echo_of_a_body_includes_its_lobe():
     """A body with a specular lobe and μ = 0 is searched for where no sample hit it."""
     wire = body("wire", primitives.cylinder(0.002, 1.0), sg.pose(8), 0.1, 0.8, 0.1)
-    assert BodyExtents([wire]).reflectivity.tolist() == [0.0, 0.1]
-    assert BodyExtents([wire], specular=True).reflectivity[1] == pytest.approx(
-        0.1 + specular_lobe(1, 0.8, 0.1)
-    )
+    state = SceneState(wire.pose[None], np.ones(1, bool))
+    assert BodyExtents([wire]).greatest_backscatter(state).tolist() == [0.1]
+    (found,) = BodyExtents([wire], specular=True).greatest_backscatter(state)
+    assert found == pytest.approx(0.1 + specular_lobe(1, 0.8, 0.1))
 
 
 def test_a_replaced_body_takes_its_values_from_the_new_material():

@@ -8,6 +8,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
 
 SONAR = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0, bandwidth_hz=5e3)
@@ -158,3 +160,38 @@ def test_kernels_are_warmed_up_once_per_process(monkeypatch):
     monkeypatch.setattr(StageCache, "make", lambda *arguments: made.append(1) or make(*arguments))
     simulator().close()
     assert len(made) == 1
+
+
+def test_the_reflectivity_of_a_ping_decides_which_bodies_count():
+    """Balls that are black in the scene, and fall between the samples of the first try."""
+    balls = [
+        sg.Body(f"ball {k}", trimesh.creation.icosphere(2, 0.008), sg.pose(15, k - 2, 0.3), 0.0)
+        for k in range(5)
+    ]
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 0.5, 0.5)), sg.pose(8, 0, -1), 0.002)
+    white = {body.name: 1.0 for body in balls}
+    request = PingRequest(sg.pose(), labels=True, alone=True, reflectivity=white)
+    as_given = PingRequest(sg.pose(), labels=True, alone=True)
+    sonar = sg.Sonar("test", 900e3, 64, 300, 60.0, 20.0, 1.0, 0.5, 20.0)
+    found = []
+    for bodies, one in ((balls, request), ([replace(body, reflectivity=1.0) for body in balls], as_given)):
+        with sg.Simulator(sg.Scene([*bodies, wall]), sonar, sg.Acoustics.ideal(), tolerance=0.3) as it:
+            found.append(make_ping(it.run, one))
+    np.testing.assert_array_equal(found[0].body_echo, found[1].body_echo)
+    assert (found[0].body_echo[1:6] > 0).all()
+
+
+def test_multipath_of_a_body_that_is_bright_in_one_ping_alone():
+    """What reflectors may return depends on the reflectivity of the ping, not on that of the scene."""
+    sonar = sg.Sonar("test", 900e3, 32, 200, 40.0, 30.0, 1.5, 0.5, 12.0)
+
+    def ping(mu, multipath="incoherent", **settings):
+        wall = sg.Body("wall", trimesh.creation.box((0.5, 4, 1)), sg.pose(6, 0, -1), mu)
+        scene = sg.Scene([wall], surface_z_m=0.0, surface_roughness_m=0.0)
+        acoustics = replace(sg.Acoustics.ideal(), multipath=multipath)
+        with sg.Simulator(scene, sonar, acoustics, SAMPLING, tolerance=0.05) as it:
+            return it.ping(sg.pose(0, 0, -1), **settings).intensity
+
+    expected = ping(1.0)
+    assert expected.sum() > 1.1 * ping(1.0, "none").sum()
+    np.testing.assert_array_equal(ping(0.01, reflectivity={"wall": 1.0}), expected)

@@ -9,6 +9,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.engine import error_model
 from sonar_gl.raster.opengl.buffers import GrowingBuffer
+from sonar_gl.scene import primitives
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -150,6 +151,20 @@ def test_an_added_body_acts_like_one_of_the_scene(first, second):
         assert [body.name for body in it.scene.bodies] == [body.name for body in bodies]
         hidden = it.ping(POSE, labels=True, bodies={bodies[1].name: None})
     check_same(hidden, alone, [1])
+
+
+def test_a_body_is_added_after_another_one_has_got_a_mesh_of_trimesh():
+    """The triangles that a file gave are gone then, and those of the next file may have their address."""
+    vertices, faces = primitives.box((3, 3, 3)).mesh
+    first = sg.Body("first", primitives.box((1, 1, 1)).mesh, sg.pose(6, 1.5))
+    with simulator([first]) as it:
+        assert isinstance(first.mesh, trimesh.Trimesh)  # reading it replaces the triangles
+        at_many_addresses = [primitives.Triangles(vertices, faces) for _ in range(100)]
+        bodies = [sg.Body(f"box {k}", mesh, sg.pose(40 + 5 * k)) for k, mesh in enumerate(at_many_addresses)]
+        it.add(*bodies)
+        bounds = it.world.engine.meshes.boxes.bounds
+    np.testing.assert_array_equal(bounds[0], [[-0.5] * 3, [0.5] * 3])
+    np.testing.assert_array_equal(bounds[1:], np.tile([[-1.5] * 3, [1.5] * 3], (100, 1, 1)))
 
 
 def test_several_bodies_are_added_to_an_empty_scene():

@@ -123,6 +123,26 @@ def test_wrong_arguments(function):
         function(labelled(np.ones((3, 4))), 0)
 
 
+@pytest.mark.parametrize("function", [boxes_of, body_map])
+@pytest.mark.parametrize(
+    ("body_id", "message"),
+    [
+        (
+            np.full((3, 4), 3, np.uint16),
+            r"must lie in 0\.\.2, since its body_echo has 3 entries \(got 3 to 3\)",
+        ),
+        (np.full((3, 4), -1), r"must lie in 0\.\.2, .* \(got -1 to -1\)"),
+        (np.ones((3, 4)), r"whole numbers of the shape of its intensity, \(3, 4\) \(got float64"),
+        (np.ones((4, 3), np.uint16), r"\(got uint16 of shape \(4, 3\)\)"),
+    ],
+)
+def test_labels_that_do_not_match_are_errors(function, body_id, message):
+    """A file may hold them; compiled functions would write beyond their arrays."""
+    ping = replace(labelled(np.ones((3, 4)), n_bodies=2), body_id=body_id)
+    with pytest.raises(sg.Error, match=message):
+        function(ping, 40)
+
+
 def test_no_body_in_view():
     boxes = boxes_of(labelled(np.zeros((3, 4)), n_bodies=2))
     assert boxes.body_id.shape == (0,) and boxes.pixels.shape == (0, 4)

@@ -76,10 +76,30 @@ def test_turning_moves_the_pattern_by_beams(yaw, beams):
     np.testing.assert_allclose(turned[:-beams], moved(0, yaw=yaw)[beams:], rtol=0, atol=2e-4)  # float32
 
 
+def test_a_slow_turn_never_changes_the_whole_pattern():
+    """Steps of a fifth of a beam's spacing: the grid of nodes in the world has one node more at some headings.
+
+    The fan is as wide as a third of the longest period of the field, but for that node.
+    """
+    still = even_ping(512, 60, 79.33 / 512, beam_width_deg=1.5)
+    steps = [patterns(PLACE_LOCKED, replace(still, pose=pose(yaw=0.0005 * k)), 1)[0] for k in range(30)]
+    assert min(correlation(a, b) for a, b in pairwise(steps)) > 0.99
+
+
 def test_moving_ahead_moves_the_pattern_in_range():
     forward = 3 * BIN_M * AHEAD
     # beams are interpolated between nodes up to 2 degrees aside, whose apertures slide by some hundredths
     assert correlation(moved(0, *forward)[BORESIGHT, :-3], moved(0)[BORESIGHT, 3:]) > 0.998
+
+
+def test_moving_ahead_by_many_bins_changes_a_single_bin():
+    """Its length is that of the sonar's bin, not its range."""
+    before, after = (
+        np.array([patterns(PLACE_LOCKED, even_ping(64, 1, pose=pose(x)), 1, seed)[0] for seed in range(30)])
+        for x in (0.0, 10 * BIN_M)
+    )
+    n = 30 * 64 * 0.25 * UNIFORM_WIDTH
+    assert abs(correlation(after, before)) < SIGMAS / np.sqrt(n)
 
 
 def test_moving_ahead_by_half_a_bin_interpolates():

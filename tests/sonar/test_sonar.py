@@ -400,3 +400,11 @@ def test_numbers_of_other_units_are_warned_of(change, message):
     with pytest.warns(UserWarning) as caught:
         Sonar("s", **{**KEYS, **change})
     assert [str(w.message) for w in caught] == [f"sonar 's': {message}"]
+
+
+def test_the_warning_names_the_line_that_changed_the_sonar():
+    """Not one inside of `dataclasses`."""
+    sonar = Sonar("s", **KEYS)
+    with pytest.warns(UserWarning, match="if it is in radians") as caught:
+        replace(sonar, beam_width_deg=0.01745)
+    assert [w.filename for w in caught] == [__file__]

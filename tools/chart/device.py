@@ -19,7 +19,7 @@ MOST = 2.5  # times the time of a ping of profile ideal, aimed at
 
 def variants_of(sonar: sg.Sonar) -> dict[str, tuple[sg.Acoustics, sg.Noise | None]]:
     """Return acoustics and noise by name: ideal; the device, without what the water and its surroundings add; all."""
-    acoustics, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), sonar)
+    acoustics, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     return {
         "ideal": (sg.Acoustics.ideal(), None),
         "device": (replace(acoustics, multipath="none"), None),

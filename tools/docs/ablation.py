@@ -82,7 +82,7 @@ def table(prices) -> str:
 
 def means(scene, sonar) -> tuple:
     """Return the ping with everything on, and {term: (ping without it, share that it changes)}, no noise."""
-    acoustics, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), sonar)
+    acoustics, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     pose, out = scene.sonar_pose, {}
     with sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE) as simulator:
         simulator.plan([pose])
@@ -138,7 +138,7 @@ def cost(name: str) -> str:
     """Return one line: what multipath costs over a ping without it of the same samples."""
     scene, sonar = setting(name)
     pose = scene.sonar_pose
-    acoustics, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical(), sonar)
+    acoustics, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     with sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE) as simulator:
         simulator.plan([pose])
         sampling = simulator.sampling
