@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names
+from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
@@ -322,10 +322,11 @@ def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
 
 
 def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
-    path = job.path(table.sonar.partition("#")[0])
+    name, more = split_sonar(table.sonar)
+    path = job.path(name)
     with errors_at(where):
         check_no_link_loop(path)
-        sonar = load_sonar(str(job.path(table.sonar)) if path.is_file() else table.sonar)
+        sonar = load_sonar(f"{path}{more}" if path.is_file() else table.sonar)
         sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
         return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
 
