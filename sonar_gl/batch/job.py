@@ -345,6 +345,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     if "(got " in text or not error["loc"]:
         return f"{key_path(place)}: {text}"
     got, cure = error["input"], _cure(kind, error["loc"])
+    if error["type"] == "list_type" and isinstance(got, dict):
+        cure = f"write [[{key_path(place)}]], since there may be several"
     got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]
     return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
 

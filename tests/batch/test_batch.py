@@ -618,6 +618,23 @@ def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch)
     assert read_job(path).digest != digest
 
 
+def test_files_are_those_beside_the_job_and_no_others(tmp_path, monkeypatch):
+    """A file of the same name where the command runs is not taken: other processes, and a resumption, would miss it."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    path = write_job(tmp_path, 2, "")
+    for name, message in (
+        ("small.toml", r"sonars\[0\]: .*/small.toml: the sonar's file must exist"),
+        ("tank.sdf", r"scenes\[0\]: .*/tank.sdf: there is no such file"),
+    ):
+        (tmp_path / name).rename(tmp_path / "here" / name)
+        with pytest.raises(sg.Error, match=message) as caught:
+            Schema(BatchRequests(read_job(path)))
+        assert f"{tmp_path}/{name}: " in str(caught.value)
+        (tmp_path / "here" / name).rename(tmp_path / name)
+    Schema(BatchRequests(read_job(path)))
+
+
 def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     """On workers of a cluster, too. Another order changes the digest."""
     path = write_job(tmp_path)
@@ -654,6 +671,8 @@ BAD = [
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
     ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
+    ("[[poses]]", "[poses]", "; write [[poses]], since there may be several)"),
+    ("[[vary.bodies]]", "[vary.bodies]", "; write [[vary.bodies]], since there may be several)"),
     ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
