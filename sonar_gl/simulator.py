@@ -183,6 +183,12 @@ class Simulator:
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels, background, label_level_db : as for `ping`; the noise's ping_number counts from 0
         bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
+
+        Notes
+        -----
+        Poses are taken several pings ahead, and a ping has the bodies where they are when its pose is taken. Where
+        bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose: a `place`
+        between two pings that come out acts several pings later. Where a pose depends on the pings before, use `ping`.
         """
         per_ping = {
             "bodies": ("bodies", bodies),
@@ -196,7 +202,10 @@ class Simulator:
         yield from make_pings(self._run, requests_of(poses, per_ping, **common))
 
     def place(self, bodies: dict) -> None:
-        """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away."""
+        """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away.
+
+        Pings of `pings` whose poses were taken before have the bodies where they were.
+        """
         with self._run.drawing():
             self.world.place(bodies)
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
@@ -271,7 +272,7 @@ class Job(Table):
     def files(self) -> list[Path]:
         """Return the scene, sonar and pose files that the job names."""
         scenes = [split_arguments(name)[0] for name in self.scenes]
-        names = [*scenes, *(table.sonar.partition("#")[0] for table in self.sonars)]
+        names = [*scenes, *(split_sonar(table.sonar)[0] for table in self.sonars)]
         names += [str(table.get("file", "")) for table in self.poses]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 
@@ -296,6 +297,17 @@ def read_job(path) -> Job:
     if job.coco is not None and job.labels is None:
         raise Error(f"{path}: coco needs labels (got none; add a line [labels])")
     return job
+
+
+def split_sonar(text: str) -> tuple[str, str]:
+    """Return the name of a sonar's file, or of a preset, and what follows it: a table's name, or changes of fields.
+
+    >>> split_sonar("mine.toml#deep"), split_sonar("p900-45,receive_taper=hamming")
+    (('mine.toml', '#deep'), ('p900-45', ',receive_taper=hamming'))
+    """
+    found = re.search(r"#|,\s*\w+\s*=", text)
+    at = len(text) if found is None else found.start()
+    return text[:at], text[at:]
 
 
 # ---- errors and names -------------------------------------------------------------------------------
@@ -333,6 +345,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     if "(got " in text or not error["loc"]:
         return f"{key_path(place)}: {text}"
     got, cure = error["input"], _cure(kind, error["loc"])
+    if error["type"] == "list_type" and isinstance(got, dict):
+        cure = f"write [[{key_path(place)}]], since there may be several"
     got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]
     return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
 

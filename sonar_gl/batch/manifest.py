@@ -21,6 +21,7 @@ DONE_NAME = "done.json"  # written last: the batch is complete
 PART_BYTES = 128e6  # of a part's arrays before compression
 CHUNK_PINGS = 8  # packed together in the store; a part holds a whole number of chunks
 MAX_PART_PINGS = 128  # limits what is lost, or made again, with a part
+SMALL_JOB_PARTS = 64  # of a small job, or more, if each can hold a chunk: processes share it by parts
 RECORD_CURE = "delete it, or mend the batch by --resume --mend"
 MANIFEST_CURE = (
     "restore a copy, or have --resume --mend write it again; if no part is done, delete the folder"
@@ -107,9 +108,18 @@ class Manifest:
         return cls(**found | {"system": System(**found["system"])})
 
 
-def default_pings_per_part(bytes_per_ping: float) -> int:
-    """Return a part size large enough for a file and small enough to be made again."""
-    chunks = int(PART_BYTES / bytes_per_ping) // CHUNK_PINGS
+def default_pings_per_part(bytes_per_ping: float, n_pings: int) -> int:
+    """Return a part size large enough for a file, and small enough to be made again and to share the job.
+
+    Parameters
+    ----------
+    bytes_per_ping : size of a ping's arrays before compression
+    n_pings : pings of the job; their share does not depend on the number of processes, as the bytes of a batch do not
+
+    >>> default_pings_per_part(1e6, 10**6), default_pings_per_part(1e6, 60)
+    (128, 8)
+    """
+    chunks = min(int(PART_BYTES / bytes_per_ping), n_pings // SMALL_JOB_PARTS) // CHUNK_PINGS
     return max(CHUNK_PINGS, min(MAX_PART_PINGS, chunks * CHUNK_PINGS))
 
 

@@ -115,8 +115,9 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
     job, schema = batch.requests.job, batch.schema
     with ExitStack() as stack:
         system = System.of(next(iter(_open_simulators(batch, 0, stack).values())).gl_info)
-    per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping)
-    return Manifest(job.plain, schema.digest, len(batch.requests), per_part, system)
+    n_pings = len(batch.requests)
+    per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
+    return Manifest(job.plain, schema.digest, n_pings, per_part, system)
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:

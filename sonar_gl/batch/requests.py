@@ -5,12 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names
+from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
@@ -222,7 +223,8 @@ class BatchRequests(Sequence):
         folders = [self.job.path(folder) for folder in self.job.resource_paths]
         with errors_at(f"{self.job.where}: scenes[{index}]"):
             check_no_link_loop(path)
-            return load_scene(str(path) if is_file else name, folders, self.job.skip_missing)
+            found = str(path) if is_file or _names_file(split_arguments(name)[0]) else name
+            return load_scene(found, folders, self.job.skip_missing)
 
     def _keep_scene(self, index: int, scene: Scene) -> None:
         """Cache a scene without what the job leaves out. A pattern need not match a body of every scene."""
@@ -321,11 +323,17 @@ def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
     return sonars, mounts
 
 
+def _names_file(name: str) -> bool:
+    """Return whether a name can only be that of a file beside the job: presets and bundled scenes have no such name."""
+    return Path(name).suffix != "" or len(Path(name).parts) > 1
+
+
 def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
-    path = job.path(table.sonar.partition("#")[0])
+    name, more = split_sonar(table.sonar)
+    path = job.path(name)
     with errors_at(where):
         check_no_link_loop(path)
-        sonar = load_sonar(str(job.path(table.sonar)) if path.is_file() else table.sonar)
+        sonar = load_sonar(f"{path}{more}" if path.is_file() or _names_file(name) else table.sonar)
         sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
         return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
 

@@ -270,15 +270,27 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
-    lines.append(f"{n} pings in {manifest.n_parts} parts of {manifest.pings_per_part}")
+    parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
+    lines.append(f"{n} pings in {parts}")
     size = _amount(n * cost.bytes_per_ping)
     lines.append(f"size: {size} ({cost.bytes_per_ping / 1e3:.0f} kB a ping)")
-    one_s = n * cost.seconds_per_ping
+    one_s, processes = n * cost.seconds_per_ping, min(len(devices), manifest.n_parts)
+    best_s = _busiest_pings(manifest, processes) * cost.seconds_per_ping
     lines.append(
         f"time: {_duration(one_s)} in one process ({1e3 * cost.seconds_per_ping:.1f} ms a ping, on "
-        f"{manifest.system.gl_renderer}), {_duration(one_s / len(devices))} at best in {len(devices)}"
+        f"{manifest.system.gl_renderer}), {_duration(best_s)} at best in {processes}"
     )
     return "\n".join(lines)
+
+
+def _busiest_pings(manifest: Manifest, processes: int) -> float:
+    """Return how many pings one of these processes makes at least, since a part is made by one process.
+
+    >>> manifest = Manifest({}, "", 20, 8, None)
+    >>> [_busiest_pings(manifest, processes) for processes in (1, 2, 3)]
+    [20.0, 10.0, 8]
+    """
+    return max(manifest.n_pings / processes, min(manifest.n_pings, manifest.pings_per_part))
 
 
 def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> list[str]:

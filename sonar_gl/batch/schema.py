@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
+from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar
 
 BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
@@ -223,6 +224,21 @@ def body_arrays(n_bodies: int, image_height: int) -> list[ArraySpec]:
     ]  # fmt: skip
 
 
+def _add_scene(digest, scene: Scene) -> None:
+    """Add to a digest all that decides a scene's echo, of which files of meshes and included models have a part."""
+    digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())
+    for body in scene.bodies:
+        digest.update(
+            repr((body.name, body.material, body.specular, body.roughness_rad, body.speckle_shape)).encode()
+        )
+        arrays = (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity)
+        for array in (*arrays, np.empty(0) if body.normals is None else body.normals):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    for plume in scene.plumes:
+        settings = [getattr(plume, field.name) for field in fields(plume) if field.name != "pose"]
+        digest.update(repr(settings).encode() + plume.pose.tobytes())
+
+
 # ---- the schema of a job ----------------------------------------------------------------------------
 
 
@@ -237,7 +253,7 @@ class Schema:
     class_id : (bodies + 1,), the class of each body's number, 0 for none
     body_arrays : arrays with a few numbers for each body, the same for each sonar; empty without the layer
         `boxes`
-    digest : SHA-256 of the job and of its scenes' bodies, whose meshes may come from files of their own
+    digest : SHA-256 of the job and of its scenes, whose meshes and models may come from files of their own
 
     Raises
     ------
@@ -250,14 +266,11 @@ class Schema:
         self.first_body, self.bodies, self._names_by_scene = [], [], []
         digest = hashlib.sha256(self._job.digest.encode())
         for index in range(len(self._job.scenes)):
-            bodies = requests.scene(index).bodies
+            scene = requests.scene(index)
             self.first_body.append(len(self.bodies))
-            self._names_by_scene.append([body.name for body in bodies])
+            self._names_by_scene.append([body.name for body in scene.bodies])
             self.bodies += self._names_by_scene[-1]
-            for body in bodies:
-                digest.update(body.name.encode())
-                for array in (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity):
-                    digest.update(np.ascontiguousarray(array).tobytes())
+            _add_scene(digest, scene)
         self.digest = digest.hexdigest()
         self.classes, of_body = self._number_classes()
         self.class_id = np.array([0, *of_body], np.uint8 if len(self.classes) < 256 else np.uint16)

@@ -48,12 +48,29 @@ def _report(text: str):
     tqdm.write(escape_controls(text), file=sys.stderr)
 
 
+class Lines:
+    """A stream that writes each state of a bar as a line; a terminal overwrites the one before."""
+
+    def __init__(self, stream):
+        self._stream, self._last = stream, ""
+
+    def write(self, text: str) -> None:
+        """Write what a bar shows, unless it has not changed."""
+        line = text.strip()
+        if line and line != self._last:
+            self._stream.write(line + "\n")
+            self._last = line
+
+    def flush(self) -> None:
+        """Flush the stream."""
+        self._stream.flush()
+
+
 @contextmanager
 def _progress(n_pings: int, n_done: int):
     """Show a bar with rate and time left; without a terminal, a line every half minute."""
-    is_terminal = sys.stderr.isatty()
-    rarely = {"mininterval": 30.0, "maxinterval": 60.0, "ascii": True, "ncols": 90}
-    settings = {} if is_terminal else rarely
+    rarely = {"mininterval": 30.0, "maxinterval": 60.0, "ascii": True, "ncols": 90, "file": Lines(sys.stderr)}
+    settings = {} if sys.stderr.isatty() else rarely
     with tqdm(total=n_pings, initial=n_done, unit=" pings", smoothing=0.05, **settings) as bar:
         yield bar.update
 

@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.core.errors import Error, nearest_names
 
 
-def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
+def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
     """Return a read-only, finite, contiguous copy of `array`.
 
     Parameters
@@ -19,6 +19,7 @@ def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
     dtype : of the copy
     shape : required lengths; None allows any length
     what : name of the argument, with which the message begins
+    hint : what to do instead, which ends the message about a shape
 
     Raises
     ------
@@ -33,7 +34,7 @@ def frozen_array(array, dtype, shape: tuple, what: str) -> np.ndarray:
         want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
     ):
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise Error(f"{what} must have shape {wanted} (got {out.shape})")
+        raise Error(f"{what} must have shape {wanted} (got {out.shape}{hint and f'; {hint}'})")
     if not np.isfinite(out).all():
         count = int(out.size - np.isfinite(out).sum())
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")

@@ -17,12 +17,13 @@ from sonar_gl.core.input_files import read_error_text
 from sonar_gl.core.warn import warn_caller
 
 TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
+POSE_HINT = "sonar_gl.pose makes one from x y z roll pitch yaw"
 MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
 
 
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
     """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid."""
-    out = frozen_array(matrix, np.float64, (4, 4), what)
+    out = frozen_array(matrix, np.float64, (4, 4), what, POSE_HINT)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
     (a, b, c), (d, e, f), (g, h, i) = out[:3, :3].tolist()
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_whole_number
+from sonar_gl.core.checks import check_choice, check_kind, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
@@ -119,8 +119,9 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
     Raises
     ------
     Error
-        if the height is out of bounds, or the ping's arrays do not match.
+        if it is no `Ping`, the height is out of bounds, or the ping's arrays do not match.
     """
+    check_kind("ping", ping, Ping, "sonar_gl.Ping(intensity, azimuth_rad, range_m) makes one of arrays")
     height = check_whole_number("height of a fan image", height, 1, MAX_HEIGHT, "give pixels")
     azimuth, bins = np.asarray(ping.azimuth_rad, float), np.asarray(ping.range_m, float)
     if ping.intensity.shape != (azimuth.size, bins.size) or not ping.intensity.size:
@@ -172,7 +173,7 @@ def fan_image(ping: Ping, height: int = 800, counts: Counts | None = None) -> np
     Raises
     ------
     Error
-        if the height is out of bounds.
+        if it is no `Ping`, or the height is out of bounds.
 
     Notes
     -----

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import os
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
-from sonar_gl.core.checks import check_number
+from sonar_gl.core.checks import check_kind, check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
@@ -102,6 +103,7 @@ def save_npz(path, ping: Ping) -> None:
         if the path has another suffix, `meta` holds values that JSON cannot, or the file cannot be written.
     """
     path = _checked(path, (".npz",))
+    check_kind("ping", ping, Ping, "as Simulator.ping returns it")
     try:
         data = npz_bytes(ping)
     except Error as why:
@@ -302,6 +304,7 @@ def _plain(value):
 
 def _checked(path, suffixes: tuple[str, ...]) -> Path:
     """Return the path, or raise an Error unless it ends in one of the suffixes."""
+    check_kind("path", path, str | os.PathLike, f"the name of a file that ends in {' or '.join(suffixes)}")
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         raise Error(f"{str(path)!r} must end in {' or '.join(suffixes)} (got {path.suffix or 'no suffix'})")

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.errors import Error, errors_at, some_names
+from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error, errors_at, nearest_names, some_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
@@ -121,19 +122,22 @@ def mujoco_poses(scene: Scene, data) -> dict[str, np.ndarray]:
     return {name: _pose(data.xpos[number], data.xmat[number]) for name, number in numbers.items() if number}
 
 
-def mujoco_sonar_pose(data) -> np.ndarray:
+def mujoco_sonar_pose(data, name: str | None = None) -> np.ndarray:
     """Return the (4, 4) world_from_sonar of the model's sonar in a MuJoCo simulation; see `load_scene`.
 
     Parameters
     ----------
     data : mujoco.MjData after mj_step or mj_forward, whose positions are taken as they are
+    name : of a site or camera that carries a further sonar; None for the sonar of the scene
 
     Raises
     ------
     Error
-        if the model has no site or camera named after a sonar, or `data` has no positions yet.
+        if the model has no site or camera of this name, or none named after a sonar, or `data` has no positions yet.
     """
     _check_data(data)
+    if name is not None:
+        return _sonar_pose(data, _named_carrier(data.model, name))
     carrier = _sonar(data.model)
     if carrier is None:
         words = ", ".join(SONAR_WORDS)
@@ -340,6 +344,19 @@ def _sonar(model) -> tuple[str, int] | None:
             if any(word in name for word in SONAR_WORDS):
                 return kind, number
     return None
+
+
+def _named_carrier(model, name: str) -> tuple[str, int]:
+    """Return the kind and number of the site of this name, else of the camera."""
+    check_kind("name", name, str, "that of a site or camera of the MuJoCo model")
+    numbers = {}
+    for kind, count in (("camera", model.ncam), ("site", model.nsite)):
+        numbers |= {getattr(model, kind)(number).name: (kind, number) for number in range(count)}
+    numbers.pop("", None)
+    if name not in numbers:
+        known = nearest_names(name, numbers) if numbers else "there are none"
+        raise Error(f"name must be that of a site or camera of the MuJoCo model (got {name!r}; {known})")
+    return numbers[name]
 
 
 def _owner(model, carrier: tuple[str, int]) -> int:

@@ -121,7 +121,10 @@ class Body:
         """Check the mesh; return the numbers of vertices and faces."""
         vertices, faces = getattr(self.surface, "vertices", None), getattr(self.surface, "faces", None)
         if vertices is None or faces is None:
-            raise Error(f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__})")
+            raise Error(
+                f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__}; sonar_gl.load_scene "
+                "makes bodies of a file or of a trimesh.Scene)"
+            )
         if len(faces) == 0:
             raise Error(
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"

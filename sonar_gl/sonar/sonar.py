@@ -243,6 +243,11 @@ class Sonar:
                 f"no echo of {self.frequency_hz / 1e3:g} kHz comes back from range_max_m = {self.range_max_m:g} m; "
                 f"if it is in millimetres, give {self.range_max_m / 1e3:g}"
             )
+        if self.self_noise_db > 0:  # above all that comes back
+            yield (
+                f"self_noise_db = {self.self_noise_db:g} exceeds the echo of an enclosing surface at 1 m, to which it "
+                "is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
+            )
 
     @property
     def azimuth_rad(self) -> np.ndarray:
@@ -364,7 +369,12 @@ def load_sonar(what: str | Path) -> Sonar:
     check_no_link_loop(path)
     if not path.is_file():
         if isinstance(what, str) and path.name == text and path.suffix != ".toml":
-            raise Error(f"unknown sonar (got {text!r}; {nearest_names(text.casefold(), known)})")
+            hint = nearest_names(text.casefold(), known)
+            if Path(f"{text}.toml").is_file():
+                hint = f"write {text}.toml for the file"
+            elif path.suffix:
+                hint += "; a sonar's file must end in .toml"
+            raise Error(f"unknown sonar (got {text!r}; {hint})")
         raise Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()})")
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table

@@ -380,7 +380,10 @@ SCENE = sg.Scene([])
             {"acoustics": "ideal"},
             "acoustics must be an Acoustics (got str; such as sonar_gl.Acoustics.physical())",
         ),
-        ({"pose": np.eye(3)}, "pose must have shape (4, 4) (got (3, 3))"),
+        (
+            {"pose": np.eye(3)},
+            "pose must have shape (4, 4) (got (3, 3); sonar_gl.pose makes one from x y z roll pitch yaw)",
+        ),
         ({"error": 0.0}, "error of a reference must lie in 0.0001..0.5 (got 0)"),
         ({"error": math.nan}, "error of a reference must lie in 0.0001..0.5 (got nan)"),
         ({"error": "1 %"}, "error of a reference must be a number (got '1 %')"),

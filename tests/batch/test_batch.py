@@ -2,9 +2,11 @@
 
 import json
 import math
+import re
 import shutil
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import fsspec
@@ -305,13 +307,14 @@ def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
 
 
 def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
-    status, shown, _ = run("batch", hard, "--dry-run", "--workers", "1")
+    status, shown, _ = run("batch", hard, "--dry-run", "--workers", "9")
     lines = shown.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("level in tank.sdf: "))
     assert status == 0 and lines[at].endswith(" of 8 pings")
     assert lines[at + 1].startswith("  ping ") and "vehicle at '0 0 0 " in lines[at + 1]
     assert " samples for body 'rod', estimated error 0.0" in lines[at + 1]
     assert lines[at + 4].startswith("8 pings in 4 parts")
+    assert lines[at + 6].endswith(" at best in 4")  # no more processes than parts
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
@@ -477,12 +480,21 @@ def test_mantissas_are_rounded_within_the_stated_error(bits):
 
 
 def test_the_size_of_parts_follows_from_that_of_pings():
-    assert default_pings_per_part(1e9) == 8
-    assert default_pings_per_part(1.0) == 128
-    assert default_pings_per_part(1e6) == 128
-    assert default_pings_per_part(4e6) == 32
+    assert default_pings_per_part(1e9, 10**6) == 8
+    assert default_pings_per_part(1.0, 10**6) == 128
+    assert default_pings_per_part(1e6, 10**6) == 128
+    assert default_pings_per_part(4e6, 10**6) == 32
     manifest = Manifest({}, "", 10, 4, None)
     assert manifest.n_parts == 3 and list(manifest.numbers(2)) == [8, 9]
+
+
+def test_a_small_job_has_parts_for_many_processes():
+    n_pings = np.arange(1, 20_000)
+    sizes = np.array([default_pings_per_part(1.0, int(n)) for n in n_pings])
+    n_parts = -(-n_pings // sizes)
+    assert (sizes % 8 == 0).all() and (np.diff(sizes) >= 0).all()
+    assert (n_parts[n_pings < 64 * 8] == -(-n_pings[n_pings < 64 * 8] // 8)).all()  # a chunk each
+    assert n_parts[n_pings >= 64 * 8].min() >= 64
 
 
 def test_a_scene_may_be_a_xacro_file_with_arguments(tmp_path):
@@ -609,6 +621,62 @@ def test_a_changed_mesh_changes_the_digest(tmp_path):
     assert len(digests) == 2
 
 
+def test_what_an_included_model_states_of_its_surface_changes_the_digest(tmp_path):
+    """The file of the scene itself stays as it is."""
+    path = write_job(tmp_path, 2, "")
+    box = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry>{}</collision>"
+    model = f"<sdf version='1.9'><model name='m'><link name='l'>{box}{{}}</link></model></sdf>"
+    (tmp_path / "tank.sdf").write_text(
+        "<sdf version='1.9'><world name='w'><include><uri>model://rock</uri></include></world></sdf>"
+    )
+    (tmp_path / "rock").mkdir()
+    text = path.read_text()
+    path.write_text(text[: text.index("[[vary.bodies]]")])
+    surface, digests = "<laser_retro>100</laser_retro>", []
+    for shape, link in (
+        ("", ""),
+        ("<sonar_gl:specular>0.2</sonar_gl:specular>", ""),
+        ("<sonar_gl:specular>0.2</sonar_gl:specular><sonar_gl:roughness>0.2</sonar_gl:roughness>", ""),
+        ("<sonar_gl:speckle_shape>2</sonar_gl:speckle_shape>", ""),
+        ("", "<sonar_gl:bubbles/>"),
+        ("", "<sonar_gl:bubbles><rate>100</rate></sonar_gl:bubbles>"),
+    ):
+        (tmp_path / "rock" / "model.sdf").write_text(model.format(surface + shape, link))
+        digests.append(Schema(BatchRequests(read_job(path))).digest)
+    assert len(set(digests)) == len(digests)
+
+
+def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+    path = write_plain_job(tmp_path, 2, 2)
+    text = path.read_text()
+    assert 'sonar = "small.toml"' in text
+    path.write_text(text.replace("small.toml", "small.toml,receive_taper=hamming, n_bins=7"))
+    job = read_job(path)
+    (sonar,) = BatchRequests(job).sonars.values()
+    assert sonar == replace(sg.load_sonar(tmp_path / "small.toml"), receive_taper="hamming", n_bins=7)
+    sheet, digest = tmp_path / "small.toml", job.digest
+    sheet.write_text(sheet.read_text() + "# another one\n")
+    assert read_job(path).digest != digest
+
+
+def test_files_are_those_beside_the_job_and_no_others(tmp_path, monkeypatch):
+    """A file of the same name where the command runs is not taken: other processes, and a resumption, would miss it."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    path = write_job(tmp_path, 2, "")
+    for name, message in (
+        ("small.toml", r"sonars\[0\]: .*/small.toml: the sonar's file must exist"),
+        ("tank.sdf", r"scenes\[0\]: .*/tank.sdf: there is no such file"),
+    ):
+        (tmp_path / name).rename(tmp_path / "here" / name)
+        with pytest.raises(sg.Error, match=message) as caught:
+            Schema(BatchRequests(read_job(path)))
+        assert f"{tmp_path}/{name}: " in str(caught.value)
+        (tmp_path / "here" / name).rename(tmp_path / name)
+    Schema(BatchRequests(read_job(path)))
+
+
 def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     """On workers of a cluster, too. Another order changes the digest."""
     path = write_job(tmp_path)
@@ -624,6 +692,20 @@ def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     assert on_worker.digest == other.digest
 
 
+def test_the_page_of_batches_states_the_keys_of_the_outputs():
+    page = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
+    section = page.partition("### Keys of the outputs")[2].partition("### ")[0]
+    rows = re.findall(r"^\| `\[(\w+)\]` \| (.*) \|$", section, re.M)
+    assert sorted(name for name, _ in rows) == ["arrays", "coco", "labels", "optical", "pictures", "ros"]
+    for name, keys in rows:
+        settings = Job.model_fields[name].annotation.model_fields
+        known = {key: field.get_default() for key, field in settings.items()}
+        stated = re.findall(r"`(\w+)(?: = (.*?))?`", keys)
+        assert sorted(key for key, _ in stated) == sorted(known), name
+        for key, default in stated:
+            assert json.loads(default) == known[key] if default else not known[key], (name, key)
+
+
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
@@ -631,6 +713,8 @@ BAD = [
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
     ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
+    ("[[poses]]", "[poses]", "; write [[poses]], since there may be several)"),
+    ("[[vary.bodies]]", "[vary.bodies]", "; write [[vary.bodies]], since there may be several)"),
     ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),

@@ -340,7 +340,10 @@ def test_messages(optical):
             lambda: OpticalCamera(sg.Scene([]), camera),
             "pixels a side, as the driver supports no more (got 20000000 by 1)",
         ),
-        (lambda: optical(np.zeros((3, 3))), "pose must have shape (4, 4) (got (3, 3))"),
+        (
+            lambda: optical(np.zeros((3, 3))),
+            "pose must have shape (4, 4) (got (3, 3); sonar_gl.pose makes one from x y z roll pitch yaw)",
+        ),
         (lambda: optical(HERE, ["ball"]), "bodies must be a dict (got list; such as"),
         (
             lambda: optical(HERE, {"wal": None}),

@@ -272,7 +272,7 @@ def test_the_page_of_batches_runs(folder):
         assert result.exit_code == 0, result.output
         assert "warning" not in result.output
         if words[-1] == "--dry-run":
-            assert re.search(r"^9 pings in 1 parts of \d+$", result.stdout, re.M)
+            assert re.search(r"^9 pings in 2 parts of 8$", result.stdout, re.M)
             assert re.search(
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )

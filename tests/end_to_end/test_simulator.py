@@ -468,7 +468,10 @@ NAN[0, 3] = np.nan
             "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
         ),
         (lambda: simulator().ping(NAN), "pose must be finite (got NaN or infinity in 1 of 16 numbers)"),
-        (lambda: simulator().ping(np.eye(3)), "pose must have shape (4, 4) (got (3, 3))"),
+        (
+            lambda: simulator().ping(np.eye(3)),
+            "pose must have shape (4, 4) (got (3, 3); sonar_gl.pose makes one from x y z roll pitch yaw)",
+        ),
         (
             lambda: simulator().ping(np.diag([2.0, 2, 2, 1])),
             "pose must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
@@ -487,7 +490,11 @@ NAN[0, 3] = np.nan
             lambda: sg.Body("b", NAN_MESH),
             "body 'b': mesh vertices must be finite (got NaN or infinity in 1 of 9 numbers)",
         ),
-        (lambda: sg.Body("b", [1, 2]), "body 'b': mesh must be a trimesh.Trimesh (got list)"),
+        (
+            lambda: sg.Body("b", [1, 2]),
+            "body 'b': mesh must be a trimesh.Trimesh (got list; "
+            "sonar_gl.load_scene makes bodies of a file or of a trimesh.Scene)",
+        ),
         (
             lambda: replace(BOX, reflectivity=255),
             "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",

@@ -219,7 +219,9 @@ def test_invalid_bodies_raise_errors(one_body, way):
     assert message_of({"diver": sg.pose(5)}) == KNOWN
     assert message_of({"plain": sg.pose(9), "diver": None}) == KNOWN
     assert message_of({"plain": 2 * np.eye(4)}) == TURNED
-    assert message_of({"plain": [1, 2, 3]}) == "the pose of body 'plain' must have shape (4, 4) (got (3,))"
+    assert message_of({"plain": [1, 2, 3]}) == (
+        "the pose of body 'plain' must have shape (4, 4) (got (3,); sonar_gl.pose makes one from x y z roll pitch yaw)"
+    )
     assert message_of([("plain", sg.pose(5))]) == NO_DICT
     # the scene is unchanged
     np.testing.assert_array_equal(one_body.ping(POSE).intensity, before)

@@ -356,3 +356,12 @@ def test_wrong_colours(image, name, message):
 def test_geometry_is_plain_and_comparable():
     assert fan_geometry(fan_ping(), 100) == fan_geometry(fan_ping(), 100)
     assert isinstance(fan_geometry(fan_ping(), 100), FanGeometry)
+
+
+def test_an_array_in_place_of_a_ping_is_an_error():
+    for function in (fan_image, fan_geometry):
+        with pytest.raises(Error) as caught:
+            function(np.ones((4, 5), np.float32))
+        assert str(caught.value) == (
+            "ping must be a Ping (got ndarray; sonar_gl.Ping(intensity, azimuth_rad, range_m) makes one of arrays)"
+        )

@@ -331,3 +331,17 @@ def test_output_folder(tmp_path, monkeypatch):
 
     monkeypatch.setattr(type(made), "write_bytes", fail)
     assert message(output_folder, made) == f"cannot write into the folder {str(made)!r}: permission denied"
+
+
+def test_arguments_in_another_order_are_errors(tmp_path):
+    ping, picture, path = make_ping(), np.zeros((2, 2), np.uint8), tmp_path / "a.npz"
+    name = "the name of a file that ends in"
+    assert message(save_npz, ping, path) == f"path must be a str (got Ping; {name} .npz)"
+    assert message(save_png, picture, path) == f"path must be a str (got ndarray; {name} .png)"
+    assert (
+        message(save_animation, [picture], path, 10) == f"path must be a str (got list; {name} .gif or .mp4)"
+    )
+    assert (
+        message(save_npz, path, picture) == "ping must be a Ping (got ndarray; as Simulator.ping returns it)"
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -156,6 +156,31 @@ def test_poses_follow_the_simulation():
     assert sg.mujoco_poses(scene.without("body_2"), data) == {}
 
 
+def test_further_sonars_are_named():
+    sites = "<site name='sonar' pos='0 0 1'/><site name='aft' pos='-1 0 0' euler='0 0 .5'/>"
+    camera = "<camera name='aft' pos='9 9 9'/><camera name='down' pos='0 0 -1' euler='0 0 0'/>"
+    model = model_of(ARM.replace("<joint", f"{sites}{camera}<joint", 1))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    body = sg.mujoco_sonar_pose(data) @ pose(0, 0, -1)
+    np.testing.assert_array_equal(sg.mujoco_sonar_pose(data, "sonar"), sg.mujoco_sonar_pose(data))
+    aft = sg.mujoco_sonar_pose(data, "aft")  # the site, not the camera
+    np.testing.assert_allclose(aft, body @ pose(-1, 0, 0, 0, 0, 0.5), atol=ROUNDING)
+    down = sg.mujoco_sonar_pose(
+        data, "down"
+    )  # a camera without a rotation looks down, its picture's top to +y
+    np.testing.assert_allclose(down[:3, 0], -body[:3, 2], atol=ROUNDING)
+    np.testing.assert_allclose(down[:3, 2], body[:3, 1], atol=ROUNDING)
+    with pytest.raises(Error, match=r"name must be .* \(got 'aftt'; did you mean 'aft'"):
+        sg.mujoco_sonar_pose(data, "aftt")
+    with pytest.raises(Error, match=r"name must be a str \(got int"):
+        sg.mujoco_sonar_pose(data, 1)
+    with pytest.raises(Error, match="got 'aft'; there are none"):
+        data = mujoco.MjData(model_of("<geom size='1'/>"))
+        mujoco.mj_forward(data.model, data)
+        sg.mujoco_sonar_pose(data, "aft")
+
+
 def test_every_part_of_a_body_follows_it():
     assets = "<asset><material name='steel'/></asset>"
     model = model_of(

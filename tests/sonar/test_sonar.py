@@ -182,6 +182,16 @@ def test_an_unknown_preset_is_an_error():
     )
     everything = ", ".join(sorted(presets()))
     assert error_of(load_sonar, "zzz") == f"unknown sonar (got 'zzz'; known are {everything})"
+    ending = "a sonar's file must end in .toml"
+    assert (
+        error_of(load_sonar, "zzz.tml") == f"unknown sonar (got 'zzz.tml'; known are {everything}; {ending})"
+    )
+
+
+def test_a_file_without_its_ending_is_an_error_that_names_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(TEXT)
+    assert error_of(load_sonar, "mine") == "unknown sonar (got 'mine'; write mine.toml for the file)"
 
 
 def test_a_sonar_is_a_name_or_a_path():
@@ -393,6 +403,11 @@ def test_the_head_is_tilted_down_within_its_housing():
         (
             {"range_max_m": 30000.0},
             "no echo of 900 kHz comes back from range_max_m = 30000 m; if it is in millimetres, give 30",
+        ),
+        (
+            {"self_noise_db": 85.0},
+            "self_noise_db = 85 exceeds the echo of an enclosing surface at 1 m, to which it is relative; if it is in "
+            "dB re 1 µPa, subtract that echo's level (absolute_levels states it)",
         ),
     ],
 )

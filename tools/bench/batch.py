@@ -316,9 +316,10 @@ def run(options) -> dict:
     if unknown := parts - set(PARTS):
         raise SystemExit(f"PART must be of {', '.join(PARTS)} (got {', '.join(unknown)})")
     few = make_job(1, quick)
-    part = few.pings_per_part or default_pings_per_part(Schema(BatchRequests(few)).bytes_per_ping)
+    bytes_per_ping = Schema(BatchRequests(few)).bytes_per_ping
+    part = few.pings_per_part or default_pings_per_part(bytes_per_ping, PLANNED_PINGS)
     n_parts = 2 + rounds * (options.parts_a_round or (2 if quick else 8))
-    job, found = make_job(n_parts * part, quick), {}
+    job, found = make_job(n_parts * part, quick).model_copy(update={"pings_per_part": part}), {}
     with tempfile.TemporaryDirectory() as folder:
         manifest = begin(Batch(job, Folder(folder)))
         if {"rate", "plan"} & parts:
