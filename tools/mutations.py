@@ -92,8 +92,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of inner bins",
-        "rise = work[SLANT, m] / wide",
-        "rise = -work[SLANT, m] / wide",
+        "rise = work[SLANT, m] / wide steepness",
+        "rise = -work[SLANT, m] / wide steepness",
         (
             *FOOTPRINTS,
             "tests/analysis/test_closed_forms.py::test_a_few_rows_of_a_smooth_floor_follow_the_pattern",
