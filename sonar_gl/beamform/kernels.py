@@ -328,7 +328,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
-    energy, slant, inverse_length = work[ENERGY], work[SLANT], work[NEAR]
+    energy, slant, inverse_length, power = work[ENERGY], work[SLANT], work[NEAR], work[FAR]
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
@@ -347,25 +347,24 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
         slant[m], inverse_length[m] = 0.0, one_over_L
     n = elevation_pattern.shape[0]
+    if n == 0:
+        return
+    # two loops, since compilers do not vectorise one that reads a table
     middle, last_step = (n - 1) / 2, np.int32(n - 2)
-    for m in range(uint64(first), uint64(last if n else first)):
-        low, high = border[m], border[uint64(m + 1)]
-        vc, half, one_over_L, s, b = (
-            (low + high) / 2,
-            (high - low) / 2,
-            inverse_length[m],
-            work[S, m],
-            work[B, m],
-        )
-        uc = line_u[m] + tilt[m] * vc
-        place = middle + middle * vc * one_over_L
+    for m in range(uint64(first), uint64(last)):
+        place = middle + middle * (border[m] + border[uint64(m + 1)]) / 2 * inverse_length[m]
         i = uint64(min(max(np.int32(place), np.int32(0)), last_step))
         step = elevation_pattern[i + uint64(1)] - elevation_pattern[i]
-        power = elevation_pattern[i] + (place - i) * step
-        energy[m] *= power
+        power[m] = elevation_pattern[i] + (place - i) * step
+        slant[m] = step * middle
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, one_over_L, s, b = (low + high) / 2, inverse_length[m], work[S, m], work[B, m]
+        uc = line_u[m] + tilt[m] * vc
+        energy[m] *= power[m]
         # from the middle to the upper end the sine rises by `rise`
-        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * half
-        change = step * middle * rise / max(power, LEAST_POWER)
+        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * (high - low) / 2
+        change = slant[m] * rise / max(power[m], LEAST_POWER)
         change = min(max(change, -1.0), 1.0)  # no more than leaves all densities positive
         is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
         is_long = (2 * b * per_metre > s * s) & (work[A, m] < b) & (b < s)
