@@ -303,7 +303,7 @@ class Beamformer:
         columns.sums[:] = self._columns_sr[:, None]
         columns.spans[:] = 0, columns.sums.shape[1]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
-        columns.sums[:] = 0  # sums of samples only clear the columns that beams receive
+        columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0
         return response
 

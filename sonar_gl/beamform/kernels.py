@@ -1705,7 +1705,7 @@ def _keep_seen(other_leg, strip, reflection):
 
 
 @inlined
-def _find_bistatic(work, other_leg, strip, begin, end, elevation_pattern):
+def _find_bistatic(work, other_leg, begin, end, elevation_pattern):
     """Find the bistatic echo per steradian of a strip's samples that the other one sees, from `begin` to before `end`.
 
     Returns
@@ -1832,9 +1832,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
         if reflected_first >= reflected_last:
             continue
         find_surfaces(leg_x, leg_y, leg_z, reflected_first, reflected_last, other_view, seen)
-        first, last = _find_bistatic(
-            work, other_leg, strip, reflected_first, reflected_last, elevation_pattern
-        )
+        first, last = _find_bistatic(work, other_leg, reflected_first, reflected_last, elevation_pattern)
         is_reflected = True
         if reflection.from_image:
             _find_footprints(work, strip, elevation_pattern, bins.per_metre)

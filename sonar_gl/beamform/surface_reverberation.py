@@ -93,7 +93,8 @@ def _over_bin_mean(range_m, edges_m, law, surface: WaterSurface, backscatter: Ca
     edges_m, law : (K + 1,) edges of bins, and (K,) means in bins
     """
     sines = np.minimum(surface.height_m / range_m, 1.0)
-    means = law[np.searchsorted(edges_m, range_m, side="right") - 1]
+    bins = np.searchsorted(edges_m, range_m, side="right") - 1
+    means = law[np.minimum(bins, len(law) - 1)]  # rounding may take a range to the last edge
     own = np.pi * backscatter(np.arcsin(sines)) / sines**2
     return np.divide(own, means, out=np.ones_like(own), where=means > 0)
 

@@ -422,8 +422,8 @@ class AdaptiveSampling:
         name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
         warn_caller(
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
-            f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.2g}, and "
-            f"{plan.worst_body_estimate:.2g} for the worst body{name}; go nearer, narrow the fan, or ask "
+            f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.3g}, and "
+            f"{plan.worst_body_estimate:.3g} for the worst body{name}; go nearer, narrow the fan, or ask "
             "for a larger tolerance",
             ToleranceWarning,
         )
