@@ -328,6 +328,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
+    # `_find_intervals` writes the last two rows later
     energy, slant, inverse_length, power = work[ENERGY], work[SLANT], work[NEAR], work[FAR]
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]

@@ -52,7 +52,7 @@ SKIRTS_COARSER = 4
 WIDE_COLUMNS_PER_SUPPORT = 12
 # A perspective view has rows even in tan φ. The rows of the side lobes become BAND_RAD (1 + tan² φ) higher from one
 # sector to the next above it, where an angle takes as much more of tan φ; no sector has fewer than MIN_BAND_ROWS,
-# within which 1/r is nearly linear: with 4, a bin of the first bottom return 1.2 dB too low, where two sectors meet.
+# within which 1/r is nearly linear: with 4, a bin of the first bottom return is 1.2 dB too low where two sectors meet.
 # Each sector has a fixed cost, so that the last one is no lower than MIN_BAND_DEG.
 BAND_RAD, MIN_BAND_ROWS, MIN_BAND_DEG = 0.75, 16, 1.0
 
