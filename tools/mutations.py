@@ -298,18 +298,29 @@ MUTATIONS = (
     Mutation("multipath/mean range", "2.0 / (length / q + range_there)", "1.0 / (length / q)", MULTIPATH),
     Mutation(
         "multipath/cosine of the other way",
-        "work[ECHO, m] * other_leg[SIDE, m] / range_there",
-        "work[ECHO, m] / range_there",
+        "echo[m] * side[m] / range_there",
+        "echo[m] / range_there",
         MULTIPATH,
         (
+            ("work[ECHO, m] * other_leg[SIDE, m] / range_there", "work[ECHO, m] / range_there"),
             ("work[ECHO, m] * side / other_leg[RANGE, m]", "work[ECHO, m] / other_leg[RANGE, m]"),
             ("work[ECHO, m] * side / there[RANGE, m]", "work[ECHO, m] / there[RANGE, m]"),
         ),
     ),
     Mutation(
-        "multipath/handedness", "leg_x, leg_y, leg_z = x, -y, z", "leg_x, leg_y, leg_z = x, y, z", MULTIPATH
+        "multipath/handedness",
+        "y = -y if from_image else -there_y[m]",
+        "y = y if from_image else there_y[m]",
+        MULTIPATH,
+        (("leg_x, leg_y, leg_z = x, -y, z", "leg_x, leg_y, leg_z = x, y, z"),),
     ),
-    Mutation("multipath/behind the reflector", "if behind > plane[3] * q:", "if False:", MULTIPATH),
+    Mutation(
+        "multipath/behind the reflector",
+        "(side[m] > 0.0) & (normal_x * x + normal_y * y + normal_z * z <= offset * q)",
+        "side[m] > 0.0",
+        MULTIPATH,
+        (("if behind > plane[3] * q:", "if False:"),),
+    ),
     Mutation(
         "multipath/spreading",
         "single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading",

@@ -19,7 +19,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import uint64
+from numba import int64, uint64
 
 from sonar_gl.core.compiled import compiled, inlined
 from sonar_gl.sonar.fan import FAR_FACTOR
@@ -1646,37 +1646,44 @@ def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
 
     Samples that cannot return anything have no direction, and a reflected intensity of 0.
     """
-    own, ceiling, plane, loss = frame.own, frame.ceiling, reflection.plane, reflection.loss
-    from_image = reflection.from_image
-    for m in range(strip.first, strip.last):
-        other_leg[REFLECTED, m] = other_leg[BISTATIC, m] = 0.0
-        other_leg[LEG_X, m] = other_leg[LEG_Y, m] = other_leg[LEG_Z, m] = 0.0
-        if other_leg[SIDE, m] <= 0.0 and not from_image:  # the other one looks at the surface from behind
-            continue
-        if work[ECHO, m] <= 0.0 or work[BORDER, m + 1] <= work[BORDER, m]:
-            continue
-        vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
-        uc = work[LINE_U, m] + work[TILT, m] * vc
-        q = work[REST, m] + work[ALONG, m] * vc
-        if q <= HORIZON or ceiling[0] - ceiling[1] * uc + ceiling[2] * vc > ceiling[3] * q:
-            continue
-        x = own[0, 0] - own[0, 1] * uc + own[0, 2] * vc
-        y = own[1, 0] - own[1, 1] * uc + own[1, 2] * vc
-        z = own[2, 0] - own[2, 1] * uc + own[2, 2] * vc
-        if not from_image:
-            # what lies behind the reflector's plane meets no sound that comes by way of it
-            behind = plane[0] * x + plane[1] * y + plane[2] * z
-            if behind > plane[3] * q:
-                continue
-            x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
-        # directions of the image are the sonar's with port and starboard exchanged
-        leg_x, leg_y, leg_z = x, -y, z
-        sine = (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z) / math.sqrt(x * x + y * y + z * z)
-        k, rest = _place_in_table(sine, loss.shape[0])
-        reflected = loss[k] + rest * (loss[k + 1] - loss[k])
-        if reflected >= MIN_REFLECTED and sine > 1e-6:
-            other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m] = leg_x, leg_y, leg_z
-            other_leg[REFLECTED, m] = reflected
+    rest, along, border, echo = work[REST], work[ALONG], work[BORDER], work[ECHO]
+    line_u, tilt, loss, from_image = work[LINE_U], work[TILT], reflection.loss, reflection.from_image
+    there_x, there_y, there_z, side = other_leg[X], other_leg[Y], other_leg[Z], other_leg[SIDE]
+    leg_x, leg_y, leg_z, reflected = (
+        other_leg[LEG_X],
+        other_leg[LEG_Y],
+        other_leg[LEG_Z],
+        other_leg[REFLECTED],
+    )
+    bistatic, own, ceiling, plane = other_leg[BISTATIC], frame.own, frame.ceiling, reflection.plane
+    x_0, x_u, x_v, y_0, y_u, y_v = own[0, 0], own[0, 1], own[0, 2], own[1, 0], own[1, 1], own[1, 2]
+    z_0, z_u, z_v = own[2, 0], own[2, 1], own[2, 2]
+    normal_x, normal_y, normal_z, offset = plane[0], plane[1], plane[2], plane[3]
+    up_0, up_u, up_v, top = ceiling[0], ceiling[1], ceiling[2], ceiling[3]
+    # without branches, so that the compiler can vectorise it
+    for m in range(uint64(strip.first), uint64(strip.last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc = (low + high) / 2
+        uc, q = line_u[m] + tilt[m] * vc, rest[m] + along[m] * vc
+        x, y, z = x_0 - x_u * uc + x_v * vc, y_0 - y_u * uc + y_v * vc, z_0 - z_u * uc + z_v * vc
+        # what lies behind the reflector's plane, or turns away from it, meets no sound that comes by way of it
+        is_met = (side[m] > 0.0) & (normal_x * x + normal_y * y + normal_z * z <= offset * q)
+        is_met |= from_image
+        is_met &= (echo[m] > 0.0) & (high > low) & (q > HORIZON) & (up_0 - up_u * uc + up_v * vc <= top * q)
+        x = x if from_image else there_x[m]
+        y = -y if from_image else -there_y[m]  # the image has port and starboard exchanged
+        z = z if from_image else there_z[m]
+        sine = (normal_x * x + normal_y * y + normal_z * z) / math.sqrt(x * x + y * y + z * z)
+        is_met &= sine > 1e-6
+        reflected[m] = sine if is_met else 0.0
+        leg_x[m], leg_y[m], leg_z[m] = x if is_met else 0.0, y if is_met else 0.0, z if is_met else 0.0
+        bistatic[m] = 0.0
+    for m in range(uint64(strip.first), uint64(strip.last)):
+        if reflected[m] > 0.0:
+            k, between = _place_in_table(reflected[m], loss.shape[0])
+            reflected[m] = loss[k] + between * (loss[k + 1] - loss[k])
+            if reflected[m] < MIN_REFLECTED:
+                reflected[m] = leg_x[m] = leg_y[m] = leg_z[m] = 0.0
 
 
 @inlined
@@ -1713,24 +1720,31 @@ def _find_bistatic(work, other_leg, begin, end, elevation_pattern):
     -------
     first, last : samples with such an echo, from the first to before the last
     """
-    first, last = end, begin
-    for m in range(begin, end):
-        if not 0.0 <= other_leg[SEEN, m] <= 1.0 + SAME_PLACE:
-            continue
-        x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+    border, line_u, tilt, echo = work[BORDER], work[LINE_U], work[TILT], work[ECHO]
+    there_x, there_y, there_z, side = other_leg[X], other_leg[Y], other_leg[Z], other_leg[SIDE]
+    # directions are no longer needed: their rows take the sines of elevation here and there
+    seen, bistatic, sine_here, sine_there = (
+        other_leg[SEEN],
+        other_leg[BISTATIC],
+        other_leg[LEG_X],
+        other_leg[LEG_Y],
+    )
+    for m in range(uint64(begin), uint64(end)):
+        x, y, z = there_x[m], there_y[m], there_z[m]
         range_there = math.sqrt(x * x + y * y + z * z)
-        bistatic = min(work[ECHO, m] * other_leg[SIDE, m] / range_there, 1.0)
+        vc = (border[m] + border[uint64(m + 1)]) / 2
+        uc = line_u[m] + tilt[m] * vc
+        sine_here[m], sine_there[m] = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
+        is_seen = (seen[m] >= 0.0) & (seen[m] <= 1.0 + SAME_PLACE)
+        bistatic[m] = min(echo[m] * side[m] / range_there, 1.0) if is_seen else 0.0
+    first, last = end, begin
+    for m in range(uint64(begin), uint64(end)):
+        if bistatic[m] == 0.0:
+            continue
         if elevation_pattern.shape[0]:  # insonified in one direction, received in the other
-            vc = (work[BORDER, m] + work[BORDER, m + 1]) / 2
-            uc = work[LINE_U, m] + work[TILT, m] * vc
-            here, there = vc / math.sqrt(1.0 + uc * uc + vc * vc), z / range_there
-            here, there = (
-                _elevation_power(elevation_pattern, here),
-                _elevation_power(elevation_pattern, there),
-            )
-            bistatic *= math.sqrt(here * there)
-        other_leg[BISTATIC, m] = bistatic
-        first, last = min(first, m), m + 1
+            here = _elevation_power(elevation_pattern, sine_here[m])
+            bistatic[m] *= math.sqrt(here * _elevation_power(elevation_pattern, sine_there[m]))
+        first, last = min(first, int64(m)), int64(m) + 1
     return first, last
 
 
@@ -1742,12 +1756,14 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
     """
     rest, along_u, along, border = work[REST], work[ALONG_U], work[ALONG], work[BORDER]
     line_u, tilt, width = work[LINE_U], work[TILT], strip.width
-    a, b, c, d = other[:, 0], other[:, 1], other[:, 2], other[:, 3]
+    # numbers, not arrays, so that the compiler can vectorise the loop
+    a0, a1, a2, b0, b1, b2 = other[0, 0], other[1, 0], other[2, 0], other[0, 1], other[1, 1], other[2, 1]
+    c0, c1, c2, d0, d1, d2 = other[0, 2], other[1, 2], other[2, 2], other[0, 3], other[1, 3], other[2, 3]
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
         uc = line_u[m] + tilt[m] * vc
-        e0, e1, e2 = a[0] - b[0] * uc, a[1] - b[1] * uc, a[2] - b[2] * uc
+        e0, e1, e2 = a0 - b0 * uc, a1 - b1 * uc, a2 - b2 * uc
         q = max(rest[m] + along[m] * vc, HORIZON)
         u2 = 1.0 + uc * uc
         length2 = u2 + vc * vc
@@ -1761,9 +1777,9 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         # across, where strips are narrow: by how both ranges change with u
         x, x_u = 1.0 / q, -along_u[m] / (q * q)
         r_u = (uc * x + length2 * x_u) / length
-        r_u += there_x / range_there * ((e0 + c[0] * vc) * x_u - b[0] * x)
-        r_u += there_y / range_there * ((e1 + c[1] * vc) * x_u - b[1] * x)
-        r_u += there_z / range_there * ((e2 + c[2] * vc) * x_u - b[2] * x)
+        r_u += there_x / range_there * ((e0 + c0 * vc) * x_u - b0 * x)
+        r_u += there_y / range_there * ((e1 + c1 * vc) * x_u - b1 * x)
+        r_u += there_z / range_there * ((e2 + c2 * vc) * x_u - b2 * x)
         # up and down, where planes may extend far: at both ends
         low_x, high_x = (
             1.0 / max(rest[m] + along[m] * low, HORIZON),
@@ -1771,17 +1787,17 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         )
         end_u = line_u[m] + tilt[m] * low
         tx, ty, tz = (
-            (a[0] - b[0] * end_u + c[0] * low) * low_x + d[0],
-            (a[1] - b[1] * end_u + c[1] * low) * low_x + d[1],
-            (a[2] - b[2] * end_u + c[2] * low) * low_x + d[2],
+            (a0 - b0 * end_u + c0 * low) * low_x + d0,
+            (a1 - b1 * end_u + c1 * low) * low_x + d1,
+            (a2 - b2 * end_u + c2 * low) * low_x + d2,
         )
         end_length = math.sqrt(1.0 + end_u * end_u + low * low)
         low_s = 2.0 / (end_length * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
         end_u = line_u[m] + tilt[m] * high
         tx, ty, tz = (
-            (a[0] - b[0] * end_u + c[0] * high) * high_x + d[0],
-            (a[1] - b[1] * end_u + c[1] * high) * high_x + d[1],
-            (a[2] - b[2] * end_u + c[2] * high) * high_x + d[2],
+            (a0 - b0 * end_u + c0 * high) * high_x + d0,
+            (a1 - b1 * end_u + c1 * high) * high_x + d1,
+            (a2 - b2 * end_u + c2 * high) * high_x + d2,
         )
         end_length = math.sqrt(1.0 + end_u * end_u + high * high)
         high_s = 2.0 / (end_length * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
