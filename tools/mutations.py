@@ -14,6 +14,7 @@ if a test fails, if pytest ends otherwise, or if it takes longer than --timeout.
 from __future__ import annotations
 
 import argparse
+import ast
 import os
 import re
 import shlex
@@ -23,6 +24,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 
@@ -40,7 +42,8 @@ class Mutation:
     ----------
     name : ROOM/what is wrong
     old, new : text of the package, and what takes its place
-    tests : modules that are run, without folder and .py; of several separated by | the first that exists
+    tests : modules that are run, without folder and .py, or test_module::test_name; of several modules separated by |
+        the first that exists
     also : (old, new) of trees that have this otherwise, such as the one before the packages
     """
 
@@ -52,6 +55,7 @@ class Mutation:
 
 
 FOOTPRINTS = ("test_footprint", "test_failures")
+SMOOTH_FLOOR = "test_closed_forms::test_a_few_rows_of_a_smooth_floor_follow_the_pattern"
 STRIPS = ("test_strips",)
 CONES = ("test_cones",)
 BUBBLES = ("test_bubbles", "test_footprint")
@@ -78,6 +82,7 @@ POWER = ("test_power_failure|test_batch",)
 GUARD = ("test_state_guard|test_embed_state", "test_modes|test_embed_doors")
 COUNTS = ("test_counts",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
+REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 MUTATIONS = (
     # footprints of samples into columns and bins
@@ -92,18 +97,40 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of inner bins",
-        "rise = work[SLANT, m] / wide steepness",
-        "rise = -work[SLANT, m] / wide steepness",
-        (
-            *FOOTPRINTS,
-            "tests/analysis/test_closed_forms.py::test_a_few_rows_of_a_smooth_floor_follow_the_pattern",
-        ),
+        "steepness, middle_s = np.float32(2 * half_height * rise)",
+        "steepness, middle_s = np.float32(-2 * half_height * rise)",
+        (*FOOTPRINTS, SMOOTH_FLOOR),
+    ),
+    Mutation(
+        "footprints/slant of the first bin",
+        "slanted = 1.0 + rise * ((near + inner)",
+        "slanted = 1.0 - rise * ((near + inner)",
+        (*FOOTPRINTS, SMOOTH_FLOOR),
+    ),
+    Mutation(
+        "footprints/slant of ramps",
+        "rise * min(max((nearer + further) / 2 - s, -wide), wide)",
+        "rise * ((nearer + further) / 2 - s)",
+        FOOTPRINTS,
+    ),
+    Mutation("footprints/slant of trapezoids", "slant / wide if slant != 0.0 else 0.0", "0.0", FOOTPRINTS),
+    Mutation(
+        "footprints/slant of a bin of a trapezoid",
+        "nearer, high = further, edge",
+        "nearer = further",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/slant of steep patterns",
+        "change = min(max(change, -1.0), 1.0)",
+        "change *= 1.0",
+        (SMOOTH_FLOOR,),
     ),
     Mutation(
         "footprints/slant by the pattern",
         "(change if is_nearer_above else -change) if is_long else 0.0",
         "change if is_long else 0.0",
-        ("tests/analysis/test_closed_forms.py::test_a_few_rows_of_a_smooth_floor_follow_the_pattern",),
+        (SMOOTH_FLOOR,),
     ),
     Mutation(
         "footprints/edge where planes meet",
@@ -206,6 +233,21 @@ MUTATIONS = (
     Mutation("footprints/horizons", "is_lost = (met_low != met_high)", "is_lost = met_low & False", STRIPS),
     Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
     Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),
+    Mutation(
+        "fan/rows of a sector of side lobes", "= 0.75, 16, 1.0", "= 0.75, 4, 1.0", ("test_closed_forms",)
+    ),
+    Mutation(
+        "fan/boxes within the transmit beam",
+        "_divided(edges, transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)",
+        "_divided(edges, transmit_width_rad)",
+        ("test_beam_pattern",),
+    ),
+    Mutation(
+        "fan/behind a straight array",
+        'elif sonar.steered == "straight" and not box:',
+        "elif False:",
+        CONES,
+    ),
     # sums of columns and of points
     Mutation(
         "sums/bubbles beyond the aperture", "abs(points[n, 1]) < top", "abs(points[n, 1]) < 2 * top", BUBBLES
@@ -217,6 +259,25 @@ MUTATIONS = (
         ("test_beam_pattern|test_patterns",),
     ),
     Mutation("sums/share of two columns", "share = (points[n, 0] - middle) / apart", "share = 0.0", BUBBLES),
+    # what bodies reflect at most
+    Mutation(
+        "reflectivity/of a ping",
+        "self.own if state.reflectivity is None else self._per_unit * state.reflectivity",
+        "self.own",
+        REFLECTIVITY,
+    ),
+    Mutation(
+        "reflectivity/factor of faces",
+        "np.where(by_face, self.own, 1.0)",
+        "np.ones(len(by_face))",
+        REFLECTIVITY,
+    ),
+    Mutation(
+        "reflectivity/that replaces a body's",
+        "np.where(by_face, self.own, 1.0)",
+        "1.0 * self.own",
+        REFLECTIVITY,
+    ),
     # labels
     Mutation(
         "labels/mean range of a full bin",
@@ -232,6 +293,15 @@ MUTATIONS = (
         "cells[slot, CELL_INCIDENCE, k] += echo32 * elevation",
         LABELS,
         (("cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0"),),
+    ),
+    Mutation(
+        "labels/slant of trapezoids",
+        "slanted, even_echo = _slanted(rise, s, high, edge, wide), scale",
+        "slanted, even_echo = 1.0, scale",
+        LABELS,
+    ),
+    Mutation(
+        "labels/slant of boxes", "rise = work[SLANT, m] / max(work[A, m], work[B, m])", "rise = 0.0", LABELS
     ),
     Mutation(
         "labels/incidence", "x, along_v = rest[m] - along_u[m] * line_u[m],", "x, along_v = rest[m],", LABELS
@@ -588,6 +658,13 @@ MUTATIONS = (
         "ring_down_decay_db_m, -300",
         RING_DOWN,
     ),
+    Mutation("noise/period at any heading", "(most - 1) * step", "(len(numbers) - 1) * step", NOISE),
+    Mutation(
+        "noise/period longer than the fan",
+        "min(2 * np.pi / (1.2 * span",
+        "min(2 * np.pi / (0.0 * span",
+        NOISE,
+    ),
     # volume reverberation
     Mutation(
         "volume/water behind surfaces",
@@ -890,6 +967,21 @@ MUTATIONS = (
         "np.ascontiguousarray(counts.T",
         ("test_ros",),
     ),
+    # boxes about bodies
+    Mutation(
+        "boxes/numbers beyond the entries",
+        "<= int(body_id.max()) < n_numbers",
+        "<= int(body_id.max())",
+        BOXES,
+    ),
+    Mutation(
+        "boxes/numbers below zero",
+        "0 <= int(body_id.min()) <= int(body_id.max()) <",
+        "int(body_id.max()) <",
+        BOXES,
+    ),
+    Mutation("boxes/whole numbers", 'body_id.dtype.kind not in "iu" or', "", BOXES),
+    Mutation("boxes/shape of labels", "or body_id.shape != ping.intensity.shape:", ":", BOXES),
     # other formats of scenes
     Mutation(
         "urdf/a DVL is no imaging sonar",
@@ -1024,11 +1116,26 @@ MUTATIONS = (
         "warn/other categories",
         "if issubclass(category, collection.category):",
         "if True:",
-        ("test_warn",),
+        WARN,
     ),
+    Mutation(
+        "warn/innermost block",
+        "(collection, *_collections.get())",
+        "(*_collections.get(), collection)",
+        WARN,
+    ),
+    Mutation("warn/end of a block", "_collections.reset(token)", "pass", WARN),
+    Mutation(
+        "warn/shown besides",
+        "append(CollectedWarning(text, category))\n            return",
+        "append(CollectedWarning(text, category))",
+        WARN,
+    ),
+    Mutation("warn/control characters", "text = escape_controls(message)", "text = message", WARN),
 )
 
 
+@cache
 def tokens_of(text: str) -> tuple[list[str], list[tuple[int, int]]]:
     """Return the tokens of a text without its comments, and the span of each."""
     found = []
@@ -1045,6 +1152,8 @@ def places_of(old: str, root: Path) -> list[tuple[Path, int, int]]:
     wanted, out = tokens_of(old)[0], []
     for path in sorted((root / "sonar_gl").rglob("*.py")):
         tokens, spans = tokens_of(path.read_text(encoding="utf-8"))
+        if " ".join(wanted) not in " ".join(tokens):  # most files, and much faster than the loop
+            continue
         for k in range(len(tokens) - len(wanted) + 1):
             if tokens[k] == wanted[0] and tokens[k : k + len(wanted)] == wanted:
                 out.append((path, spans[k][0], spans[k + len(wanted) - 1][1]))
@@ -1052,13 +1161,14 @@ def places_of(old: str, root: Path) -> list[tuple[Path, int, int]]:
 
 
 def test_files(mutation: Mutation, root: Path) -> list[str]:
-    """Return the test files of a mutation, relative to the root."""
+    """Return the test files of a mutation, or tests of them, as arguments of pytest, relative to the root."""
     out = []
-    for names in mutation.tests:
+    for words in mutation.tests:
+        names, *test = words.split("::")
         found = [path for name in names.split("|") for path in sorted((root / "tests").rglob(f"{name}.py"))]
         if not found:
             raise SystemExit(f"{mutation.name}: there is no test module {names} in {root / 'tests'}")
-        out.append(found[0].relative_to(root).as_posix())
+        out.append("::".join((found[0].relative_to(root).as_posix(), *test)))
     return list(dict.fromkeys(out))
 
 
@@ -1068,11 +1178,16 @@ def edits_of(mutation: Mutation, root: Path) -> list[tuple[Path, int, int, str]]
     return [(*place, new) for old, new in texts for place in places_of(old, root)]
 
 
+def mutated(path: Path, first: int, past: int, new: str) -> str:
+    """Return the text of a file with the mistake."""
+    text = path.read_text(encoding="utf-8")
+    return text[:first] + new + text[past:]
+
+
 def apply(mutation: Mutation, root: Path):
     """Put the mistake into a tree."""
-    ((path, first, past, new),) = edits_of(mutation, root)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text[:first] + new + text[past:], encoding="utf-8")
+    ((path, *edit),) = edits_of(mutation, root)
+    path.write_text(mutated(path, *edit), encoding="utf-8")
 
 
 def run_pytest(root: Path, words: list[str], timeout_s: float) -> tuple[int | None, str]:
@@ -1118,10 +1233,19 @@ def check_baseline(root: Path, words: list[str], timeout_s: float):
 
 
 def print_list(mutations, root: Path) -> bool:
-    """Print where each mutation applies; return whether all do."""
+    """Print where each mutation applies; return whether all do.
+
+    End the program where one has no tests, or is no Python: any test would notice that.
+    """
     good = True
     for mutation in mutations:
+        test_files(mutation, root)
         edits = edits_of(mutation, root)
+        for edit in edits:
+            try:
+                ast.parse(mutated(*edit))
+            except SyntaxError as why:
+                raise SystemExit(f"{mutation.name}: {why}") from None
         good &= len(edits) == 1
         where = ", ".join(path.relative_to(root).as_posix() for path, *_ in edits)
         print(f"{mutation.name:42} {where if len(edits) == 1 else f'{len(edits)} places: {where}'}")

@@ -249,7 +249,9 @@ def test_a_few_rows_of_a_smooth_floor_follow_the_pattern(roll):
     scene, pose, exact = floor_before_a_line_array(RING, 2.0, 10.0)
     pose = pose @ sg.pose(roll=roll)
     with sg.Simulator(scene, RING, LINE_ARRAY, sg.Sampling(1.0, 24)) as simulator:
-        measured = simulator.ping(pose).intensity[RING.n_beams // 2]
+        intensity = simulator.ping(pose).intensity
+    assert intensity.min() >= 0.0  # also next to nulls of the pattern, where it is far from linear
+    measured = intensity[RING.n_beams // 2]
     # 2.3 % with one value of the pattern for each row. What is left is the curvature of the pattern in a row.
     assert np.abs(measured - exact).sum() < 0.004 * exact.sum()
 

@@ -18,6 +18,7 @@ from tests.support import browser
 from tools import drivers
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
+from tools.mutations import MUTATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -255,6 +256,13 @@ def test_worlds(folder):
     ]
     assert "- 2: models or files are missing" in printed and "- 1: broken XML" in printed
     assert "broken.sdf" in Path("refused.txt").read_text()
+
+
+@pytest.mark.slow
+def test_each_mutation_applies_once_and_has_tests():
+    """Those that are no Python are refused, since any test would notice them."""
+    printed = run("tools.mutations", "--list")
+    assert len(printed.splitlines()) == len(MUTATIONS)
 
 
 @pytest.mark.slow

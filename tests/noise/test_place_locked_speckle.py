@@ -86,6 +86,15 @@ def test_a_slow_turn_never_changes_the_whole_pattern():
     assert min(correlation(a, b) for a, b in pairwise(steps)) > 0.99
 
 
+def test_a_fan_is_narrower_than_the_period_of_its_field():
+    """Of a fan of 120 widths, any two beams two widths or more apart are independent."""
+    pattern = patterns(PLACE_LOCKED, even_ping(240, 100, 0.5, pose=pose()), 1)[0] - 1
+    sums = [(pattern[:-lag] * pattern[lag:]).sum() for lag in range(4, 200)]
+    # beams within a width are alike, so that each counts as half a beam
+    errors = [np.sqrt((240 - lag) * 100 * 2) for lag in range(4, 200)]
+    assert np.abs(np.divide(sums, errors)).max() < SIGMAS
+
+
 def test_moving_ahead_moves_the_pattern_in_range():
     forward = 3 * BIN_M * AHEAD
     # beams are interpolated between nodes up to 2 degrees aside, whose apertures slide by some hundredths
