@@ -182,7 +182,8 @@ class Simulator:
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels, background, label_level_db : as for `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
+        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none; as many as
+            poses, but iterators may have more, or be endless
 
         Notes
         -----
