@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
@@ -244,6 +244,9 @@ class Simulator:
         """Give back all that it holds, and the engine if no other uses it; a second call does nothing."""
         if self._run is not None:
             self._run.close()
+
+    def __reduce__(self):
+        raise other_process_error("Simulator")  # in place of what pickle says of a lock
 
     def __enter__(self):
         return self
