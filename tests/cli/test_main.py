@@ -1051,3 +1051,10 @@ def test_verify_refuses_what_rays_know_nothing_of():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     with pytest.raises(sg.Error, match="does not model multipath"):
         sg.reference_ping(scene, sonar, sg.pose(), sg.Acoustics.physical(multipath="incoherent"))
+
+
+@pytest.mark.parametrize("words", [("view",), ("emulate", "oculus"), ("emulate", "ping360"), ("ros2",)])
+@pytest.mark.parametrize("duration", ["-1", "nan", "inf"])
+def test_a_duration_must_be_a_time(words, duration):
+    shown = f"error: --duration must lie in 0..1e+09 (got {duration}; seconds)\n"
+    assert run(*words, "pylon", "--duration", duration) == (2, "", shown)
