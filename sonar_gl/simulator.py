@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
@@ -182,7 +182,8 @@ class Simulator:
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels, background, label_level_db : as for `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none
+        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none; as many as
+            poses, but iterators may have more, or be endless
 
         Notes
         -----
@@ -243,6 +244,9 @@ class Simulator:
         """Give back all that it holds, and the engine if no other uses it; a second call does nothing."""
         if self._run is not None:
             self._run.close()
+
+    def __reduce__(self):
+        raise other_process_error("Simulator")  # in place of what pickle says of a lock
 
     def __enter__(self):
         return self

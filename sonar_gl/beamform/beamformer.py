@@ -19,7 +19,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, cone_end_rad
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
@@ -263,6 +263,7 @@ class Beamformer:
             ((0, middle), (n_columns, wide_middle)),
             ((middle, n_columns), (wide_middle, n_columns + n_wide)),
         )
+        self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
         self.strips = tuple(
@@ -294,6 +295,20 @@ class Beamformer:
         return tuple(
             [_within((mirrored[column], *rest), self.fan.are_cones, half) for column, *rest in of_sectors]
             for half in self._halves
+        )
+
+    @cached_property
+    def received_u(self) -> tuple[np.ndarray, ...]:
+        """Of each sector (2n,) float64, rising: u between which samples lie that a beam takes; empty where all do.
+
+        Boxes that are narrower than their spacing leave gaps.
+        """
+        if not self._has_gaps:
+            return (np.empty(0),) * len(self.fan.sectors)
+        strips = zip(self.fan.sectors, *self.strips, strict=True)
+        return tuple(
+            _union_of_strips(sector, [kernels.StripTable(*half) for half in halves])
+            for sector, *halves in strips
         )
 
     @cached_property
@@ -530,6 +545,18 @@ def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
     column = arrays[0]
     mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
     return *(one[mine] for one in arrays), are_cones
+
+
+def _union_of_strips(sector: Sector, tables: Sequence[kernels.StripTable]) -> np.ndarray:
+    """Return (2n,) u between which the samples lie that upright strips take: one, if they are narrower than it."""
+    middles = np.concatenate([table.middle for table in tables])
+    if not len(middles):
+        return np.full(2, np.inf)
+    order = np.argsort(middles)
+    half_width = np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order] / 2
+    low, high = middles[order] - half_width, np.maximum.accumulate(middles[order] + half_width)
+    begins = np.append(True, low[1:] > high[:-1] + 1e-3 * sector.u[1])
+    return np.column_stack([low[begins], high[np.append(begins[1:], True)]]).ravel()
 
 
 def _shown_points(points: np.ndarray) -> np.ndarray:

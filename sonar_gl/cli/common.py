@@ -13,6 +13,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.cli.options import POSE
 from sonar_gl.cli.output import echo
+from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
@@ -115,6 +116,12 @@ def parse_numbers(option: str, text: str, names: str) -> list[float]:
     if len(values) != count:
         raise Error(f"{option} must be {count} numbers, {names!r} (got {len(values)}: {text!r})")
     return values
+
+
+def check_duration(options) -> None:
+    """Raise an Error unless --duration is a time, or left out."""
+    if options.duration is not None:
+        check_number("--duration", options.duration, 0.0, 1e9, "seconds")
 
 
 def progress(numbers):

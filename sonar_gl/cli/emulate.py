@@ -8,7 +8,7 @@ import os
 import socket
 from concurrent.futures import ThreadPoolExecutor
 
-from sonar_gl.cli.common import acoustics_from, poses_from, scene_from
+from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
@@ -57,6 +57,7 @@ def ping360(scene_name: str, options) -> str:
 def _serve(scene_name: str, options, sonar: Sonar, make_server):
     """Make the server of a scene, run it for --duration or until Ctrl-C, and return it."""
     load_numba()
+    check_duration(options)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:

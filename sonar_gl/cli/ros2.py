@@ -8,9 +8,9 @@ import time
 from types import SimpleNamespace
 
 from sonar_gl import live
-from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from
+from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from, sonar_from
 from sonar_gl.cli.output import echo
-from sonar_gl.core.checks import check_number, shown
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.pose_track import PoseTrack
@@ -38,8 +38,7 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
     if options.config is not None:
         file = read_ros2_file(options.config)
         options = _with_file(options, given, file)
-    if options.duration is not None:
-        check_number("--duration", options.duration, 0.0, 1e9, "seconds")
+    check_duration(options)
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:
         raise Error("--acoustics needed is for a single ping; name the terms instead")

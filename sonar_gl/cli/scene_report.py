@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.scene.extent import air_text, body_bounds, bounds_of, is_infinite, size_text
+from sonar_gl.scene.extent import air_text, body_bounds, bounds_of, is_infinite, millimetres_text, size_text
 from sonar_gl.scene.load import is_sdf
 from sonar_gl.scene.scene import Body, Scene
 
@@ -27,6 +27,7 @@ def scene_report(scene_name: str, options) -> str:
         warnings.simplefilter("always", UserWarning)
         scene = scene_from(scene_name, options)
     messages = [str(one.message) for one in caught]
+    messages += filter(None, [millimetres_text(scene)])
     if scene.sonar_pose is not None:
         messages += filter(None, [air_text(scene, scene.sonar_pose)])
     return report_text(scene, messages, ECHOING if is_sdf(scene_name) else "")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -20,6 +22,10 @@ from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.imaging.files import output_folder, save_png
 from sonar_gl.ping import Ping
 
+LINE_EVERY_S = 30.0  # of progress, without a terminal
+CASTING = (
+    f"casting rays, {MAX_RAYS / 1e6:g} million at most in each of up to {MAX_ROUNDS} rounds; Ctrl-C stops"
+)
 MAX_LISTED_BODIES = 12  # a report lists the bodies of scenes with no more
 
 
@@ -46,12 +52,11 @@ def verify(scene_name: str, options) -> dict:
 
 @contextmanager
 def _ray_progress():
-    """Return a context manager that yields a function (rays cast, rays expected): a bar on a terminal, else None."""
+    """Yield a function (rays cast, rays expected) that shows progress: a bar, or lines where there is no terminal."""
     if not sys.stderr.isatty():
-        yield None
+        yield _ProgressLines()
         return
-    most = f"{MAX_RAYS / 1e6:g} million"
-    echo(f"casting rays, {most} at most in each of up to {MAX_ROUNDS} rounds; Ctrl-C stops", err=True)
+    echo(CASTING, err=True)
     bar = click.progressbar(
         length=1, show_eta=False, show_percent=False, file=sys.stderr, item_show_func=lambda text: text
     )
@@ -60,9 +65,32 @@ def _ray_progress():
         def show(cast: int, expected: int) -> None:
             if abs(cast - bar.pos) >= expected / 100:  # fewer lines than blocks of rays
                 bar.length = expected
-                bar.update(cast - bar.pos, f"{cast / 1e6:.1f} of about {expected / 1e6:.3g} million rays")
+                bar.update(cast - bar.pos, _rays_text(cast, expected))
 
         yield show
+
+
+class _ProgressLines:
+    """A function (rays cast, rays expected) that prints a line at first, and one every half minute."""
+
+    def __init__(self):
+        self._start_s = self._last_s = time.monotonic()
+        self._round, self._cast = 0, math.inf
+
+    def __call__(self, cast: int, expected: int) -> None:
+        if cast < self._cast:  # each round counts from 0
+            self._round += 1
+            if self._round == 1:  # not before: the reference may be refused
+                echo(CASTING, err=True)
+        self._cast, now_s = cast, time.monotonic()
+        if now_s - self._last_s >= LINE_EVERY_S:
+            self._last_s = now_s
+            text = f"round {self._round}: {_rays_text(cast, expected)}, {now_s - self._start_s:.0f} s so far"
+            echo(text, err=True)
+
+
+def _rays_text(cast: int, expected: int) -> str:
+    return f"{cast / 1e6:.1f} of about {expected / 1e6:.3g} million rays"
 
 
 def _findings(result: Verification, picture: str) -> dict:

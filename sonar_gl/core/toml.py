@@ -18,7 +18,7 @@ def read_toml(path: Path, what: str) -> dict:
 
     Parameters
     ----------
-    path : file, in UTF-8
+    path : file, in UTF-8, with or without the mark of byte order that editors on Windows put first
     what : what the file is, such as "the sonar's file"
 
     Raises
@@ -27,7 +27,7 @@ def read_toml(path: Path, what: str) -> dict:
         if the file cannot be read, or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as why:
         raise Error(f"{path}: {what} must be readable ({read_error_text(why)})") from None
     except ValueError as why:  # not TOML (the message names the line), or not UTF-8

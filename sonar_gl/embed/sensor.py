@@ -351,6 +351,9 @@ class Sensor:
         if host is not None:
             lifetime.release(host)
 
+    def __reduce__(self):
+        raise other_process_error("Sensor")  # in place of what pickle says of a lock
+
     def __enter__(self):
         return self
 

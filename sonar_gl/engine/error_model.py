@@ -161,9 +161,14 @@ class ErrorModel:
         """Return a view that was drawn and summed already, with what was met of each body."""
         if self._extents.n_bodies < len(self.bodies):  # some were added
             self._extents = BodyExtents(self.bodies, self._specular)
-        elevation_table = stage.beamformer.elevation_table
+        former = stage.beamformer
         counts = count_bodies(
-            view.sectors, len(self.bodies), self._true_range_sonar, self._gain, elevation_table
+            view.sectors,
+            len(self.bodies),
+            self._true_range_sonar,
+            self._gain,
+            former.elevation_table,
+            former.received_u,
         )
         return TriedView(stage, view, echo, counts, bodies)
 
@@ -199,7 +204,8 @@ class ErrorModel:
         )
         for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
             one = bodies[body - 1], state.poses[body - 1]
-            counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar)
+            received_u = tried.stage.beamformer.received_u
+            counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar, received_u)
         factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)

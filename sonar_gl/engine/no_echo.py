@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.scene.extent import bounds_of, size_text
+from sonar_gl.scene.extent import bounds_of, scale_text
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import SectorSamples
@@ -58,10 +58,7 @@ def _scale_hint(scene: Scene, range_m: float) -> str:
     bounds = None if range_m < SUSPICIOUS_M else bounds_of(scene.bodies)
     if bounds is None:
         return ""
-    return (
-        f"; the scene measures {size_text(np.ptp(bounds, axis=0))}: if it was made in millimetres, scale it by 0.001 "
-        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
-    )
+    return f"; {scale_text(bounds)}"
 
 
 def why_view_has_no_echo(sonar: Sonar, true_range: Sonar, samples: Sequence[SectorSamples]) -> str | None:

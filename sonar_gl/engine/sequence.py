@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import count, repeat
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -39,16 +39,25 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
     Raises
     ------
     Error
-        if one of these is not one value per ping; at once, whereas values are checked one by one.
+        if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
+        value. Values are checked one by one.
     """
-    columns = [_per_ping(values, name, poses) for name, values in per_ping.values()]
-    rows = zip(several_poses(poses), *columns, strict=False)
+    columns = [(field, iter(_per_ping(values, name, poses))) for field, (name, values) in per_ping.items()]
+    poses = several_poses(poses)
 
     def requests():
-        for number, (pose, *values) in zip(count(), rows, strict=False):
-            yield PingRequest(pose, number=number, **common, **dict(zip(per_ping, values, strict=True)))
+        for number, pose in enumerate(poses):
+            values = {field: _next_value(column, per_ping[field][0], number) for field, column in columns}
+            yield PingRequest(pose, number=number, **common, **values)
 
     return requests()
+
+
+def _next_value(column: Iterator, name: str, number: int):
+    """Return the value of the ping of this number, counted from 0; an Error if there is none."""
+    for value in column:
+        return value
+    raise Error(f"{name} must be as many as poses (got {number}; pose {number}, counted from 0, has none)")
 
 
 def several_poses(poses) -> Iterable:

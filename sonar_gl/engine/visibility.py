@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +57,7 @@ class Reception(NamedTuple):
 class BodyCounts(NamedTuple):
     """What each body contributes to a ping, by number, 0 for none: (bodies + 1,) float64 arrays.
 
-    samples : how many met it, inside the fan, its aperture and range
+    samples : how many met it, inside the fan, its aperture and range, and in some beam
     echo : about the sum of its echo with the gain
     """
 
@@ -65,12 +66,13 @@ class BodyCounts(NamedTuple):
 
 
 @compiled
-def _count_samples(samples, lattice, sines, widest, bins, gain, elevation_table, counts, echo):
+def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
     samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
     sines : of `Strips`: beyond them no beam receives, in sectors whose beams are cones
     widest : |u| beyond which samples only fill sheared rows
+    received_u : of `Beamformer`
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
     """
@@ -89,6 +91,8 @@ def _count_samples(samples, lattice, sines, widest, bins, gain, elevation_table,
             v2, u2 = vc * abs(vc), 1.0 + uc * uc
             if abs(uc) > widest or v2 > high2 * u2 or v2 < low2 * u2:
                 continue
+            if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
+                continue  # between two beams
             L = math.sqrt(1.0 + uc * uc + vc * vc)
             if not sines[0] <= (sine - cosine * uc) / L <= sines[1]:
                 continue
@@ -103,37 +107,57 @@ def _count_samples(samples, lattice, sines, widest, bins, gain, elevation_table,
 
 
 def count_bodies(
-    samples: Sequence[SectorSamples], n_bodies: int, sonar: Sonar, gain, elevation_table
+    samples: Sequence[SectorSamples], n_bodies: int, sonar: Sonar, gain, elevation_table, received_u
 ) -> BodyCounts:
-    """Count the samples on each body, and about the echo of each; `sonar` with true ranges."""
+    """Count the samples on each body, and about the echo of each.
+
+    Parameters
+    ----------
+    sonar : with true ranges
+    gain : (K,) of the bins
+    elevation_table, received_u : of `Beamformer`
+    """
     counts, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
-    for one in samples:
+    for one, received in zip(samples, received_u, strict=True):
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         bins = sonar.range_min_m, 1.0 / sonar.bin_size_m
         widest = math.tan(one.sector.half_width_rad)
         sines = one.sector.strips.sines
-        _count_samples(arrays, one.lattice, sines, widest, bins, gain, elevation_table, counts, echo)
+        limits = sines, widest, received
+        _count_samples(arrays, one.lattice, *limits, bins, gain, elevation_table, counts, echo)
     return BodyCounts(counts, echo)
 
 
-def is_unobstructed(samples: Sequence[SectorSamples], body, body_pose, pose, sonar: Sonar) -> bool:
-    """Return whether some vertex of a body that no sample met lies in front of the samples around it."""
+def is_unobstructed(
+    samples: Sequence[SectorSamples], body, body_pose, pose, sonar: Sonar, received_u
+) -> bool:
+    """Return whether some vertex of a body that no sample met lies, in a beam, in front of the samples around it.
+
+    It must lie in front of all nine: the corners of a body in the place of another lie beside samples of that.
+    """
     vertices = np.asarray(body.surface.vertices, np.float64)
     vertices = vertices[:: max(1, len(vertices) // VERTICES)]
     world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
     points = (world - pose[:3, 3]) @ pose[:3, :3]
     range_m = np.linalg.norm(points, axis=1)
     points = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)]
-    for sector, plane_echo, _ in samples:
+    for (sector, plane_echo, _), received in zip(samples, received_u, strict=True):
         x, y, z = (points @ sector.rotation().T).T
         ahead = x > 1e-3
         u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
         near = sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
         near &= sector.is_received(u, v)
+        if len(received):
+            near &= np.searchsorted(received, u) % 2 == 1
         lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
         inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
-        if (q[inside] > plane_echo[j[inside], i[inside], 0] * IN_FRONT).any():
+        q, i, j = q[inside], i[inside], j[inside]
+        in_front = np.ones(len(q), bool)
+        for row, column in product((-1, 0, 1), repeat=2):
+            beside = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1), 0
+            in_front &= q > plane_echo[beside] * IN_FRONT
+        if in_front.any():
             return True
     return False
 

@@ -32,6 +32,10 @@ GONE = (
     "the OpenGL context that was joined must still be there (got another one that is current in its place); "
     "make a new sonar in that"
 )
+DESTROYED = (
+    "an OpenGL context must be current in this thread, to be joined (got one that was destroyed, or whose display was "
+    "closed, as pyrender's delete() does; make a new one current first)"
+)
 BORDER_COLOR = 0x1004  # a sampler stores it as integers bit for bit, and no texture of ours has a border
 
 
@@ -188,11 +192,12 @@ def make_shared_context(host: CurrentContext) -> egl.EglContext:
     """Return an EGL context of our own that shares the objects of a host's EGL context."""
     number, config, library = ctypes.c_int(0), ctypes.c_void_p(None), egl.library()
     display = library.eglGetCurrentDisplay()
+    if not library.eglQueryContext(display, host.handle, CONFIG_ID, ctypes.addressof(number)):
+        raise Error(DESTROYED)  # it is current until another one is
     if SURFACELESS not in (library.eglQueryString(display, egl.EXTENSIONS) or b"").split():
         raise Error(
             f"EGL must have {SURFACELESS.decode()} (got a driver without); leave out context='current'"
         )
-    library.eglQueryContext(display, host.handle, CONFIG_ID, ctypes.addressof(number))
     if number.value:  # 0: the host's context was made without a config
         wanted = (ctypes.c_int * 3)(CONFIG_ID, number.value, NONE)
         found = ctypes.addressof(config), 1, ctypes.addressof(number)

@@ -4,6 +4,7 @@ them.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import fields
 
 import numpy as np
@@ -28,6 +29,11 @@ from sonar_gl.sonar.fan import NEAR_M
 # by at most so much per radian of a sample's width; not at all where its normals make a specular lobe.
 ERROR_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
+
+
+def _content(surface) -> tuple[int, ...]:
+    """Return hashes of what a mesh holds now: a trimesh, whose arrays have them, may be changed in place."""
+    return tuple(hash(array) for array in (surface.vertices, surface.faces) if isinstance(array, Hashable))
 
 
 class SceneMeshes:
@@ -67,7 +73,8 @@ class SceneMeshes:
         return self.rows[:, REFLECTIVITY]
 
     def add(self, bodies) -> list:
-        """Append bodies. Those that share a mesh share all that is made of it. A copy made before stays as it is.
+        """Append bodies. Those that share a mesh share all that is made of it, unless it was changed meanwhile. A copy
+        made before stays as it is.
 
         Returns
         -------
@@ -78,7 +85,7 @@ class SceneMeshes:
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             made_of = body.surface, body.normals, body.reflectivity if by_face else None
-            key = tuple(map(id, made_of))
+            key = *map(id, made_of), _content(body.surface)
             if key not in meshes:
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)

@@ -9,6 +9,8 @@ import numpy as np
 from sonar_gl.scene.primitives import INFINITE_PLANE_M
 from sonar_gl.scene.scene import Body, Scene
 
+LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long, but not as high, too: such a scene is in other units
+
 
 def body_bounds(body: Body) -> np.ndarray:
     """Return the (2, 3) least and greatest coordinates of a body in the world, metres."""
@@ -40,6 +42,23 @@ def air_text(scene: Scene, pose: np.ndarray) -> str:
         f"the sonar at z = {pose[2, 3]:.4g} m is above the water's surface at z = {scene.surface_z_m:.4g} m, which "
         "has no effect on it; give it a lower pose, or the scene another surface (--surface, Scene.with_surface)"
     )
+
+
+def scale_text(bounds: np.ndarray) -> str:
+    """Return the size of a scene between these (2, 3) bounds, and how to scale it if it is in millimetres."""
+    return (
+        f"the scene measures {size_text(np.ptp(bounds, axis=0))}: if it was made in millimetres, scale it by 0.001 "
+        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
+    )
+
+
+def millimetres_text(scene: Scene) -> str:
+    """Return the warning of a scene that is too large for imaging sonars in all directions; else ""."""
+    bounds = bounds_of(scene.bodies)
+    if bounds is None:
+        return ""
+    size_m = np.ptp(bounds, axis=0)
+    return scale_text(bounds) if size_m.max() >= LONG_M and size_m.min() >= HIGH_M else ""
 
 
 def size_text(size_m) -> str:

@@ -139,7 +139,9 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
         shape = make_shape(mesh.vertices, mesh.faces, normals)
         parts.append(MeshPart(node, key, transform(shape, scale @ matrix)))
     if not parts:
-        raise Error(f"{path}: a mesh must have at least one face (got none; a point cloud cannot echo)")
+        raise Error(
+            f"{path}: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
+        )
     return parts
 
 

@@ -52,7 +52,8 @@ class Body:
     Parameters
     ----------
     name : unique in its scene
-    mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo
+    mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo. A simulator reads it when it takes
+        the body: what is changed in it later acts on bodies that are added later
     pose : (4, 4) world_from_body; None is the identity
     reflectivity : μ, 0..1, 0.5 by default, or (F,), one value a face; or the name of a material, which also sets
         `specular` and `roughness_rad` unless these are given
@@ -91,6 +92,7 @@ class Body:
     surface: trimesh.Trimesh | Triangles = field(init=False, repr=False)
 
     def __post_init__(self):
+        check_kind("the name of a body", self.name, str, 'such as "diver"')
         location = f"body {self.name!r}"
         n_vertices, n_faces = self._check_mesh(location)
         self._set("pose", check_pose(np.eye(4) if self.pose is None else self.pose, f"{location}: pose"))
@@ -129,9 +131,20 @@ class Body:
             raise Error(
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
             )
+        if not (isinstance(faces, np.ndarray) and faces.shape[1:] == (3,) and faces.dtype.kind in "iu"):
+            got = (
+                f"shape {faces.shape}, {faces.dtype}"
+                if isinstance(faces, np.ndarray)
+                else type(faces).__name__
+            )
+            raise Error(
+                f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
+                "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
+            )
         frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {faces.max()})")
+            got = faces.min() if faces.min() < 0 else faces.max()
+            raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
         return len(vertices), len(faces)
 
     def _apply_material(self, location: str):

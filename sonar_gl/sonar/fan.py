@@ -152,7 +152,7 @@ def make_fan(
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
-    samples_per_sector = max(2, math.ceil(n_samples / n_sectors))
+    samples_per_sector = max(2, math.ceil(n_samples / n_sectors - 1e-9))
     half_width = span / n_sectors / 2
     top_rad = math.radians(sonar.elevation_fov_deg) / 2
     max_elevation_rad = max(top_rad, math.radians(max_elevation_deg))
@@ -166,8 +166,8 @@ def make_fan(
         for number, (low, high) in enumerate(limits):
             coarser = SKIRTS_COARSER * 2**number
             # a degree of azimuth is less, too, where the sound looks up or down
-            samples = max(math.ceil(samples_per_sector / (coarser * math.sqrt(1 + low * low))), 2)
-            rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low))), MIN_BAND_ROWS)
+            samples = max(math.ceil(samples_per_sector / (coarser * math.sqrt(1 + low * low)) - 1e-9), 2)
+            rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low)) - 1e-9), MIN_BAND_ROWS)
             bands += [(samples, rows, both) for both in ((low, high), (-high, -low))]
     sectors, n_dense = [], 0
     for samples, rows, limits in bands:
@@ -177,7 +177,7 @@ def make_fan(
         n = max(1, math.ceil((last - first) / MAX_SECTOR_RAD - 1e-9))
         half = (last - first) / n / 2
         if are_cones:  # as dense as in sectors that hold the columns at the horizon
-            samples = max(math.ceil(samples * half / half_width), 2)
+            samples = max(math.ceil(samples * half / half_width - 1e-9), 2)
         sectors += [
             make_sector(first + half * (2 * k + 1), half, samples, rows, limits, shear, are_cones=are_cones)
             for k in range(n)

@@ -163,6 +163,9 @@ def test_without_a_sonar_the_scenes_own_is_taken_and_named():
         ("verify", ("--tolerance", 0.2, "--height", 60)),
     ):
         status, _, err = run(command, "own.sdf", *more)
+        if command == "verify":
+            err, progress, _ = err.partition("casting rays, ")
+            assert progress
         assert status == 0 and err == (
             "sonar: the scene's own, sensor 'imaging_sonar' of model 'sonar': 40.11 x 11.46 deg, 24 beams, "
             "0.5 to 8.5 m in 80 bins, 900 kHz, 10 Hz (frequency of p900-45: the sensor states none); "
@@ -1048,3 +1051,10 @@ def test_verify_refuses_what_rays_know_nothing_of():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     with pytest.raises(sg.Error, match="does not model multipath"):
         sg.reference_ping(scene, sonar, sg.pose(), sg.Acoustics.physical(multipath="incoherent"))
+
+
+@pytest.mark.parametrize("words", [("view",), ("emulate", "oculus"), ("emulate", "ping360"), ("ros2",)])
+@pytest.mark.parametrize("duration", ["-1", "nan", "inf"])
+def test_a_duration_must_be_a_time(words, duration):
+    shown = f"error: --duration must lie in 0..1e+09 (got {duration}; seconds)\n"
+    assert run(*words, "pylon", "--duration", duration) == (2, "", shown)

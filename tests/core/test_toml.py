@@ -12,6 +12,12 @@ def test_contents_are_returned_as_a_dict(tmp_path):
     assert read_toml(path, "the file") == {"water": {"name": "Öresund", "ph": 8}}
 
 
+def test_a_mark_of_byte_order_is_skipped(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("ph = 8\n", encoding="utf-8-sig")
+    assert read_toml(path, "the file") == {"ph": 8}
+
+
 def test_messages_name_the_file_and_what_it_is(tmp_path):
     path = tmp_path / "a.toml"
     with pytest.raises(Error) as caught:

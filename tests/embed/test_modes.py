@@ -793,3 +793,12 @@ def test_a_host_that_destroyed_its_current_context(context):
         assert in_another_thread(lambda: there.append(simulator.ping(POSE))) == []
     assert np.array_equal(here.intensity, there[0].intensity)
     assert ended
+
+
+def test_a_destroyed_context_cannot_be_joined(context):
+    """It is not a driver that lacks something."""
+    ended = gl_host.make_context()
+    egl.library().eglDestroyContext(egl.current().display, egl.current().context)
+    with pytest.raises(sg.Error, match=r"current in this thread, .* \(got one that was destroyed"):
+        sg.Simulator(scene_of(), SONAR, context="current")
+    assert ended

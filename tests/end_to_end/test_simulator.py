@@ -3,6 +3,7 @@
 import gc
 import math
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +35,11 @@ def simulator(bodies=(BOX,), sonar=SONAR, acoustics=None, sampling=SAMPLING, **k
     return sg.Simulator(
         sg.Scene(bodies, name="things"), sonar, acoustics or sg.Acoustics.ideal(), sampling, **kw
     )
+
+
+def arrays(vertices, faces):
+    """Return what has the arrays of a mesh, but is no trimesh."""
+    return SimpleNamespace(vertices=vertices, faces=faces)
 
 
 def test_a_target_to_port_is_at_positive_azimuth_and_left_in_the_picture():
@@ -494,6 +501,37 @@ NAN[0, 3] = np.nan
             lambda: sg.Body("b", [1, 2]),
             "body 'b': mesh must be a trimesh.Trimesh (got list; "
             "sonar_gl.load_scene makes bodies of a file or of a trimesh.Scene)",
+        ),
+        (
+            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 2, 0]]))),
+            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got shape (1, 4), int64; "
+            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
+        ),
+        (
+            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 1.5]]))),
+            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got shape (1, 3), float64; "
+            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
+        ),
+        (
+            lambda: sg.Body("b", arrays([[0, 0, 0]] * 3, [[0, 1, 2]])),
+            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got list; "
+            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
+        ),
+        (
+            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, -1]]))),
+            "body 'b': faces must name vertices 0..2 (got -1)",
+        ),
+        (
+            lambda: sg.Body(None, BOX.mesh),
+            'the name of a body must be a str (got NoneType; such as "diver")',
+        ),
+        (
+            lambda: sg.Bubbles(7),
+            'the name of bubbles must be a str (got int; such as "diver::bubbles")',
+        ),
+        (
+            lambda: pickle.dumps(simulator()),
+            "a Simulator must be used in the process that made it; make one in each process",
         ),
         (
             lambda: replace(BOX, reflectivity=255),

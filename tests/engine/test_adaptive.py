@@ -91,8 +91,8 @@ def count_samples(simulator):
     stage, gain = run.sampler.resolution.stage, run.instrument.gain
     with run.drawing():
         (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-        table = stage.beamformer.elevation_table
-        return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, table).samples
+        tables = stage.beamformer.elevation_table, stage.beamformer.received_u
+        return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, *tables).samples
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
@@ -257,8 +257,51 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
         q = np.sqrt(1 + u * u + v * v) / 5  # a sphere of 5 m
         plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
         samples.append(SectorSamples(sector, plane_echo, np.ones(u.shape, np.uint16)))
-    found = count_bodies(samples, 1, SONAR, np.ones(SONAR.n_bins, np.float32), np.empty(0))
+    received_u = [np.empty(0)] * len(samples)
+    found = count_bodies(samples, 1, SONAR, np.ones(SONAR.n_bins, np.float32), np.empty(0), received_u)
     assert found.samples.tolist() == [0, expected]
+
+
+def with_gaps(rod_deg, range_m, *more):
+    """Return a ping of a rod before a wall by boxes of 0.6 degrees every 2 degrees, one of them at 3 degrees."""
+    sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)
+    azimuth, mesh = math.radians(rod_deg), trimesh.creation.cylinder(0.03, 1.0, sections=24)
+    place = sg.pose(range_m * math.cos(azimuth), range_m * math.sin(azimuth))
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 30, 30)), sg.pose(11), 0.5)
+    scene = sg.Scene([wall, sg.Body("rod", mesh, place, 1.0)])
+    with sg.Simulator(scene, sonar, IDEAL, tolerance=0.05) as simulator:
+        pings = [simulator.ping(np.eye(4), labels=True, bodies=bodies) for bodies in more or (None,)]
+    return scene, sonar, pings
+
+
+def test_samples_between_boxes_do_not_count_as_a_body_s():
+    """A rod of 0.43 degrees reaches 0.06 degrees into a beam. Those on the rest of it hid that it was 88 % off."""
+    scene, sonar, (ping,) = with_gaps(3.46, 8.0)
+    truth = sg.reference_ping(scene, sonar, np.eye(4), IDEAL, error=0.05)
+    assert truth.body_echo[2] > 1e-3 * truth.body_echo.sum()  # the tolerance holds for it
+    assert ping.body_echo[2] == pytest.approx(truth.body_echo[2], rel=5 * 0.05)
+
+
+def test_a_body_between_boxes_changes_neither_samples_nor_echo():
+    """It and its shadow lie in the gap."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _, _, (ping, alone) = with_gaps(4.0, 9.0, None, {"rod": None})
+    assert ping.meta["sampling"] == alone.meta["sampling"]
+    np.testing.assert_array_equal(ping.intensity, alone.intensity)
+    assert ping.body_echo[2] == 0
+
+
+@pytest.mark.parametrize("mesh", [trimesh.creation.box((1, 1, 1)), trimesh.creation.icosphere(3, 0.4)])
+def test_a_body_in_the_place_of_another_needs_no_finer_samples(mesh):
+    """Its corners lie beside samples of the other, before the empty water: it was taken for one not met yet."""
+    bodies = [sg.Body(name, mesh, sg.pose(6, 0.2)) for name in ("one", "again")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with sg.Simulator(sg.Scene(bodies), SONAR, IDEAL, tolerance=0.05) as simulator:
+            both, one = (simulator.ping(np.eye(4), bodies=bodies) for bodies in (None, {"again": None}))
+    assert both.meta["sampling"] == one.meta["sampling"]
+    np.testing.assert_array_equal(both.intensity, one.intensity)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -347,7 +390,7 @@ class TestSideLobes:
             with run.drawing():
                 (view,) = stage.draw([pose], [None], with_bodies=True)
                 fan, table = stage.fan, stage.beamformer.elevation_table
-                counts = count_bodies(view.sectors, 1, fan.sonar, gain, table)
+                counts = count_bodies(view.sectors, 1, fan.sonar, gain, table, stage.beamformer.received_u)
         reach_rad = self.PHYSICAL.receive_support_rad(self.SONAR)
         reception = Reception(fan.sonar, reach_rad, fan.max_elevation_rad, fan.are_cones, gain, table)
         placed = SceneState(ball.pose[None], np.ones(1, bool))

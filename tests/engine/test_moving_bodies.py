@@ -278,6 +278,28 @@ def test_meshes_are_uploaded_once(monkeypatch, opengl_engine):
         assert sum(sent) == 8 * 28 + 12 * 3 * 4
 
 
+def test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape():
+    mesh = trimesh.creation.box((0.6, 0.8, 1.0))
+    with simulator([sg.Body("before", mesh, sg.pose(6, 1.5))]) as it:
+        mesh.apply_scale(0.5)
+        it.add(sg.Body("scaled", mesh, sg.pose(7)))
+        mesh.vertices[:, 2] += 0.2
+        it.add(sg.Body("raised", mesh, sg.pose(5, -1)))
+        mesh.faces = mesh.faces[:6]
+        it.add(sg.Body("open", mesh, sg.pose(7, -1.5)))
+        found = it.ping(POSE, labels=True)
+    small = BOX.copy().apply_scale(0.5)
+    raised = small.copy().apply_translation((0, 0, 0.2))
+    half = trimesh.Trimesh(raised.vertices, raised.faces[:6], process=False)
+    bodies = [
+        sg.Body("before", BOX, sg.pose(6, 1.5)),
+        sg.Body("scaled", small, sg.pose(7)),
+        sg.Body("raised", raised, sg.pose(5, -1)),
+        sg.Body("open", half, sg.pose(7, -1.5)),
+    ]
+    check_same(found, fresh(bodies))
+
+
 def record_estimates(monkeypatch):
     """Return a list that grows with each estimate of the error."""
     estimates, count = [], error_model.count_bodies

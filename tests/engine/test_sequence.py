@@ -91,9 +91,7 @@ def test_shadows_of_the_bodies_of_each_pose(it):
 
 
 def test_pings_from_one_pose_with_bodies_that_move(it):
-    """With endless poses, the bodies' poses set the number of pings."""
-    endless = (POSES[0] for _ in count())
-    together = list(it.pings(endless, bodies=iter(MOVED)))
+    together = list(it.pings([POSES[0]] * len(MOVED), bodies=iter(MOVED)))
     assert len(together) == len(MOVED)
     for moved, ping in zip(MOVED, together, strict=True):
         check_same(ping, it.ping(POSES[0], bodies=moved))
@@ -504,3 +502,30 @@ def test_all_lists_must_be_as_long_as_the_poses(more):
         pytest.raises(sg.Error, match=refused),
     ):
         list(simulator.pings([np.eye(4)] * 3, **more))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"times_s": [0.0] * 5},
+        {"bodies": [{"box": None}] * 5},
+        {"velocities": [None] * 5},
+        {"reflectivities": [{"box": 0.1}] * 5},
+        {"waters": [None] * 5},
+    ],
+)
+def test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before(it, more):
+    ((name, values),) = more.items()
+    pings, made = it.pings((pose for pose in POSES), **{name: iter(values)}), []
+    refused = rf"^{name} must be as many as poses \(got 5; pose 5, counted from 0, has none\)$"
+    with pytest.raises(sg.Error, match=refused):
+        made.extend(pings)
+    assert len(made) == 5
+    with pytest.raises(sg.Error, match=refused.replace(name, "times_s")):
+        it.plan(iter(POSES), times_s=iter([0.0] * 5))
+
+
+def test_an_iterator_may_go_on_beyond_the_poses(it):
+    moved = ({"box": sg.pose(6 + 0.1 * k)} for k in count())
+    assert len(list(it.pings(POSES[:3], bodies=moved, times_s=count()))) == 3
+    assert next(moved)["box"][0, 3] == pytest.approx(6.3)  # as many were taken as there are poses

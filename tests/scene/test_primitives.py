@@ -270,13 +270,14 @@ POINTS = (
     "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     "end_header\n1 2 3\n"
 )
-NO_FACE = "a mesh must have at least one face (got none; a point cloud cannot echo)"
+NO_FACE = "a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
 
 
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("empty.stl", "", NO_FACE),
+        ("cut_short.stl", "\0" * 80 + "\x0c\0\0\0" + "\0" * 300, NO_FACE),
         ("points.ply", POINTS, NO_FACE),
         ("points.obj", "v 0 0 0\nv 1 0 0\n", NO_FACE),
         (

@@ -1006,7 +1006,7 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     mesh = "<collision name='c'><geometry><mesh><uri>b.stl</uri></mesh></geometry></collision>"
     where = "a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh"
     assert message(model(link(shape=mesh))) == (
-        f"{where}: b.stl: a mesh must have at least one face (got none; a point cloud cannot echo)"
+        f"{where}: b.stl: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
     )
     zero = mesh.replace("</uri>", "</uri><scale>1 0 1</scale>")
     assert message(model(link(shape=zero))) == f"{where}/scale: must not be zero (got '1 0 1')"

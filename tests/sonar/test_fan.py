@@ -34,6 +34,17 @@ def test_strips_cover_the_fan_once(fov_deg):
     np.testing.assert_allclose(widths, np.diff(edges), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("fov_deg", [20.0, 30.0, 60.0, 70.0, 130.0])
+@pytest.mark.parametrize("n_beams", [8, 15, 256])
+def test_rounding_adds_no_sample(fov_deg, n_beams):
+    """Boxes side by side fill the field of view: each has as many samples as asked for, in all sectors together."""
+    sonar = make_sonar(fov_deg, n_beams, beam_width_deg=fov_deg / n_beams)
+    for columns_per_beam in (6, 12):  # that up to three sectors divide evenly
+        fan = make_fan(sonar, sg.Sampling(columns_per_beam, 20), math.radians(fov_deg / n_beams / 2))
+        samples = [2 * math.tan(one.half_width_rad) / one.u[1] for one in fan.sectors]
+        assert sum(samples) == pytest.approx(columns_per_beam * n_beams, abs=1e-6)
+
+
 @pytest.mark.parametrize("fov_deg", [20.0, 130.0, 360.0])
 def test_the_sectors_of_side_lobes_cover_all_elevations_once(fov_deg):
     """In every column, up to the limit; and with samples that are few beside those of the aperture."""

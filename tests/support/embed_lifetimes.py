@@ -372,6 +372,10 @@ def closed_by_pyrender(kind):
     np.testing.assert_array_equal(joined.ping(POSE).intensity, alone.ping(POSE).intensity)
     renderer.render(scene)
     renderer.delete()
+    with pytest.raises(
+        sg.Error, match=r"got one that was destroyed, or whose display was closed, as pyrender's"
+    ):
+        soak.make_simulator("current")
     gone = pytest.raises(sg.Error, match=r"must still be there .*pyrender's delete\(\)")
     for simulator in (joined, alone):
         with gone:
