@@ -270,6 +270,7 @@ def test_an_engine_that_cannot_be_had_leaves_the_simulators(scene, monkeypatch):
     pool.close()
 
 
+@pytest.mark.usefixtures("timed_once")
 def test_terms_are_priced_where_the_sonar_is(session):
     assert [price.name for price in session.prices()] == term_names()
 

@@ -59,6 +59,7 @@ def test_it_is_self_noise_and_of_sonars_that_state_it():
 
 
 @pytest.mark.filterwarnings("ignore:no echo came back")
+@pytest.mark.usefixtures("timed_once")
 def test_plan_prices_it_with_the_receiver_noise():
     """Likewise the noise that channels have in common."""
     sonar = sg.Sonar("small", 900e3, 16, 60, 40.0, 16.0, 2.0, 0.5, 6.5)
