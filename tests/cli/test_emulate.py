@@ -12,7 +12,8 @@ from sonar_gl.live.simulated_head import SimulatedHead
 from tests.support.command_line import run
 
 KINDS = {"oculus": socket.SOCK_STREAM, "ping360": socket.SOCK_DGRAM}
-PYLON = "pylon", "--profile", "ideal", "--noise", "none", "--tolerance", "0.2"  # the first ping, made before all else
+# the first ping, which is made before all else, is a quick one
+PYLON = "pylon", "--profile", "ideal", "--noise", "none", "--tolerance", "0.2"
 
 
 @pytest.mark.parametrize("device", KINDS)
