@@ -68,6 +68,12 @@ def few_first_rays():
 
 
 @pytest.fixture
+def timed_once(monkeypatch):
+    """Has prices of terms time one ping each, for tests that ask for no times."""
+    monkeypatch.setattr("sonar_gl.analysis.terms.TURNS", 1)
+
+
+@pytest.fixture
 def opengl_engine(monkeypatch):
     """Has simulators draw by OpenGL, also on a software driver."""
     monkeypatch.setenv("SONAR_GL_ENGINE", "opengl")

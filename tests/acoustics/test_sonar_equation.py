@@ -12,6 +12,7 @@ from tools import sonar_equation
 WITHIN_DB = 0.1
 SLOW_CASES = (
     "no TVG, 900 kHz",
+    "20 log r + 2αr",
     "30 log r + 2αr",
     "40 log r + 2αr",
     "line array, no TVG",

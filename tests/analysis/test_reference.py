@@ -119,10 +119,10 @@ def test_planes(name):
 @pytest.mark.parametrize(
     "angles, offset_m",
     [
-        ((0.4, 0.2, 0), 500e3),
-        ((-2.9, 0.2, 2.5), 0.0),
+        ((-2.9, 0.2, 2.5), 500e3),  # both at once
+        pytest.param((0.4, 0.2, 0), 500e3, marks=pytest.mark.slow),
+        pytest.param((-2.9, 0.2, 2.5), 0.0, marks=pytest.mark.slow),
         pytest.param((0.4, 0.2, 0), 0.0, marks=pytest.mark.slow),
-        pytest.param((-2.9, 0.2, 2.5), 500e3, marks=pytest.mark.slow),
     ],
 )
 def test_floor_below_a_rotated_sonar(angles, offset_m):
@@ -188,7 +188,7 @@ def test_a_sphere_about_the_sonar_returns_its_reflectivity_in_every_beam(beams, 
 
 def test_a_post_thinner_than_a_beam_is_weighted_by_the_pattern_at_its_azimuth():
     """A thin post shows the beam pattern, wherever it stands between the nodes."""
-    acoustics, it = sg.Acoustics.physical(), sonar(40, 8.0, 1.0, bins=30)
+    acoustics, it = sg.Acoustics.physical(), sonar(20, 4.0, 1.0, bins=30)
     azimuth = math.radians(0.737)
     post = sg.Body(
         "post",
@@ -223,7 +223,7 @@ def test_a_fan_of_a_full_circle_has_no_seam():
 
 def test_body_echo_is_each_bodys_part_of_the_intensity():
     # a pulse carries echo out of the last bins, a body's echo is before the pulse
-    it, acoustics = sonar(), sg.Acoustics.physical(tvg_k=40.0, pulse=False)
+    it, acoustics = sonar(bins=50), sg.Acoustics.physical(tvg_k=40.0, pulse=False)
     floor = plane_body((0, 0, -1), 3.0, name="floor", reflectivity=0.2)
     ball = sg.Body("ball", trimesh.creation.icosphere(4, 0.5), sg.pose(12, 0, -1), 0.7)
     hidden = sg.Body("hidden", trimesh.creation.icosphere(2, 0.2), sg.pose(12, 0, -1), 0.7)

@@ -78,8 +78,10 @@ DAMAGE = {
 }
 
 
-# all kinds of damage to the record of a part, and some to the others, which are read in the same way
+# kinds of damage to the record of a part, and one to each of the others, which are read in the same way; half a record
+# is as wrong as none, and a space as a digit
 SLOW_DAMAGE = [(name, damage) for name in (BEGUN, DONE) for damage in list(DAMAGE)[1:]]
+SLOW_DAMAGE += [(name, damage) for name in CURES for damage in ("half", "a space", "other JSON")]
 
 
 @pytest.mark.parametrize(

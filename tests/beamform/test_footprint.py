@@ -48,7 +48,7 @@ def brute(s, a, b, edges=EDGES, slant=0.0):
 
     It is denser by `slant` at the end of b that is nearer, and less dense by as much at the other one.
     """
-    n = 2000 if a and b else 100_000
+    n = 1500 if a and b else 100_000
 
     def middles(half):
         return half * ((np.arange(n) + 0.5) / n * 2 - 1) if half else np.zeros(1)

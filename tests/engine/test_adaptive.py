@@ -40,11 +40,11 @@ def level(simulator):
 
 
 def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
-    scene = sg.Scene([ball()])
-    truth = sg.reference_ping(scene, SONAR, np.eye(4), IDEAL, error=0.02)
+    scene, sonar = sg.Scene([ball()]), replace(SONAR, n_bins=100)
+    truth = sg.reference_ping(scene, sonar, np.eye(4), IDEAL, error=0.02)
     levels, errors = [], []
     for tolerance in (0.1, 0.03, 0.01):
-        with sg.Simulator(scene, SONAR, IDEAL, tolerance=tolerance) as simulator:
+        with sg.Simulator(scene, sonar, IDEAL, tolerance=tolerance) as simulator:
             ping = simulator.ping(np.eye(4))
             levels.append(level(simulator))
         errors.append(ping_error(ping, truth))

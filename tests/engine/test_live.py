@@ -89,9 +89,9 @@ def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping(
 def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
     """Pings that were started before a check changed the samples are made again."""
     with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
-        single = [simulator.ping(pose, labels=labels) for pose in poses(120)]
+        single = [simulator.ping(pose, labels=labels) for pose in poses(80)]
     with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
-        together = list(simulator.pings(poses(120), labels=labels))
+        together = list(simulator.pings(poses(80), labels=labels))
     assert len({ping.meta["sampling"]["rows"] for ping in single}) > 3
     for one, other in zip(together, single, strict=True):
         assert (one.error_estimate, one.meta["sampling"]) == (other.error_estimate, other.meta["sampling"])

@@ -231,15 +231,16 @@ def test_bodies_above_the_water_do_not_echo(perfect):
     perfect()
     pile = sg.Body("pile", trimesh.creation.cylinder(0.3, 6.0), sg.pose(6, 0, 0), 0.8)
     cut = sg.Body("pile", trimesh.creation.cylinder(0.3, 3.0), sg.pose(6, 0, -1.5), 0.8)
-    pose = sg.pose(0, 0, -1, 0, -0.1)
+    pose, sonar = sg.pose(0, 0, -1, 0, -0.1), replace(SONAR, n_bins=100)
     for make in (
-        lambda scene: sg.reference_ping(scene, SONAR, pose, IDEAL, error=0.02),
-        lambda scene: sg.Simulator(scene, SONAR, IDEAL, FINE).ping(pose),
+        lambda scene: sg.reference_ping(scene, sonar, pose, IDEAL, error=0.04),
+        lambda scene: sg.Simulator(scene, sonar, IDEAL, FINE).ping(pose),
     ):
         crossing = make(sg.Scene([pile], surface_z_m=0.0)).intensity
         above = make(sg.Scene([pile])).intensity
         below = make(sg.Scene([cut])).intensity
-        assert np.abs(crossing - below).sum() < 0.01 * below.sum()  # samples at the surface's edge
+        # samples at the surface's edge; rays err by 0.4 %
+        assert np.abs(crossing - below).sum() < 0.01 * below.sum()
         assert above.sum() > 1.2 * below.sum()
 
 

@@ -79,7 +79,10 @@ def test_port_is_left_and_the_sonar_at_the_bottom():
     assert (column, row) == pytest.approx((width / 2 - 2 * 60, 600 - 8 * 60), abs=1)
 
 
-@pytest.mark.parametrize("fov_deg", [20, 45, 90, 120, 130, 180, 270, 360])
+@pytest.mark.parametrize(
+    "fov_deg",
+    [20, 90, 180, 270, 360, *(pytest.param(fov_deg, marks=pytest.mark.slow) for fov_deg in (45, 120, 130))],
+)
 def test_isotropic(fov_deg):
     """A metre is as long across as along."""
     half = math.radians(fov_deg) / 2
@@ -93,7 +96,7 @@ def test_isotropic(fov_deg):
 
 
 @pytest.mark.parametrize(
-    "fov_deg", [90, 120, *(pytest.param(fov_deg, marks=pytest.mark.slow) for fov_deg in (45, 130, 150))]
+    "fov_deg", [90, *(pytest.param(fov_deg, marks=pytest.mark.slow) for fov_deg in (45, 120, 130, 150))]
 )
 def test_printed_is_anisotropic_and_mirrored(fov_deg):
     half = math.radians(fov_deg) / 2

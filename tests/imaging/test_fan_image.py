@@ -34,7 +34,7 @@ def test_port_is_left_and_forward_up():
 
 
 FANS_DEG = 20, 45, 90, 120, 130, 179, 180, 181, 270, 359, 360
-FAST = {(fov_deg, 401) for fov_deg in (20, 90, 130, 180, 270, 360)} | {(130, 800)}  # others are slow
+FAST = {(fov_deg, 401) for fov_deg in (20, 90, 180, 360)} | {(130, 800)}  # others are slow
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_full_circle_has_no_seam():
     image = fan_image(ping, 400, counts=LINEAR)
     turned = fan_ping(360, n_beams=48)
     turned.intensity[:] = np.roll(ping.intensity, 24, axis=0)
-    assert fan_image(turned, 400, counts=LINEAR)[::-1, ::-1] == pytest.approx(image, abs=0.01)
+    np.testing.assert_allclose(fan_image(turned, 400, counts=LINEAR)[::-1, ::-1], image, rtol=0, atol=0.01)
     steps = np.abs(np.diff(image[250:380], axis=1))[:, 150:250]
     assert (image[250:380, 150:250] > 0.05).all() and steps.max() < 0.02
 

@@ -29,6 +29,10 @@ WAIT_S = 60.0  # on a machine that draws WebGL by software and does other work b
 SIZE = {"width": 1000, "height": 700}
 # Of a drag in five steps over 1.07 lengths of a gizmo's arrow, in such lengths: the one before the last ends at 0.86.
 LAST_STEP = 1.0
+# software WebGL draws the scene alone, not also the controls and pictures beside it, and a quarter of its pixels: tests
+# read values of the page, and places in its own units
+BY_PROCESSOR = "--disable-gpu-compositing", "--disable-gpu-rasterization"
+DEVICE_SCALE = 0.5
 OWN_SONAR = """
 frequency_hz = 700e3
 n_beams = 24
@@ -55,23 +59,29 @@ def wait_for(what, timeout_s=WAIT_S):
 def viewer(tmp_path_factory):
     """A session, its page, a browser's tab that shows it, and what the tab asked for.
 
-    There are few beams and bins, and speckle, since equal pictures are not sent again.
+    There are few beams and bins, few pings a second, which share the processor with the browser, and speckle, since
+    equal pictures are not sent again.
     """
     folder = tmp_path_factory.mktemp("view") / "out"
     sonar = replace(sg.load_sonar("p900-45").with_range(22.0), n_beams=64, n_bins=128, keeps_n_bins=True)
     settings = LiveSettings(
-        sonar, acoustics=sg.Acoustics.ideal(), noise="speckle=yes", height=300, engine="cpu"
+        sonar,
+        acoustics=sg.Acoustics.ideal(),
+        noise="speckle=yes",
+        height=300,
+        engine="cpu",
+        max_rate_hz=10.0,
     )
     with ExitStack() as stack:
         try:
-            browser = stack.enter_context(open_browser())
+            browser = stack.enter_context(open_browser(*BY_PROCESSOR))
         except MissingBrowserError as why:
             pytest.skip(str(why))
         session = stack.enter_context(
             LiveSession(sg.load_scene("pylon"), settings, folder=folder, source=SceneSource("pylon"))
         )
         page = stack.enter_context(ViewerPage(session, port=0))
-        tab = browser.new_page(viewport=SIZE)
+        tab = browser.new_page(viewport=SIZE, device_scale_factor=DEVICE_SCALE)
         requests, failures = [], []
         tab.on("request", lambda request: requests.append(request.url))
         tab.on("pageerror", lambda why: failures.append(f"{why}\n{why.stack}"))
@@ -104,6 +114,16 @@ def new_pictures(tab, count=3):
     """Wait until the tab shows so many more pictures."""
     shown = tab.evaluate("window.pictures")
     wait_for(lambda: tab.evaluate("window.pictures") >= shown + count)
+
+
+def wait_until_drawn(tab):
+    """Wait until what was sent before has arrived, as pictures sent after it have, and the tab has drawn it."""
+    new_pictures(tab)
+    tab.evaluate(
+        """async () => {
+        for (let k = 0; k < 4; k++) await new Promise((done) => requestAnimationFrame(done));
+        }"""
+    )
 
 
 def wait_until_still(session):
@@ -329,12 +349,12 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     before = camera.position, camera.look_at
     camera.position, camera.look_at = middle - 12.0 * np.eye(3)[0] + 8.0 * up, middle
     wait_for(lambda: np.allclose(camera.look_at, middle, atol=1e-3))  # messages have float32
-    new_pictures(tab, 10)
+    wait_until_drawn(tab)
     mouse.move(*on_canvas(viewer, middle))
     mouse.click(*on_canvas(viewer, middle))
     tab.get_by_role("button", name="Unselect").wait_for(timeout=1000 * WAIT_S)
     assert session.highlighted == "pylon_square"
-    new_pictures(tab, 10)
+    wait_until_drawn(tab)
     gizmo_m = gizmo_length_m(viewer, middle)
     mouse.move(*on_canvas(viewer, middle + 0.93 * gizmo_m * up))
     mouse.down()

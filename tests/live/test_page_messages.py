@@ -419,6 +419,7 @@ def price_tables(browser):
     return [text for one in browser.values.values() if "multipath</td>" in (text := str(one.get("content")))]
 
 
+@pytest.mark.usefixtures("timed_once")
 def test_terms_are_switched_and_priced(session, browser):
     browser.change("absorption", True)
     wait_for(lambda: session.settings.is_on("absorption"))

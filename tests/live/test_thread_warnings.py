@@ -79,6 +79,7 @@ def of_emulator(scene, beside):
     head.close()
 
 
+@pytest.mark.usefixtures("timed_once")
 @pytest.mark.parametrize("make", [of_session, of_prices, of_publisher, of_emulator])
 def test_a_ping_in_a_thread_leaves_the_warnings_of_the_process_alone(scene, gate, make):
     before = list(warnings.filters), warnings.showwarning

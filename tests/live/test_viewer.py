@@ -131,6 +131,7 @@ def test_without_its_extra_view_says_how_to_add_it(monkeypatch):
         sg.view("pylon", no_setting=7)
 
 
+@pytest.mark.usefixtures("timed_once")
 def test_the_command_takes_the_needed_terms():
     done = run(
         "view", "pylon", "--acoustics", "needed", "--tolerance", "0.2", "--range", "12", "--bins", "60"

@@ -193,24 +193,25 @@ def test_another_program_receives_pings(port, router, transports, type_hashes):
     digest = topic.type_hash if type_hashes else "TypeHashNotSupported"
     typed = f"marine_acoustic_msgs::msg::dds_::ProjectedSonarImage_/{digest}"
     transport = transports(domain=3, node="fls", type_hashes=type_hashes)
-    before_ns, sent = time.time_ns(), [stamped(message, TIME_NS + k) for k in range(5)]
-    with reading(f"tcp/127.0.0.1:{port}", f"3/sonar/projected_image/{typed}", 5) as program:
+    before_ns, sent = time.time_ns(), [stamped(message, TIME_NS + k) for k in range(40)]
+    with reading(f"tcp/127.0.0.1:{port}", f"3/sonar/projected_image/{typed}", len(sent)) as program:
         probes = program.connect(lambda probe: transport.publish(topic, probe, 0))
         for one in sent:
             transport.publish(topic, one, TIME_NS)
+            time.sleep(0.025)  # forty hertz
         messages = program.messages()
     after_ns = time.time_ns()
-    assert [one["key"] for one in messages] == [f"3/sonar/projected_image/{typed}"] * 5
+    assert [one["key"] for one in messages] == [f"3/sonar/projected_image/{typed}"] * len(sent)
     received = [bytes.fromhex(one["payload"]) for one in messages]
     assert received == sent
-    for k, one in enumerate(received):
+    for k, one in enumerate(received[:5]):
         for decode in DECODERS:
             check_projected_image(decode(topic, one), ping, TIME_NS + k)
 
     attached = [bytes.fromhex(one["attachment"]) for one in messages]
     numbers = [int.from_bytes(one[:8], "little") for one in attached]
     times_ns = [int.from_bytes(one[8:16], "little") for one in attached]
-    assert numbers == list(range(probes + 1, probes + 6))  # the first message has number 1
+    assert numbers == list(range(probes + 1, probes + 1 + len(sent)))  # the first message has number 1
     assert [before_ns, *times_ns, after_ns] == sorted([before_ns, *times_ns, after_ns])
     assert {one[16:17] for one in attached} == {b"\x10"} and {len(one) for one in attached} == {33}
     assert len({one[17:] for one in attached}) == 1
@@ -509,10 +510,6 @@ def test_a_closed_transport_leaves_nothing(router, transports):
     ):
         with pytest.raises(Error, match="this ZenohTransport is closed; make a new one"):
             use()
-
-
-def test_one_second_at_forty_hertz_loses_nothing():
-    check_soak(soak("zenoh", 1.0, 40.0), 5, 40)
 
 
 @pytest.mark.slow

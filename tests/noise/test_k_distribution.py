@@ -84,7 +84,7 @@ def test_texture_is_that_of_the_bodies_that_have_one(engine):
     shape = 1.0
     wall = sg.Body("wall", box_of(0.1, 30, 30), sg.pose(8.05, 0, 0), reflectivity=0.5, speckle_shape=shape)
     plate = sg.Body("plate", box_of(0.1, 10, 30), sg.pose(6.05, 5, 0), reflectivity=0.5)
-    with sg.Simulator(sg.Scene([wall, plate]), sonar, tolerance=0.1, engine=engine) as simulator:
+    with sg.Simulator(sg.Scene([wall, plate]), sonar, sampling=sg.Sampling(2, 8), engine=engine) as simulator:
         pings = [simulator.ping(np.eye(4), Noise(speckle=True), seed=1, ping_number=k) for k in range(300)]
     x = np.array([ping.intensity for ping in pings], np.float64)
     assert pings[0].texture_deviation is None

@@ -117,7 +117,7 @@ def test_visible_leaves_are_drawn_and_others_culled(views, keep_points, monkeypa
     bodies = [sg.Body("ground", ground, sg.pose(z=-2)), sg.Body("ball", ball, sg.pose(3, 2))]
     some = meshes_of(bodies)
     left_out = wasted = drawn = 0
-    for pose in poses():
+    for pose in poses(5):
         for view in views:
             chosen, placed = choose(some, pose, view)
             assert len(set(chosen)) == len(chosen)

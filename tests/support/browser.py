@@ -22,8 +22,8 @@ class MissingBrowserError(RuntimeError):
 
 
 @contextmanager
-def open_browser():
-    """Yield a playwright Browser; raise MissingBrowserError where there is none."""
+def open_browser(*options: str):
+    """Yield a playwright Browser that has further options; raise MissingBrowserError where there is none."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -32,7 +32,7 @@ def open_browser():
     if path is None:
         raise MissingBrowserError("there is no Chromium (apt-get install chromium brings it in)")
     with sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=path, args=OPTIONS)
+        browser = running.chromium.launch(executable_path=path, args=[*OPTIONS, *options])
         try:
             yield browser
         finally:

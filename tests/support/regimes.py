@@ -52,7 +52,7 @@ def wide_fan(fov_deg):
     is infinite where no such view exists.
     """
     sonar = replace(SONAR, azimuth_fov_deg=fov_deg, beam_width_deg=fov_deg / 64)
-    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[180, 360]), reflectivity=1.0)
+    ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=1.0)
     ours = ping([ball], sonar).intensity.sum(axis=1, dtype=np.float64)
     try:
         plain = naive.single_view_beams(sonar, SAMPLING.columns_per_beam)
