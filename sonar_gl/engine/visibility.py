@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -130,7 +131,10 @@ def count_bodies(
 def is_unobstructed(
     samples: Sequence[SectorSamples], body, body_pose, pose, sonar: Sonar, received_u
 ) -> bool:
-    """Return whether some vertex of a body that no sample met lies, in a beam, in front of the samples around it."""
+    """Return whether some vertex of a body that no sample met lies, in a beam, in front of the samples around it.
+
+    It must lie in front of all nine: the corners of a body in the place of another lie beside samples of that.
+    """
     vertices = np.asarray(body.surface.vertices, np.float64)
     vertices = vertices[:: max(1, len(vertices) // VERTICES)]
     world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
@@ -148,7 +152,12 @@ def is_unobstructed(
         lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
         inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
-        if (q[inside] > plane_echo[j[inside], i[inside], 0] * IN_FRONT).any():
+        q, i, j = q[inside], i[inside], j[inside]
+        in_front = np.ones(len(q), bool)
+        for row, column in product((-1, 0, 1), repeat=2):
+            beside = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1), 0
+            in_front &= q > plane_echo[beside] * IN_FRONT
+        if in_front.any():
             return True
     return False
 

@@ -292,6 +292,18 @@ def test_a_body_between_boxes_changes_neither_samples_nor_echo():
     assert ping.body_echo[2] == 0
 
 
+@pytest.mark.parametrize("mesh", [trimesh.creation.box((1, 1, 1)), trimesh.creation.icosphere(3, 0.4)])
+def test_a_body_in_the_place_of_another_needs_no_finer_samples(mesh):
+    """Its corners lie beside samples of the other, before the empty water: it was taken for one not met yet."""
+    bodies = [sg.Body(name, mesh, sg.pose(6, 0.2)) for name in ("one", "again")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with sg.Simulator(sg.Scene(bodies), SONAR, IDEAL, tolerance=0.05) as simulator:
+            both, one = (simulator.ping(np.eye(4), bodies=bodies) for bodies in (None, {"again": None}))
+    assert both.meta["sampling"] == one.meta["sampling"]
+    np.testing.assert_array_equal(both.intensity, one.intensity)
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
     """The sphere about a ball of 1 m at 10 m fills 5.7 degrees to each side."""
