@@ -322,6 +322,22 @@ class Beamformer:
         columns.spans[:] = columns.sums.shape[1], 0
         return response
 
+    @cached_property
+    def column_response(self) -> np.ndarray:
+        """What all beams together return of the echo in a column, by far side lobes, too; (columns,) float64."""
+        columns, n_columns = self._column_sums(), self.fan.n_columns
+        n_bins, response = columns.sums.shape[1], np.empty(n_columns)
+        for half in range(2):
+            self._clear_columns(half, columns)
+        for first in range(0, n_columns, n_bins):  # each column has an echo in a bin of its own
+            mine = np.arange(first, min(first + n_bins, n_columns))
+            columns.sums[mine, mine - first] = 1
+            columns.spans[mine] = np.column_stack([mine, mine + 1]) - first
+            response[mine] = self.weigh(NO_GAIN).intensity.sum(axis=0, dtype=np.float64)[: len(mine)]
+            columns.sums[mine, mine - first] = 0
+            columns.spans[mine] = n_bins, 0
+        return response
+
     @property
     def n_bytes(self) -> int:
         """Bytes of its tables, about."""
@@ -435,7 +451,7 @@ class Beamformer:
         view : its samples hold the numbers of bodies
         """
         if self._labeller is None:
-            self._labeller = self._make_labeller()
+            self._labeller = self._make_labeller(self.column_response)
         samples, columns = view.sectors, self._column_sums()
         is_little = self._rows(samples) < FEW_ROWS
         for half in range(2):

@@ -1293,15 +1293,6 @@ def _compare(rows, body, best, total, body_id, stronger):
 
 
 @inlined
-def _add_echo(rows, echo, m):
-    """Add the echo in a tile's beams to that of a body in these bins, row `m` of (m, TILE_BINS) float64."""
-    m = uint64(m)
-    for k in range(uint64(TILE_BINS)):
-        low = rows[k] + rows[uint64(TILE_ROW) + k]
-        echo[m, k] += low + (rows[uint64(2 * TILE_ROW) + k] + rows[uint64(3 * TILE_ROW) + k])
-
-
-@inlined
 def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
     """Write what is known of the strongest echo in a block of a beam's bins; `best` is overwritten."""
     at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
@@ -1321,7 +1312,28 @@ def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
 
 
 @compiled
-def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, body_echo, strongest):
+def sum_body_echo(runs, response, gain, body_echo):
+    """Sum the echo of each body in all beams.
+
+    Parameters
+    ----------
+    runs : tuple of Runs
+    response : (columns of `LabelColumns`,) float64, what all beams together return of the echo in a column
+    gain : (K,)
+    body_echo : (numbers,) float64, added to: the echo with the gain
+    """
+    runs = Runs(*runs)
+    for m in range(runs.bodies.shape[0]):
+        for n in range(runs.begins[m], runs.begins[m + 1]):
+            first, past = runs.table[n, FIRST_BIN], runs.table[n, PAST_BIN]
+            pool, at, total = runs.pools[runs.owner[n]], runs.table[n, PLACE], 0.0
+            for k in range(past - first):
+                total += pool[at + k] * gain[first + k]
+            body_echo[runs.bodies[m]] += response[runs.table[n, COLUMN]] * runs.share[n] * total
+
+
+@compiled
+def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, strongest):
     """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
 
     Parameters
@@ -1329,9 +1341,8 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
     runs, tiles, strongest : tuples of Runs, BeamTiles and StrongestEcho
     part : (2,) first and past the last of the tiles that are done
     n_columns : of `LabelColumns`
-    gain : (K,); middle_m : (K,) float32, of BinTable
+    middle_m : (K,) float32, of BinTable
     is_background : (numbers,) bool
-    body_echo : (numbers,) float64, added to: the echo with the gain
     """
     runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
     B, K = strongest.share.shape
@@ -1348,7 +1359,6 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
     rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
     total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
     body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
-    echo = np.zeros((runs.bodies.shape[0], TILE_BINS))
     for k0 in range(0, K, TILE_BINS):
         n_bins = min(TILE_BINS, K - k0)
         _pack_panel(panel, runs, k0, n_columns, origin, end)
@@ -1367,7 +1377,6 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
                     continue
                 mine = best if is_first else rows
                 _weigh_runs(panel, first, past, start, tiles.weights[t], w, mine)
-                _add_echo(mine, echo, m)
                 if is_background[body]:
                     for b in range(b0, b1):
                         for k in range(n_bins):
@@ -1381,11 +1390,6 @@ def find_strongest(runs, tiles, part, n_columns, gain, middle_m, is_background, 
                 best[:], total[:], body_id[:] = 0.0, 0.0, 0
             for b in range(b0, b1):
                 _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
-        for m in range(runs.bodies.shape[0]):
-            if panel.begins[m] < panel.begins[m + 1]:
-                for k in range(TILE_BINS):
-                    body_echo[runs.bodies[m]] += echo[m, k] * (gain[k0 + k] if k < n_bins else 0.0)
-                    echo[m, k] = 0.0
 
 
 # ---- image sources: multipath echoes by way of a planar reflector ---------------------------------------

@@ -102,6 +102,7 @@ class LabelColumns(NamedTuple):
     wide_edges : (W + 1,) int64, joined columns between which the wide ones lie
     wide_shares : (count,) float32, the share of its wide column that a joined column takes
     tiles : kernels.BeamTiles of joined columns
+    response : (count,) float64, what all beams together return of the echo in a joined column
     """
 
     of_columns: np.ndarray
@@ -109,10 +110,14 @@ class LabelColumns(NamedTuple):
     wide_edges: np.ndarray
     wide_shares: np.ndarray
     tiles: kernels.BeamTiles
+    response: np.ndarray
 
 
-def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float) -> LabelColumns:
-    """Join columns where the result is no wider than `widest_rad` and all beams receive them alike."""
+def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float, response: np.ndarray) -> LabelColumns:
+    """Join columns where the result is no wider than `widest_rad` and all beams receive them alike.
+
+    response : of `Labeller`
+    """
     widths_rad, n = np.diff(fan.column_edges_rad), fan.n_columns
     # of each beam, counted on from its first one: a fan that is a full circle goes on at its seam
     columns = weights.first[:, None] + np.arange(weights.weights.shape[1])
@@ -134,6 +139,7 @@ def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float) -> LabelCol
     cell = (np.arange(n_beams)[:, None] * width + place).ravel()
     received = np.bincount(cell, (weights.weights * widths_rad[columns % n]).ravel(), n_beams * width)
     joined_rad = np.add.reduceat(widths_rad, begins)
+    of_all = np.add.reduceat(response * widths_rad, begins) / joined_rad
     of_beams = joined_rad[(first[:, None] + np.arange(width)) % len(begins)]
     return LabelColumns(
         np.append(of_columns, len(begins) + np.arange(fan.n_wide_columns)),
@@ -141,6 +147,7 @@ def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float) -> LabelCol
         np.searchsorted(begins, fan.wide_edges) if fan.n_wide_columns else fan.wide_edges,
         np.add.reduceat(fan.wide_shares, begins) if fan.n_wide_columns else np.ones(len(begins), np.float32),
         kernels.beam_tiles(first, np.float32(received.reshape(n_beams, width) / of_beams)),
+        of_all,
     )
 
 
@@ -155,6 +162,7 @@ class Labeller:
     bins : tuple of kernels.BinTable
     elevation_pattern : of kernels.sum_footprints
     workspace : Workspace
+    response : (columns,) of `Beamformer.column_response`
     """
 
     def __init__(
@@ -166,9 +174,11 @@ class Labeller:
         bins,
         elevation_pattern,
         workspace: Workspace,
+        response: np.ndarray,
     ):
         widest_rad = 0.0 if is_box else weights.width_rad.min() / COLUMNS_PER_BEAM
-        self._fan, self._bins, self._columns = fan, bins, label_columns(fan, weights, widest_rad)
+        self._fan, self._bins = fan, bins
+        self._columns = label_columns(fan, weights, widest_rad, response)
         self._elevation_pattern = elevation_pattern
         self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
         self._parts, self._workspace, pools = parts, workspace, workspace.pools
@@ -236,7 +246,8 @@ class Labeller:
             means=self._means.empty(),
         )
         mask = np.zeros(n_bodies + 1, bool) if is_background is None else is_background
-        body_echo = np.zeros((2, n_bodies + 1))
+        body_echo = np.zeros(n_bodies + 1)
+        kernels.sum_body_echo(runs, self._columns.response, gain, body_echo)
 
         def pick(half):
             kernels.find_strongest(
@@ -244,10 +255,8 @@ class Labeller:
                 tuple(self._columns.tiles),
                 self._parts[half],
                 self._columns.count,
-                gain,
                 self._middle_m,
                 mask,
-                body_echo[half],
                 tuple(strongest),
             )
 
@@ -262,6 +271,6 @@ class Labeller:
             incidence_rad=incidence_rad,
             true_range_m=true_range_m,
             share=strongest.share,
-            body_echo=body_echo.sum(axis=0),
+            body_echo=body_echo,
             shadow=shadow,
         )
