@@ -315,8 +315,8 @@ class Beamformer:
     def even_response(self) -> np.ndarray:
         """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
         columns = self._column_sums()
+        columns.spans[:] = 0, columns.sums.shape[1]  # first, as in `column_response`
         columns.sums[:] = self._columns_sr[:, None]
-        columns.spans[:] = 0, columns.sums.shape[1]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0
@@ -331,8 +331,9 @@ class Beamformer:
             self._clear_columns(half, columns)
         for first in range(0, n_columns, n_bins):  # each column has an echo in a bin of its own
             mine = np.arange(first, min(first + n_bins, n_columns))
-            columns.sums[mine, mine - first] = 1
+            # spans first: what lies outside of them is never cleared, should an interrupt come between
             columns.spans[mine] = np.column_stack([mine, mine + 1]) - first
+            columns.sums[mine, mine - first] = 1
             response[mine] = self.weigh(NO_GAIN).intensity.sum(axis=0, dtype=np.float64)[: len(mine)]
             columns.sums[mine, mine - first] = 0
             columns.spans[mine] = n_bins, 0
@@ -564,7 +565,10 @@ def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
 
 
 def _union_of_strips(sector: Sector, tables: Sequence[kernels.StripTable]) -> np.ndarray:
-    """Return (2n,) u between which the samples lie that upright strips take: one, if they are narrower than it."""
+    """Return (2n,) u between which the samples lie that upright strips take.
+
+    A strip narrower than a sample takes the nearest one.
+    """
     middles = np.concatenate([table.middle for table in tables])
     if not len(middles):
         return np.full(2, np.inf)

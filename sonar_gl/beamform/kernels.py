@@ -1670,7 +1670,7 @@ def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
         vc = (low + high) / 2
         uc, q = line_u[m] + tilt[m] * vc, rest[m] + along[m] * vc
         x, y, z = x_0 - x_u * uc + x_v * vc, y_0 - y_u * uc + y_v * vc, z_0 - z_u * uc + z_v * vc
-        # what lies behind the reflector's plane, or turns away from it, meets no sound that comes by way of it
+        # what lies behind the reflector's plane, or turns away from the other one, meets no sound by way of it
         is_met = (side[m] > 0.0) & (normal_x * x + normal_y * y + normal_z * z <= offset * q)
         is_met |= from_image
         is_met &= (echo[m] > 0.0) & (high > low) & (q > HORIZON) & (up_0 - up_u * uc + up_v * vc <= top * q)

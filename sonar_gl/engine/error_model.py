@@ -205,7 +205,7 @@ class ErrorModel:
         for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
             one = bodies[body - 1], state.poses[body - 1]
             received_u = tried.stage.beamformer.received_u
-            counts[body] = is_unobstructed(sectors, *one, pose, self._true_range_sonar, received_u)
+            counts[body] = is_unobstructed(sectors, body, *one, pose, self._true_range_sonar, received_u)
         factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)

@@ -129,11 +129,12 @@ def count_bodies(
 
 
 def is_unobstructed(
-    samples: Sequence[SectorSamples], body, body_pose, pose, sonar: Sonar, received_u
+    samples: Sequence[SectorSamples], number: int, body, body_pose, pose, sonar: Sonar, received_u
 ) -> bool:
-    """Return whether some vertex of a body that no sample met lies, in a beam, in front of the samples around it.
+    """Return whether some vertex of a body that few samples met, or none, lies in a beam, in front of others around it.
 
-    It must lie in front of all nine: the corners of a body in the place of another lie beside samples of that.
+    It must lie in front of all nine, but for samples of the body itself: the corners of a body in the place of another
+    lie beside samples of that. `number` is that of the body in the samples.
     """
     vertices = np.asarray(body.surface.vertices, np.float64)
     vertices = vertices[:: max(1, len(vertices) // VERTICES)]
@@ -141,7 +142,7 @@ def is_unobstructed(
     points = (world - pose[:3, 3]) @ pose[:3, :3]
     range_m = np.linalg.norm(points, axis=1)
     points = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)]
-    for (sector, plane_echo, _), received in zip(samples, received_u, strict=True):
+    for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
         x, y, z = (points @ sector.rotation().T).T
         ahead = x > 1e-3
         u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
@@ -155,8 +156,8 @@ def is_unobstructed(
         q, i, j = q[inside], i[inside], j[inside]
         in_front = np.ones(len(q), bool)
         for row, column in product((-1, 0, 1), repeat=2):
-            beside = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1), 0
-            in_front &= q > plane_echo[beside] * IN_FRONT
+            beside = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
+            in_front &= (q > plane_echo[beside][:, 0] * IN_FRONT) | (body_id[beside] == number)
         if in_front.any():
             return True
     return False

@@ -9,7 +9,7 @@ import numpy as np
 from sonar_gl.scene.primitives import INFINITE_PLANE_M
 from sonar_gl.scene.scene import Body, Scene
 
-LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long, but not as high, too: such a scene is in other units
+LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
 def body_bounds(body: Body) -> np.ndarray:
