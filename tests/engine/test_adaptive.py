@@ -14,7 +14,7 @@ from sonar_gl.engine import error_model
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies
+from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, is_unobstructed
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import SectorSamples
@@ -93,6 +93,20 @@ def count_samples(simulator):
         (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
         tables = stage.beamformer.elevation_table, stage.beamformer.received_u
         return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, *tables).samples
+
+
+@pytest.mark.parametrize("distance_m, is_seen", [(8.0, True), (10.0, False)])
+def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
+    """Each of its vertices lies beside such a sample; behind a wall all lie behind others."""
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 30, 30)), sg.pose(9))
+    bodies = [wall, ball(distance_m, radius=0.1, name="small")]
+    with sg.Simulator(sg.Scene(bodies), SONAR, IDEAL, sampling_at(SONAR, 0)) as simulator:
+        stage = simulator.run.sampler.resolution.stage
+        assert (0 < count_samples(simulator)[2] < 8) == is_seen
+        with simulator.run.drawing():
+            (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
+            arguments = bodies[1].pose, np.eye(4), SONAR, stage.beamformer.received_u
+            assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
