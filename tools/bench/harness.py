@@ -24,8 +24,18 @@ WARM_UP = 3  # rounds that are not counted
 CREEP_M = 0.001  # the sonar creeps ahead by this much a round, so that no two pings are alike
 
 
+def processor() -> str:
+    """Return what the CPU calls itself."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or "a CPU without a name"
+
+
 def describe_machine() -> dict:
-    """Return versions, GL renderer, cores and load: what times depend on."""
+    """Return versions, GL renderer, processor, cores and load: what times depend on."""
     with sg.Simulator(sg.Scene([]), sg.load_sonar("p900-45")) as simulator:
         renderer = simulator.gl_info["renderer"]
     return {
@@ -33,16 +43,17 @@ def describe_machine() -> dict:
         "gl_renderer": renderer,
         "python": platform.python_version(),
         "machine": platform.machine(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "load": os.getloadavg()[0],
     }
 
 
 def one_line(machine: Mapping) -> str:
-    """Return the versions, GL renderer and cores as text."""
+    """Return the versions, GL renderer, processor and cores as text."""
     return (
         f"sonar_gl {machine['version']} on {machine['gl_renderer']}; "
-        f"Python {machine['python']}, {machine['cores']} cores"
+        f"{machine['cores']} cores of {machine['processor']}, Python {machine['python']}"
     )
 
 

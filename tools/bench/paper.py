@@ -20,8 +20,6 @@ rates of single scenes, their deviations or its computer; its scenes are like ou
 
 from __future__ import annotations
 
-import platform
-
 import numpy as np
 
 import sonar_gl as sg
@@ -54,16 +52,6 @@ def rates_hz(name: str, rounds: int) -> dict[str, np.ndarray]:
     return {style: 1e3 / ms for style, ms in times.items()}
 
 
-def processor() -> str:
-    """Return what the CPU calls itself."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-    except OSError:
-        names = []
-    return names[0] if names else platform.processor() or "a CPU without a name"
-
-
 def add_options(parser):
     """Add the options of this bench."""
     parser.add_argument("--scene", action="append", choices=RANGE_M, help="may be repeated; default: all")
@@ -75,12 +63,12 @@ def run(options) -> dict:
     for name in options.scene or RANGE_M:
         found = rates_hz(name, options.rounds)
         scenes[name] = {style: (float(hz.mean()), float(hz.std())) for style, hz in found.items()}
-    return {"processor": processor(), "paper_hz": PAPER_HZ, "rates_hz": scenes}
+    return {"paper_hz": PAPER_HZ, "rates_hz": scenes}
 
 
 def report(found: dict):
     """Print the rates beside the paper's, and the caveat."""
-    print(f"\nComplete images a second, mean (standard deviation); {found['processor']}")
+    print("\nComplete images a second, mean (standard deviation)")
     print(
         f"  theirs: a CPU of 2015, 19 600 rays through Gazebo's physics engine; {PAPER_HZ} Hz for all scenes"
     )

@@ -24,7 +24,7 @@ from sonar_gl.core.errors import MachineError
 from tools.bench import harness
 from tools.bench.harness import Contender
 from tools.chart import device
-from tools.chart.front import OUR_OPENGL, OURS, false_change, table, violations
+from tools.chart.front import JUDGED, OUR_OPENGL, OURS, by_scene, false_change, table, violations
 from tools.chart.rivals.methods import METHODS, best_factor
 from tools.chart.scenes import BEAMS, CACHE, SCENES, make_scene, make_sonar, make_truth
 from tools.chart.shimmer import shimmer
@@ -136,6 +136,12 @@ def report_shimmer(rows, uncertainties):
         )
 
 
+def write_results(page: Path, times):
+    """Put the tables of times and ratios at each error into chart.md."""
+    for error in JUDGED:
+        put_table(page, f"at {100 * error:g} %", harness.markdown(by_scene(times, error)))
+
+
 def chart_device(names, rounds: int, out: Path | None, about: str):
     """Time the whole device over profile ideal; write the table of chart.md in the folder `out`."""
     costs = {name: device.costs_of(name, rounds) for name in names}
@@ -200,6 +206,8 @@ def main():
         if options.out:
             harness.write_csv(options.out / "chart_points.csv", rows, POINTS)
             harness.write_csv(options.out / "chart_times.csv", times)
+            if not options.only:
+                write_results(options.out / "chart.md", times)
     if "shimmer" in only:
         found, uncertainties = shimmer(rounds)
         report_shimmer(found, uncertainties)

@@ -14,6 +14,14 @@ AIMS = {  # the rival's time over ours, at each error of JUDGED
     JITTERED: {"pylon": (35.0,), "diver": (25.0,), "ocean_floor_1m": (12.0,)},
     OUR_RAYS: dict.fromkeys(("pylon", "diver", "ocean_floor", "ocean_floor_1m", "tank"), (1.5, 2.0)),
 }
+TUBES = "tubes"
+COLUMNS = {  # of the tables in chart.md: method, and 0 for milliseconds or 1 for the ratio
+    "ours, ms": (OURS, 0),
+    "ours by OpenGL": (OUR_OPENGL, 1),
+    "rays, our footprints": (OUR_RAYS, 1),
+    "rays, jittered": (JITTERED, 1),
+    "tubes": (TUBES, 1),
+}
 BAND = np.geomspace(0.03, 0.005, 8)  # errors at which `violations` compares
 NOISE = 1.25  # a rival must be this much quicker to count
 UNJUDGED = (OURS, OUR_OPENGL, "slices")  # slices are for scenes of few faces, and only shown
@@ -84,6 +92,33 @@ def table(charts) -> list[dict]:
                 row[f"ratio_at_{error:g}"] = f"{mark}{ratio:.3g}"
             rows.append({**row, "aim": aim_met(scene, method, ratios)})
     return rows
+
+
+def by_scene(times, error: float) -> list[dict]:
+    """Return rows of a page: our time and the ratios of some rivals, a scene a row, wide / narrow beams.
+
+    times : rows of `table`; scenes on which ours never has an error as large are left out
+    """
+    cells = {
+        (row["scene"], row["method"], row["beams"]): (row[f"ms_at_{error:g}"], row[f"ratio_at_{error:g}"])
+        for row in times
+    }
+    rows = []
+    for scene in dict.fromkeys(row["scene"] for row in times):
+        if any(cells[scene, OURS, beams][0].startswith("<") for beams in ("wide", "narrow")):
+            continue
+        row = {f"at {100 * error:g} %": f"`{scene}`"}
+        for column, (method, which) in COLUMNS.items():
+            both = [cells.get((scene, method, beams)) for beams in ("wide", "narrow")]
+            row[column] = " / ".join(mark_and_digits(cell[which]) if cell else "-" for cell in both)
+        rows.append(row)
+    return rows
+
+
+def mark_and_digits(cell: str) -> str:
+    """Return a cell of `table` with two digits."""
+    digits = cell.lstrip("<>?")
+    return cell[: len(cell) - len(digits)] + f"{float(f'{float(digits):.2g}'):g}"
 
 
 def violations(charts) -> list[str]:
