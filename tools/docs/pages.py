@@ -58,10 +58,10 @@ def fill_printed(path: Path, only: str = ""):
         if done.returncode not in (0, 1):  # 1 says that an aim was missed
             raise SystemExit(f"python {command} must end with status 0 or 1 (got {done.returncode})")
 
-        def printed(found, command=command, text=done.stdout.strip("\n")) -> str:
-            return found[1] + text + found[4] if found[2].strip() == command else found[0]
-
-        path.write_text(PRINTED.sub(printed, path.read_text(encoding="utf-8")), encoding="utf-8")
+        page = path.read_text(encoding="utf-8")
+        (place,) = [found for found in PRINTED.finditer(page) if found[2].strip() == command]
+        page = page[: place.start(3)] + done.stdout.strip("\n") + page[place.end(3) :]
+        path.write_text(page, encoding="utf-8")
 
 
 def main():
