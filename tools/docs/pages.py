@@ -53,7 +53,11 @@ def fill_printed(path: Path, only: str = ""):
     for command in commands:
         print(f"python {command}", flush=True)
         done = subprocess.run(
-            [sys.executable, *shlex.split(command)], stdout=subprocess.PIPE, text=True, cwd=DOCS.parent, check=False
+            [sys.executable, *shlex.split(command)],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=DOCS.parent,
+            check=False,
         )
         if done.returncode not in (0, 1):  # 1 says that an aim was missed
             raise SystemExit(f"python {command} must end with status 0 or 1 (got {done.returncode})")
