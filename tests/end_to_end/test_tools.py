@@ -18,6 +18,8 @@ from tests.support import browser
 from tools import drivers
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
+from tools.chart.front import by_scene
+from tools.docs.pages import fill_printed, put_table
 from tools.mutations import MUTATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -81,6 +83,78 @@ def test_tables_are_aligned(capsys):
     harness.print_table([{"name": "a", "ms": "1.50"}, {"name": "longer", "ms": "10.25"}])
     assert capsys.readouterr().out.splitlines() == ["  name       ms", "  a        1.50", "  longer  10.25"]
     assert harness.markdown([{"name": "a", "ms": 1}]) == "| name | ms |\n|---|---|\n| a | 1 |"
+
+
+PAGE = """Before.
+
+```sh
+python -m tools.bench {word}
+```
+
+```text
+of yesterday
+```
+
+After.
+"""
+
+
+def test_the_output_of_a_command_replaces_that_of_before(tmp_path, monkeypatch):
+    """The page has two commands; only the one with the word runs, and the rest of the page stays."""
+    page = tmp_path / "page.md"
+    page.write_text(PAGE.format(word="one") + PAGE.format(word="two"))
+    ran = []
+
+    def run(command, **_):
+        ran.append(command)
+        return subprocess.CompletedProcess(command, 1, "of today\n")  # 1: an aim was missed
+
+    monkeypatch.setattr(subprocess, "run", run)
+    fill_printed(page, only="two")
+
+    assert ran == [[sys.executable, "-m", "tools.bench", "two"]]
+    assert page.read_text() == PAGE.format(word="one") + PAGE.format(word="two").replace("yesterday", "today")
+
+
+def test_a_page_is_kept_where_its_command_fails(tmp_path, monkeypatch):
+    page = tmp_path / "page.md"
+    page.write_text(PAGE.format(word="one"))
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 2, ""))
+    with pytest.raises(SystemExit, match=r"must end with status 0 or 1 \(got 2\)"):
+        fill_printed(page)
+    with pytest.raises(SystemExit, match=r"must have a command with its output below it"):
+        fill_printed(page, only="three")
+    assert page.read_text() == PAGE.format(word="one")
+
+
+def test_a_table_replaces_that_between_its_marks(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- table a -->\nold\n<!-- end -->\n<!-- table b -->\nold\n<!-- end -->\n")
+    put_table(page, "b", r"new \1")
+    assert page.read_text() == (
+        "<!-- table a -->\nold\n<!-- end -->\n<!-- table b -->\nnew \\1\n<!-- end -->\n"
+    )
+    with pytest.raises(SystemExit, match=r"must have the line '<!-- table c -->'"):
+        put_table(page, "c", "new")
+
+
+def test_a_scene_is_a_row_with_both_widths_of_beams():
+    """A scene on which ours never errs as much as 1 % has no time at that error, and no row."""
+    times = [
+        {"scene": scene, "beams": beams, "method": method, "ms_at_0.01": ms, "ratio_at_0.01": ratio}
+        for scene, beams, method, ms, ratio in (
+            ("pylon", "wide", "ours", "1.25", "1"),
+            ("pylon", "narrow", "ours", "1.16", "1"),
+            ("pylon", "wide", "rays_jittered", ">20.21", ">16.17"),
+            ("grazing", "wide", "ours", "<1", "?1"),
+            ("grazing", "narrow", "ours", "<0.7", "?1"),
+        )
+    ]
+    (row,) = by_scene(times, 0.01)
+    assert row["at 1 %"] == "`pylon`"
+    assert row["ours, ms"] == "1.2 / 1.2"
+    assert row["rays, jittered"] == ">16 / -"
+    assert row["tubes"] == "- / -"
 
 
 def test_unknown_benches_are_refused():
