@@ -40,14 +40,10 @@ def add_noise(
         if a seed is no whole number, or a term needs a sonar or a pose that the ping lacks.
     """
     seed, ping_number = check_seed(seed), check_seed(ping_number, "ping_number")
-    if noise is None:
-        return ping
-    of_field = noise.speckle or noise.has_receiver_noise or noise.interference_lines
-    of_bins = noise.gaussian or noise.median or noise.salt_and_pepper or noise.dropped_beams
-    if not (of_field or of_bins):
+    if noise is None or not (noise.acts_on_field or noise.acts_on_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
-    if of_field:
+    if noise.acts_on_field:
         FieldNoise(ping, noise, seed, ping_number, thread).apply(out)
     ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
     if ringing is not None:
