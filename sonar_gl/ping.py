@@ -25,7 +25,7 @@ BIN_LABELS = {
     "shadow": False,
 }
 # parts of a ping's echo that only its noise needs; a noisy ping has none of them
-PARTS = "coherent", "texture_deviation", "volume"
+NOISE_PARTS = "coherent", "texture_deviation", "volume"
 
 
 @dataclass(frozen=True, eq=False)

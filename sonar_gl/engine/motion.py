@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
-from sonar_gl.ping import BIN_LABELS, PARTS, Ping
+from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
@@ -156,7 +156,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         return power
 
     powers = {"intensity": shown(ping.intensity)}
-    powers |= {name: shown(getattr(ping, name)) for name in PARTS if getattr(ping, name) is not None}
+    powers |= {name: shown(getattr(ping, name)) for name in NOISE_PARTS if getattr(ping, name) is not None}
     labels = {name: getattr(ping, name) for name in BIN_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order

@@ -19,12 +19,12 @@ from sonar_gl.core.checks import check_kind, check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.ping import BIN_LABELS, PARTS, Ping
+from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
-NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *PARTS))
+NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *NOISE_PARTS))
 
 
 def output_folder(path) -> Path:

@@ -12,7 +12,7 @@ from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.random_streams import check_seed, stream
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
-from sonar_gl.ping import PARTS, Ping
+from sonar_gl.ping import NOISE_PARTS, Ping
 
 
 def add_noise(
@@ -62,4 +62,4 @@ def add_noise(
         out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, **dict.fromkeys(PARTS), meta={**ping.meta, **record})
+    return replace(ping, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})
