@@ -15,8 +15,17 @@ if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list th
     from sonar_gl.sonar.sonar import Sonar
 
 
+# the labels of bins, (B, K) each, with their values in bins without a labelled echo
+BIN_LABELS = {
+    "body_id": 0,
+    "elevation_rad": np.nan,
+    "incidence_rad": np.nan,
+    "true_range_m": np.nan,
+    "share": 0.0,
+    "shadow": False,
+}
 # parts of a ping's echo that only its noise needs; a noisy ping has none of them
-PARTS = "coherent", "texture_deviation", "volume"
+NOISE_PARTS = "coherent", "texture_deviation", "volume"
 
 
 @dataclass(frozen=True, eq=False)

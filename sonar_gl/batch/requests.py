@@ -80,7 +80,7 @@ class BatchRequest:
             time_s=self.time_s,
             reflectivity=self.reflectivity,
             water=self.water,
-            lobes=self.noise.speckle,
+            noise_parts=self.noise.speckle,
             alone=True,  # whatever other pings its process makes
         )
 

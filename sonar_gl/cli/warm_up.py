@@ -37,7 +37,7 @@ from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
-from sonar_gl.ping import Ping
+from sonar_gl.ping import BIN_LABELS, Ping
 from sonar_gl.raster.simplify import simplify
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
@@ -225,7 +225,7 @@ def _receive():
 def _labelled_ping() -> Ping:
     """Return a ping that no scene has made, with labels."""
     ones = np.ones((SONAR.n_beams, SONAR.n_bins), np.float32)
-    labels = dict.fromkeys(("elevation_rad", "incidence_rad", "true_range_m", "share"), ones)
+    labels = dict.fromkeys(BIN_LABELS, ones)
     labels |= {"body_id": np.ones(ones.shape, np.uint16), "shadow": np.zeros(ones.shape, bool)}
     arrays = ones, SONAR.azimuth_rad, SONAR.range_m
     labels["body_echo"] = np.ones(2)

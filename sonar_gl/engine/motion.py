@@ -10,13 +10,10 @@ import numpy as np
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
-from sonar_gl.ping import PARTS, Ping
+from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
-# Labels are taken from the nearest cell; these are the values where there is none.
-EMPTY_LABELS = dict.fromkeys(("elevation_rad", "incidence_rad", "true_range_m"), np.nan)
-EMPTY_LABELS |= {"body_id": 0, "share": 0.0, "shadow": False}
 
 
 def check_velocity(velocity) -> np.ndarray | None:
@@ -159,8 +156,8 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         return power
 
     powers = {"intensity": shown(ping.intensity)}
-    powers |= {name: shown(getattr(ping, name)) for name in PARTS if getattr(ping, name) is not None}
-    labels = {name: getattr(ping, name) for name in EMPTY_LABELS if getattr(ping, name) is not None}
+    powers |= {name: shown(getattr(ping, name)) for name in NOISE_PARTS if getattr(ping, name) is not None}
+    labels = {name: getattr(ping, name) for name in BIN_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order
         was = own[:, None] - _turned(own[:, None], r, velocity, *speeds)
@@ -170,8 +167,8 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         bin_ = np.searchsorted(edges, r / _nearer(was, velocity, sound_speed), side="right") - 1
         inside = (beam >= 0) & (beam < len(own)) & (bin_ >= 0) & (bin_ < len(r))
         cell = beam.clip(0, len(own) - 1), bin_.clip(0, len(r) - 1)
-        for name, array in labels.items():
-            labels[name] = np.where(inside, array[cell], array.dtype.type(EMPTY_LABELS[name]))
+        for name, array in labels.items():  # those of the nearest cell
+            labels[name] = np.where(inside, array[cell], array.dtype.type(BIN_LABELS[name]))
             labels[name].setflags(write=False)
     meta = {**ping.meta, "velocity": [float(v) for v in given]}
     return replace(ping, meta=meta, **powers, **labels)

@@ -27,7 +27,7 @@ from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.ping import PARTS, Ping
+from sonar_gl.ping import NOISE_PARTS, Ping
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 
@@ -282,7 +282,7 @@ def with_cross_talk(ping: Ping) -> Ping:
     sonar = ping.sonar
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
-    powers = {name: getattr(ping, name) for name in ("intensity", *PARTS)}
+    powers = {name: getattr(ping, name) for name in ("intensity", *NOISE_PARTS)}
     for name, power in powers.items():
         if power is not None:
             powers[name] = leak_between_beams(power, sonar.cross_talk_db, sonar.cross_talk_beams)

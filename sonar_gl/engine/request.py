@@ -33,7 +33,7 @@ class PingRequest:
     velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame; or None
     reflectivity : names of bodies to μ, 0..1; or None
     water : Water of this ping; or None for that of the acoustics
-    lobes : find the parts of the echo that specular lobes return, and textures, for speckle that is added later
+    noise_parts : find what specular lobes return, and textures, by themselves, for speckle that is added later
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
     label_level_db : with labels, the level of a bin's mean echo, dB, from which on the bin is labelled; None for what
         the display of the sonar shows
@@ -55,14 +55,14 @@ class PingRequest:
     velocity: np.ndarray | None = None
     reflectivity: dict | None = None
     water: Water | None = None
-    lobes: bool = False
+    noise_parts: bool = False
     alone: bool = False
     label_level_db: float | None = None
 
     @property
-    def separates_lobes(self) -> bool:
+    def needs_noise_parts(self) -> bool:
         """Whether it needs the specular lobes, and the textures of bodies, by themselves."""
-        return self.lobes or (self.noise is not None and self.noise.speckle)
+        return self.noise_parts or (self.noise is not None and self.noise.speckle)
 
     def __post_init__(self):
         check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")

@@ -13,7 +13,7 @@ from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.raster.engine import RasterEngine, Renderer, Room
+from sonar_gl.raster.engine import RasterEngine, Renderer, RenderWorkspace
 from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
@@ -97,7 +97,7 @@ class StageCache:
         self._thread, self._max_column_width = thread, max_column_width
         self._workspace = Workspace(pools)
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
-        self._rooms: dict[float, Room] = {}
+        self._render_workspaces: dict[float, RenderWorkspace] = {}
         self._stages: dict[tuple, Stage] = {}
 
     @property
@@ -123,8 +123,8 @@ class StageCache:
 
     def drop_large(self) -> None:
         """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""
-        for room in self._rooms.values():
-            room.drop_large()
+        for workspace in self._render_workspaces.values():
+            workspace.drop_large()
         self.engine.collect()
         return_free_memory()
 
@@ -139,9 +139,9 @@ class StageCache:
             self._max_column_width,
             self._workspace,
         )
-        if shear not in self._rooms:
-            self._rooms[shear] = self.engine.make_room(self.most_samples)
+        if shear not in self._render_workspaces:
+            self._render_workspaces[shear] = self.engine.make_workspace(self.most_samples)
         renderer = self.engine.make_renderer(
-            beamformer.fan, self.acoustics.specular, self._rooms[shear], self._thread
+            beamformer.fan, self.acoustics.specular, self._render_workspaces[shear], self._thread
         )
         return Stage(sampling, beamformer, renderer)

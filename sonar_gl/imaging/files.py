@@ -19,14 +19,12 @@ from sonar_gl.core.checks import check_kind, check_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.ping import PARTS, Ping
+from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
-NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *PARTS))
-# (B, K) arrays
-ARRAYS_OF_BINS = "intensity", "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
+NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *NOISE_PARTS))
 
 
 def output_folder(path) -> Path:
@@ -149,7 +147,8 @@ def load_npz(path) -> Ping:
             f"{str(path)!r}: intensity must be (beams, bins) = {shape} (got {arrays['intensity'].shape})"
         )
     meta = _parse_meta(path, arrays.pop("meta", np.array("{}")))
-    shapes = dict.fromkeys(ARRAYS_OF_BINS, shape) | {"azimuth_rad": shape[:1], "range_m": shape[1:]}
+    shapes = dict.fromkeys(("intensity", *BIN_LABELS), shape)
+    shapes |= {"azimuth_rad": shape[:1], "range_m": shape[1:]}
     shapes |= {"pose": (4, 4), "error_estimate": (), "body_echo": None}
     for name, array in arrays.items():
         if array.shape != shapes[name] and (shapes[name] is not None or array.ndim != 1):

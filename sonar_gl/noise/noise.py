@@ -12,7 +12,7 @@ from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.random_streams import check_seed, stream
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
-from sonar_gl.ping import PARTS, Ping
+from sonar_gl.ping import NOISE_PARTS, Ping
 
 
 def add_noise(
@@ -40,14 +40,10 @@ def add_noise(
         if a seed is no whole number, or a term needs a sonar or a pose that the ping lacks.
     """
     seed, ping_number = check_seed(seed), check_seed(ping_number, "ping_number")
-    if noise is None:
-        return ping
-    of_field = noise.speckle or noise.has_receiver_noise or noise.interference_lines
-    of_bins = noise.gaussian or noise.median or noise.salt_and_pepper or noise.dropped_beams
-    if not (of_field or of_bins):
+    if noise is None or not (noise.acts_on_field or noise.acts_on_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
-    if of_field:
+    if noise.acts_on_field:
         FieldNoise(ping, noise, seed, ping_number, thread).apply(out)
     ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
     if ringing is not None:
@@ -66,4 +62,4 @@ def add_noise(
         out[stream(seed, ping_number, "dropped_beams").random(len(out)) < noise.dropped_beams] = 0.0
     out.setflags(write=False)
     record = {"noise": asdict(noise), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, **dict.fromkeys(PARTS), meta={**ping.meta, **record})
+    return replace(ping, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})

@@ -107,6 +107,16 @@ class Noise:
         """Whether the receiver adds noise, its own or the water's."""
         return bool(self.self_noise or self.thermal_noise or self.ambient_db is not None)
 
+    @property
+    def acts_on_field(self) -> bool:
+        """Whether a term acts on the complex echo field of a ping (`field.FieldNoise`)."""
+        return bool(self.speckle or self.has_receiver_noise or self.interference_lines)
+
+    @property
+    def acts_on_bins(self) -> bool:
+        """Whether a term acts on the intensities of the bins, after those of the field."""
+        return bool(self.gaussian or self.median or self.salt_and_pepper or self.dropped_beams)
+
     @classmethod
     def none(cls) -> Noise:
         """Return no noise."""

@@ -27,7 +27,7 @@ ENGINE_VARIABLE, DEVICE_VARIABLE = "SONAR_GL_ENGINE", "SONAR_GL_DEVICE"
 CARDS = "dri/renderD*", "nvidia[0-9]*", "dxg", "mali*", "kgsl*"
 
 
-class Room(Protocol):
+class RenderWorkspace(Protocol):
     """The memory that renderers draw into, one at a time."""
 
     def drop_large(self) -> None:
@@ -50,7 +50,7 @@ class Renderer(Protocol):
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses, world_from_sonar.
 
-        The next call, of any renderer that shares the room, overwrites the samples.
+        The next call, of any renderer that shares the workspace, overwrites the samples.
 
         Parameters
         ----------
@@ -86,11 +86,11 @@ class RasterEngine(Protocol):
     def with_more(self, bodies) -> Any:
         """Return contents with more bodies; inside `drawing`."""
 
-    def make_room(self, most_samples: int = MAX_SAMPLES) -> Room:
+    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> RenderWorkspace:
         """Return memory to draw into, for views of at most so many samples."""
 
     def make_renderer(
-        self, fan: Fan, specular: bool, room: Room, thread: SecondThread | None = None
+        self, fan: Fan, specular: bool, workspace: RenderWorkspace, thread: SecondThread | None = None
     ) -> Renderer:
         """Return a renderer; inside `drawing`.
 

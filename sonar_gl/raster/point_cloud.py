@@ -27,7 +27,7 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, row
     sonar = replace(sonar, n_beams=n_beams, beam_azimuths_deg=None, beam_spacing="angle")
     reach = math.radians(sonar.azimuth_fov_deg) / n_beams / 2
     fan = make_fan(sonar, Sampling(columns / n_beams, rows), reach, shear=0.0)
-    renderer = engine.make_renderer(fan, False, engine.make_room())
+    renderer = engine.make_renderer(fan, False, engine.make_workspace())
     (view,) = renderer.render([head_pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []
     for sector, plane_echo, _ in view.sectors:

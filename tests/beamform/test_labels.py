@@ -1,7 +1,7 @@
 """Labels, the strongest body of each bin and its echo, against closed forms and brute force."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import atan, bin_table
 from sonar_gl.beamform.labels import label_columns
 from sonar_gl.embed.sensor import Sensor
+from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.fan import make_fan
 from sonar_gl.sonar.samples import ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
@@ -329,8 +330,11 @@ def test_the_background_casts_no_shadow_on_itself():
     assert not ping(bodies, background=[]).shadow.any()
     assert ping(bodies).shadow is None
     plain = ping(bodies, labels=False)
-    names = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "body_echo", "shadow"
-    assert all(getattr(plain, name) is None for name in names)
+    assert all(getattr(plain, name) is None for name in (*BIN_LABELS, "body_echo"))
+
+
+def test_the_list_of_the_labels_of_bins_is_complete():
+    assert {field.name for field in fields(labels.Labels)} == {*BIN_LABELS, "body_echo"}
 
 
 def test_background_must_be_bodies():
@@ -349,11 +353,10 @@ def test_labels_of_a_moving_sonar():
     bodies = [FLOOR, plate("box", 7.0, -HEIGHT_M, -1, y=(-1, 1))]
     still = ping(bodies, background=["floor"])
     moved = ping(bodies, background=["floor"], velocity=(1.0, 0, 0, 0, 0, 3.0))
-    names = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow"
-    cells = {tuple(getattr(still, name)[at] for name in names) for at in np.ndindex(still.body_id.shape)}
+    cells = {tuple(getattr(still, name)[at] for name in BIN_LABELS) for at in np.ndindex(still.body_id.shape)}
     changed = np.argwhere((moved.body_id > 0) & (still.body_id != moved.body_id))
     assert len(changed) > 50
-    assert all(tuple(getattr(moved, name)[tuple(at)] for name in names) in cells for at in changed)
+    assert all(tuple(getattr(moved, name)[tuple(at)] for name in BIN_LABELS) in cells for at in changed)
 
 
 PILE = sg.Body("pile", trimesh.creation.cylinder(0.15, 40, sections=64), sg.pose(10, 0, 0), 0.8)

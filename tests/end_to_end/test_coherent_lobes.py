@@ -27,7 +27,7 @@ def coherent(request, engine=None, acoustics=None, scene=SCENE):
     """Return the ping of a request that keeps the lobes' part."""
     acoustics = acoustics or sg.Acoustics.physical()
     with sg.Simulator(scene, SONAR, acoustics, SAMPLING, engine=engine) as simulator:
-        return make_ping(simulator.run, replace(request, lobes=True))
+        return make_ping(simulator.run, replace(request, noise_parts=True))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_sequences_and_batches_give_the_same_bytes(noise, sampling):
         sequence = list(simulator.pings(poses, noise, 3))
         run = simulator.run
         later = [
-            add_noise(make_ping(run, PingRequest(pose, lobes=True)), noise, 3, n)
+            add_noise(make_ping(run, PingRequest(pose, noise_parts=True)), noise, 3, n)
             for n, pose in enumerate(poses)
         ]
     for one, other, third in zip(single, sequence, later, strict=True):
@@ -108,7 +108,7 @@ def test_sequences_and_batches_give_the_same_bytes(noise, sampling):
 def peak_levels_db(noise, scene, quiet=None) -> tuple[np.ndarray, float]:
     """Return (PINGS,) levels of the bin that is brightest without noise, and the diffuse part of its echo."""
     with sg.Simulator(scene, SONAR, sampling=SAMPLING) as simulator:
-        whole = make_ping(simulator.run, PingRequest(sg.pose(), lobes=True))
+        whole = make_ping(simulator.run, PingRequest(sg.pose(), noise_parts=True))
         at = np.unravel_index(whole.intensity.argmax(), whole.intensity.shape)
         pings = [simulator.ping(sg.pose(), noise, 1, ping_number=n).intensity[at] for n in range(PINGS)]
     return 10 * np.log10(np.array(pings, np.float64)), 1 - whole.coherent[at] / whole.intensity[at]
@@ -148,7 +148,7 @@ def test_a_plate_speckles_as_its_roughness_tells(diffuse, below_db):
 def test_the_mean_of_many_pings_is_the_echo():
     """Over seeds: the standard error of each bin is its own spread over √n."""
     with sg.Simulator(SCENE, SONAR, sampling=SAMPLING) as simulator:
-        whole = make_ping(simulator.run, PingRequest(sg.pose(), lobes=True))
+        whole = make_ping(simulator.run, PingRequest(sg.pose(), noise_parts=True))
     mean, n = np.zeros(whole.intensity.shape), 400
     for number in range(n):
         mean += add_noise(whole, SPECKLE, 1, number).intensity / n

@@ -149,6 +149,7 @@ QUOTED = {
 REMOVED_NAMES = {
     "Asked": "PingRequest",
     "Away": "Cluster",
+    "DrawingRoom": "RenderWorkspace",
     "Dump": "RenderJob",
     "Fixed": "FixedSampling",
     "Given": "ArrayPool",
@@ -191,6 +192,7 @@ REMOVED_NAMES = {
     "left_of": "reflected intensity",
     "make_guest": "join",
     "make_parts": "make_strips",
+    "make_room": "make_workspace",
     "mirrors": "planar reflectors",
     "part_column": "Strips.column",
     "replacing": "atomic_write",

@@ -13,6 +13,7 @@ from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
+from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.sampling import ToleranceWarning
 
 SONAR = sg.Sonar("alone", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
@@ -32,16 +33,7 @@ MORE = {
     "multipath": ({"acoustics": sg.Acoustics.physical(multipath="incoherent")}, {"labels": True}),
 }
 
-ARRAYS = (
-    "intensity",
-    "body_id",
-    "elevation_rad",
-    "incidence_rad",
-    "true_range_m",
-    "share",
-    "body_echo",
-    "shadow",
-)
+ARRAYS = ("intensity", *BIN_LABELS, "body_echo")
 
 pytestmark = pytest.mark.filterwarnings("ignore:no echo came back")
 

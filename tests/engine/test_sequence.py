@@ -13,6 +13,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
 from sonar_gl.engine import error_model, pipeline, sequence
+from sonar_gl.ping import BIN_LABELS
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -22,7 +23,7 @@ BODIES = (
     sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2), 0.8),
     sg.Body("ball", BALL, sg.pose(8, -1), 0.6, np.asarray(BALL.vertices, np.float32) * 2),
 )
-LABELS = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "body_echo", "shadow"
+LABELS = (*BIN_LABELS, "body_echo")
 POSES = [sg.pose(0.1 * k, 0.05 * k, 0, 0, 0.01 * k, 0.02 * k) for k in range(11)]
 MOVED = [
     None if k % 3 == 0 else {"box": sg.pose(6, 2 - 0.3 * k), "ball": None if k % 2 else sg.pose(9, 0.1 * k)}

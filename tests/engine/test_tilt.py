@@ -9,6 +9,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.reference import reference_ping
 from sonar_gl.embed.sensor import Sensor
+from sonar_gl.ping import BIN_LABELS
 from tests.support.casting import Cast, plane, sphere
 
 LEVEL = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0, bandwidth_hz=5e3)
@@ -20,7 +21,7 @@ NOISE = sg.Noise(speckle=True, follow_motion=True, self_noise=True)
 # rolled, so that the tilt changes the heading of the head, too
 POSES = [sg.pose(0.1 * k, 0.05 * k, -2.0, roll=0.3, pitch=-0.1, yaw=0.02 * k) for k in range(5)]
 VELOCITY = np.array([2.0, 0.5, 0.3, 0.1, 0.2, 0.4])
-LABELS = "body_id", "elevation_rad", "incidence_rad", "true_range_m", "share", "shadow", "body_echo"
+LABELS = (*BIN_LABELS, "body_echo")
 
 
 def scene() -> sg.Scene:

@@ -120,11 +120,13 @@ def test_the_deviation_is_the_diffuse_echo_over_the_root_of_the_shape(reflectivi
     sonar = replace(sonar, cross_talk_db=-20.0, cross_talk_beams=8)
     mesh, mu = box_of(0.1, 30, 30), np.linspace(0.1, 0.9, 12) if by_face else 0.5
     wall = sg.Body("wall", mesh, sg.pose(8.05, 0, 0), mu, specular=0.3, speckle_shape=4.0)
-    request = PingRequest(np.eye(4), lobes=True, velocity=(0.5, 0, 0, 0, 0, 0.1), reflectivity=reflectivity)
+    request = PingRequest(
+        np.eye(4), noise_parts=True, velocity=(0.5, 0, 0, 0, 0, 0.1), reflectivity=reflectivity
+    )
     settings = {"tolerance": 0.05, "engine": engine}
     with sg.Simulator(sg.Scene([wall]), sonar, sg.Acoustics.physical(), **settings) as simulator:
         ping = make_ping(simulator.run, request)
-        plain = make_ping(simulator.run, replace(request, lobes=False))
+        plain = make_ping(simulator.run, replace(request, noise_parts=False))
     assert plain.texture_deviation is None and plain.coherent is None
     assert ping.coherent.max() > 0.1 * ping.intensity.max()
     # float32 sums of lobe and diffuse echo, of which one is subtracted

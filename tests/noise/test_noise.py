@@ -5,7 +5,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,20 @@ def noisy(noise, ping=None, seed=1, ping_number=0) -> np.ndarray:
 def test_no_noise_returns_the_ping(noise):
     ping = even_ping()
     assert add_noise(ping, noise, seed=0) is ping
+
+
+FIELD_TERMS = {"speckle": True, "self_noise": True, "ambient_db": -30.0, "thermal_noise": True}
+FIELD_TERMS |= {"interference_lines": 2.0}
+BIN_TERMS = {"gaussian": 0.01, "salt_and_pepper": 0.01, "median": 3, "dropped_beams": 0.1}
+MODIFIERS = {"cloud_gaussian_m", "looks", "follow_motion", "interference_db"}  # nothing without another term
+
+
+def test_each_term_acts_on_the_field_or_on_the_bins():
+    """A term that were in neither would be left out of pings without another one."""
+    assert {field.name for field in fields(Noise)} == {*FIELD_TERMS, *BIN_TERMS, *MODIFIERS}
+    for name, amount in (FIELD_TERMS | BIN_TERMS).items():
+        noise = Noise(**{name: amount})
+        assert (noise.acts_on_field, noise.acts_on_bins) == (name in FIELD_TERMS, name in BIN_TERMS)
 
 
 def test_gaussian():

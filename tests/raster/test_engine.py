@@ -132,7 +132,7 @@ def test_pings_need_no_opengl(monkeypatch):
 
 
 def test_several_threads_may_draw_at_once():
-    """A simulator of each sonar in one scene, as its workers do: the CPU's rooms are separate."""
+    """A simulator of each sonar in one scene, as its workers do: the CPU's workspaces are separate."""
     scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45")
     poses = [scene.sonar_pose @ sg.pose(x=0.1 * k, yaw=0.05 * k) for k in range(12)]
     with sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 80), engine="cpu") as it:

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from dataclasses import replace
+from dataclasses import MISSING, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +96,12 @@ def test_the_file_of_presets_explains_every_key():
     header = PRESETS.read_text().split("[p900-45]")[0]
     for field in Sonar.__dataclass_fields__:
         assert f"#   {field} " in header
+
+
+def test_the_file_of_presets_names_the_keys_that_a_table_must_have():
+    stated = re.search(r"A table must have (.*?);", PRESETS.read_text(), re.DOTALL).group(1)
+    required = {name for name, field in Sonar.__dataclass_fields__.items() if field.default is MISSING}
+    assert set(re.findall(r"[a-z]+_\w+", stated)) == required - {"name"}  # which is the heading
 
 
 def test_azimuths_and_bins():

@@ -18,6 +18,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.ping import BIN_LABELS
 
 PACKAGE = str(Path(sg.__file__).parent)
 SONAR = sg.Sonar("narrow", 900e3, 4, 30, 20.0, 10.0, 3.0, 0.5, 10.0)
@@ -30,16 +31,7 @@ MORE = (
     sg.Body("ball", BALL, sg.pose(4, 0.3, 0.2), 0.9, np.asarray(BALL.vertices, np.float32)),
     sg.Body("cube", trimesh.creation.box((0.5, 0.5, 0.5)), sg.pose(4, -0.3, 0.2), np.linspace(0.1, 1, 12)),
 )
-FIELDS = (
-    "intensity",
-    "body_id",
-    "elevation_rad",
-    "incidence_rad",
-    "true_range_m",
-    "share",
-    "body_echo",
-    "shadow",
-)
+FIELDS = ("intensity", *BIN_LABELS, "body_echo")
 HANG_S = 1800
 Place = tuple[str, int]
 

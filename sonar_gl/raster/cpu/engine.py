@@ -122,7 +122,7 @@ class _Image:
         self._body_id.drop(MAX_KEPT_SAMPLES)
 
 
-class _HalfRoom:
+class _HalfWorkspace:
     """What one thread draws into: a visibility buffer and its triangles."""
 
     def __init__(self):
@@ -161,17 +161,17 @@ class _HalfRoom:
             one.drop(MAX_KEPT_SAMPLES)
 
 
-class DrawingRoom:
+class CpuWorkspace:
     """The memory that renderers draw into, one at a time.
 
     Attributes
     ----------
     most_samples : of a view
-    halves : _HalfRoom of each thread
+    halves : _HalfWorkspace of each thread
     """
 
     def __init__(self, most_samples: int = MAX_SAMPLES):
-        self.most_samples, self.halves = most_samples, (_HalfRoom(), _HalfRoom())
+        self.most_samples, self.halves = most_samples, (_HalfWorkspace(), _HalfWorkspace())
         self._images, self._other_images = [], []
 
     def images(self, count: int, keep_last: bool) -> list[_Image]:
@@ -197,15 +197,20 @@ class CpuRenderer:
     engine : CpuEngine
     fan : Fan
     specular : add the specular lobes of smooth bodies
-    room : DrawingRoom, which renderers may share
+    workspace : CpuWorkspace, which renderers may share
     thread : for the second half; None does both halves in the caller's thread
     """
 
     def __init__(
-        self, engine: CpuEngine, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None
+        self,
+        engine: CpuEngine,
+        fan: Fan,
+        specular: bool,
+        workspace: CpuWorkspace,
+        thread: SecondThread | None,
     ):
         self._engine, self._fan, self._specular = engine, fan, specular
-        self._room, self._thread = room, thread
+        self._workspace, self._thread = workspace, thread
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
         self._limits = np.array([NEAR_M, self._far_m])
         self._sectors = [SectorView(sector) for sector in fan.sectors]
@@ -222,7 +227,7 @@ class CpuRenderer:
         """Draw all sectors as seen from some poses; see `Renderer.render`."""
         planes = planes or [None] * len(poses)
         n = len(poses)
-        images, out = self._room.images(n, keep_last), [None] * n
+        images, out = self._workspace.images(n, keep_last), [None] * n
         views = list(zip(images, poses, states, planes, strict=True))
 
         def draw(k: int, half: int | None = None):
@@ -242,16 +247,16 @@ class CpuRenderer:
         self, image: _Image, bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
     ) -> ViewSamples:
         """Draw a view, in the memory of one half alone if that is given."""
-        meshes, room, patches = self._engine.meshes, self._room, []
+        meshes, workspace, patches = self._engine.meshes, self._workspace, []
         ranges = self._far_m, self._fan.sonar.range_max_m
         for number, view in enumerate(self._sectors):
-            chosen = room.halves[half or 0].chosen(number, meshes.most_patches)
+            chosen = workspace.halves[half or 0].chosen(number, meshes.most_patches)
             found = meshes.choose(view, bodies, *ranges, chosen)
             whole = Window(0, 0, view.sector.columns, view.sector.rows)
             patches.append(found._replace(window=whole) if full else found)
         windows = [one.window for one in patches]
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
-        check_samples(width, height, room.most_samples)
+        check_samples(width, height, workspace.most_samples)
         samples = image.take(width, height, with_bodies)
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
@@ -262,14 +267,14 @@ class CpuRenderer:
         work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height
         drawn = placed, has_lobes, patches, samples
         if half is not None or self._thread is None or work_ns < FEW_NS:
-            self._draw_part(room.halves[half or 0], 0, 1, *drawn)
+            self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
         else:
-            self._thread.run_halves(lambda part: self._draw_part(room.halves[part], part, 2, *drawn))
+            self._thread.run_halves(lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn))
         return samples_of(self._sectors, windows, *samples)
 
     def _draw_part(
         self,
-        half: _HalfRoom,
+        half: _HalfWorkspace,
         part: int,
         n_parts: int,
         placed: tuple,
@@ -326,15 +331,15 @@ class CpuEngine:
         """Return contents with more bodies."""
         return self.contents.with_more(bodies)
 
-    def make_room(self, most_samples: int = MAX_SAMPLES) -> DrawingRoom:
+    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> CpuWorkspace:
         """Return memory to draw into, for views of at most so many samples."""
-        return DrawingRoom(most_samples)
+        return CpuWorkspace(most_samples)
 
     def make_renderer(
-        self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None
+        self, fan: Fan, specular: bool, workspace: CpuWorkspace, thread: SecondThread | None = None
     ) -> CpuRenderer:
         """Return a renderer."""
-        return CpuRenderer(self, fan, specular, room, thread)
+        return CpuRenderer(self, fan, specular, workspace, thread)
 
     def check_thread(self) -> None:
         """Do nothing: any thread may draw."""

@@ -13,7 +13,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.host import check_thread, join
 from sonar_gl.raster.opengl.buffers import SceneBuffers, UploadedMeshes
-from sonar_gl.raster.opengl.renderer import DrawingRoom, Renderer
+from sonar_gl.raster.opengl.renderer import OpenGLWorkspace, Renderer
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.scene.scene import Scene
@@ -60,15 +60,15 @@ class OpenGLEngine:
         """Return contents with more bodies; inside `drawing`."""
         return self._buffers.uploaded.with_more(bodies)
 
-    def make_room(self, most_samples: int = MAX_SAMPLES) -> DrawingRoom:
+    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> OpenGLWorkspace:
         """Return memory to draw into, for views of at most so many samples."""
-        return DrawingRoom(self._context, most_samples)
+        return OpenGLWorkspace(self._context, most_samples)
 
     def make_renderer(
-        self, fan: Fan, specular: bool, room: DrawingRoom, thread: SecondThread | None = None
+        self, fan: Fan, specular: bool, workspace: OpenGLWorkspace, thread: SecondThread | None = None
     ) -> Renderer:
         """Return a renderer; inside `drawing`. The driver has threads of its own."""
-        return Renderer(self._buffers, fan, specular, room)
+        return Renderer(self._buffers, fan, specular, workspace)
 
     def check_thread(self) -> None:
         """Raise an Error in another thread than that whose context was joined."""

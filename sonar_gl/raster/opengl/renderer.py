@@ -175,7 +175,7 @@ class RenderTarget:
         )
 
 
-class DrawingRoom:
+class OpenGLWorkspace:
     """The memory that renderers draw into, one at a time: render targets, the list of draws, and chosen patches.
 
     Parameters
@@ -227,7 +227,7 @@ class Renderer:
     buffers : SceneBuffers
     fan : Fan
     specular : add the specular lobes of smooth bodies
-    room : DrawingRoom to share with other renderers; None for its own
+    workspace : OpenGLWorkspace to share with other renderers; None for its own
 
     Raises
     ------
@@ -236,7 +236,11 @@ class Renderer:
     """
 
     def __init__(
-        self, buffers: SceneBuffers, fan: Fan, specular: bool = False, room: DrawingRoom | None = None
+        self,
+        buffers: SceneBuffers,
+        fan: Fan,
+        specular: bool = False,
+        workspace: OpenGLWorkspace | None = None,
     ):
         context = buffers.context
         self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
@@ -244,7 +248,7 @@ class Renderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector) for sector in fan.sectors]
-        self._uniforms, self._room = {}, DrawingRoom(context) if room is None else room
+        self._uniforms, self._workspace = {}, OpenGLWorkspace(context) if workspace is None else workspace
 
     def render(
         self,
@@ -256,10 +260,10 @@ class Renderer:
         keep_last: bool = False,
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses, and read them back; see `raster.engine.Renderer.render`."""
-        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._room.draw_list
+        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._workspace.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
-        targets = self._room.targets(len(bodies), keep_last)
+        targets = self._workspace.targets(len(bodies), keep_last)
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
         for target, sectors in zip(targets, draws, strict=True):
@@ -283,10 +287,11 @@ class Renderer:
 
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
-        meshes, out, draws = self._buffers.meshes, self._room.draw_list, []
-        ranges, room = (self._far_m, self._fan.sonar.range_max_m), self._room.chosen(meshes.most_patches)
+        meshes, out, draws = self._buffers.meshes, self._workspace.draw_list, []
+        far_m, range_max_m = self._far_m, self._fan.sonar.range_max_m
+        pairs = self._workspace.chosen(meshes.most_patches)
         for view in self._sectors:
-            chosen, _, window = meshes.choose(view, bodies, *ranges, room)
+            chosen, _, window = meshes.choose(view, bodies, far_m, range_max_m, pairs)
             if full:
                 window = Window(0, 0, view.sector.columns, view.sector.rows)
             first, n_closed = out.used, 0
@@ -315,7 +320,7 @@ class Renderer:
                     u = getattr(sector, name)
                     array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
                 one_sided, two_sided = moderngl.DEPTH_TEST | moderngl.CULL_FACE, moderngl.DEPTH_TEST
-                out = self._room.draw_list
+                out = self._workspace.draw_list
                 self._buffers.draw(array, one_sided, rows, out, first, n_closed)
                 self._buffers.draw(array, two_sided, rows, out, first + n_closed, n - n_closed)
             left += window.columns
@@ -336,7 +341,7 @@ class Renderer:
     def _check_room(self, width: int, height: int) -> None:
         """Raise an Error if a render target must not have so many pixels."""
         self._check_size(width, height)
-        check_samples(width, height, self._room.most_samples)
+        check_samples(width, height, self._workspace.most_samples)
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""

@@ -13,7 +13,7 @@ from sonar_gl.engine import adaptive
 from sonar_gl.engine.stage import Stage
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 
-SONAR = sg.Sonar("live", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
+SONAR = sg.Sonar("moving", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
 TOLERANCE = 0.02
 N = 240
