@@ -162,7 +162,7 @@ class Labeller:
     bins : tuple of kernels.BinTable
     elevation_pattern : of kernels.sum_footprints
     workspace : Workspace
-    response : (columns,) of `Beamformer.column_response`
+    response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
 
     def __init__(
