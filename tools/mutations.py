@@ -364,6 +364,30 @@ MUTATIONS = (
         LABELS,
         (("out[1 + self.places] = True", "out[self.places] = True"),),
     ),
+    Mutation(
+        "labels/far side lobes",
+        "self._weights.column_response if self._far is None else self._far.column_response",
+        "self._weights.column_response",
+        ("test_labels::test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes",),
+    ),
+    Mutation(
+        "labels/response of columns at the seam",
+        "(columns % n_columns).ravel(), self.weights.ravel(), n_columns",
+        "np.abs(columns).ravel() % n_columns, self.weights.ravel(), n_columns",
+        ("test_far_lobes::test_the_response_of_columns_is_the_sum_of_all_beams",),
+    ),
+    Mutation(
+        "labels/response below nothing",
+        "np.maximum(received, 0).sum(axis=0",
+        "received.sum(axis=0",
+        ("test_far_lobes::test_the_response_of_columns_is_the_sum_of_all_beams",),
+    ),
+    Mutation(
+        "labels/interrupted weights",
+        "self._weights = key, make()",
+        "self._weights = key, None; self._weights = key, make()",
+        ("test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
+    ),
     # multipath by image sources
     Mutation("multipath/mean range", "2.0 / (length / q + range_there)", "1.0 / (length / q)", MULTIPATH),
     Mutation(

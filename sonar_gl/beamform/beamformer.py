@@ -270,17 +270,7 @@ class Beamformer:
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
         self._wide_shares = fan.wide_shares
-        self._labeller = None
-        self._make_labeller = partial(
-            Labeller,
-            fan,
-            weights,
-            is_box,
-            self._parts,
-            self._bins,
-            self.elevation_table,
-            self._workspace,
-        )
+        self._weights = weights
 
     @cached_property
     def mirrored_strips(self) -> tuple:
@@ -315,7 +305,8 @@ class Beamformer:
     def even_response(self) -> np.ndarray:
         """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
         columns = self._column_sums()
-        columns.spans[:] = 0, columns.sums.shape[1]  # first, as in `column_response`
+        # spans first: what lies outside of them is never cleared, should an interrupt come between
+        columns.spans[:] = 0, columns.sums.shape[1]
         columns.sums[:] = self._columns_sr[:, None]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
@@ -323,21 +314,10 @@ class Beamformer:
         return response
 
     @cached_property
-    def column_response(self) -> np.ndarray:
-        """What all beams together return of the echo in a column, by far side lobes, too; (columns,) float64."""
-        columns, n_columns = self._column_sums(), self.fan.n_columns
-        n_bins, response = columns.sums.shape[1], np.empty(n_columns)
-        for half in range(2):
-            self._clear_columns(half, columns)
-        for first in range(0, n_columns, n_bins):  # each column has an echo in a bin of its own
-            mine = np.arange(first, min(first + n_bins, n_columns))
-            # spans first: what lies outside of them is never cleared, should an interrupt come between
-            columns.spans[mine] = np.column_stack([mine, mine + 1]) - first
-            columns.sums[mine, mine - first] = 1
-            response[mine] = self.weigh(NO_GAIN).intensity.sum(axis=0, dtype=np.float64)[: len(mine)]
-            columns.sums[mine, mine - first] = 0
-            columns.spans[mine] = n_bins, 0
-        return response
+    def _labeller(self) -> Labeller:
+        response = self._weights.column_response if self._far is None else self._far.column_response
+        tables = self._parts, self._bins, self.elevation_table
+        return Labeller(self.fan, self._weights, self.is_box, *tables, self._workspace, response)
 
     @property
     def n_bytes(self) -> int:
@@ -451,8 +431,6 @@ class Beamformer:
 
         view : its samples hold the numbers of bodies
         """
-        if self._labeller is None:
-            self._labeller = self._make_labeller(self.column_response)
         samples, columns = view.sectors, self._column_sums()
         is_little = self._rows(samples) < FEW_ROWS
         for half in range(2):

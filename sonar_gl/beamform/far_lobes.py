@@ -117,6 +117,7 @@ class FarLobes:
     near : BeamTiles of the support: the pattern less what the far side lobes hold there
     condense, couple : BeamTiles of Uᵀ and M
     first_moment, expansion : (B,) int64 and (B, rank) float32, V over the solid angle of each beam
+    column_response : (C,) float64, what all beams together return of the echo in a column, that of the support included
     """
 
     near: kernels.BeamTiles
@@ -124,6 +125,7 @@ class FarLobes:
     couple: kernels.BeamTiles
     first_moment: np.ndarray
     expansion: np.ndarray
+    column_response: np.ndarray
 
     @property
     def n_bytes(self) -> int:
@@ -339,13 +341,17 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
         transmitted = transmit_pattern(azimuths) @ (node_weights / 2)
     per_sr = 1 / (width_rad * near.height)
     less = of_support * transmitted[columns] * per_sr[:, None]
-    corrected = near.weights * (near.width_rad / width_rad)[:, None] - less
+    corrected = (near.weights * (near.width_rad / width_rad)[:, None] - less).astype(np.float32)
+    received = far * np.outer(per_sr, transmitted).astype(np.float32)
+    np.add.at(received, (np.arange(B)[:, None], columns), corrected)
     return FarLobes(
-        near=kernels.beam_tiles(near.first, corrected.astype(np.float32)),
+        near=kernels.beam_tiles(near.first, corrected),
         condense=_condensing_tiles(means * transmitted[:, None], block),
         couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
         expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
+        # less than nothing counts as nothing, as in `kernels.add_far_lobes`
+        column_response=np.maximum(received, 0).sum(axis=0, dtype=np.float64),
     )
 
 

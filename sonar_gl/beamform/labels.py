@@ -162,7 +162,7 @@ class Labeller:
     bins : tuple of kernels.BinTable
     elevation_pattern : of kernels.sum_footprints
     workspace : Workspace
-    response : (columns,) of `Beamformer.column_response`
+    response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
 
     def __init__(
@@ -246,10 +246,10 @@ class Labeller:
             means=self._means.empty(),
         )
         mask = np.zeros(n_bodies + 1, bool) if is_background is None else is_background
-        body_echo = np.zeros(n_bodies + 1)
-        kernels.sum_body_echo(runs, self._columns.response, gain, body_echo)
+        body_echo = np.zeros((2, n_bodies + 1))
 
         def pick(half):
+            kernels.sum_body_echo(runs, self._columns.response, gain, half, body_echo[half])
             kernels.find_strongest(
                 runs,
                 tuple(self._columns.tiles),
@@ -271,6 +271,6 @@ class Labeller:
             incidence_rad=incidence_rad,
             true_range_m=true_range_m,
             share=strongest.share,
-            body_echo=body_echo,
+            body_echo=body_echo.sum(axis=0),
             shadow=shadow,
         )

@@ -38,6 +38,13 @@ class BeamWeights:
         """The weights in tiles of beams."""
         return kernels.beam_tiles(self.first, self.weights)
 
+    @cached_property
+    def column_response(self) -> np.ndarray:
+        """What all beams together return of the echo in a column: (C,) float64."""
+        n_columns = len(self.columns_sr)
+        columns = self.first[:, None] + np.arange(self.weights.shape[1])
+        return np.bincount((columns % n_columns).ravel(), self.weights.ravel(), n_columns)
+
     def received(self, n_columns: int) -> np.ndarray:
         """Return (n_columns,) bool: which columns of the fan any beam receives."""
         out = np.zeros(n_columns, bool)

@@ -50,6 +50,21 @@ def fan_and_weights(sonar, acoustics) -> tuple[Fan, np.ndarray]:
     return fan, out
 
 
+@pytest.mark.parametrize("far_side_lobes", [False, True])
+@pytest.mark.parametrize("name", DEVICES)
+def test_the_response_of_columns_is_the_sum_of_all_beams(name, far_side_lobes):
+    sonar, acoustics = DEVICES[name], replace(PHYSICAL, far_side_lobes=far_side_lobes)
+    _, found = fan_and_weights(sonar, acoustics)
+    sampling, workspace = sg.Sampling(1, 16), Workspace()
+    fan = make_beamformer(sonar, acoustics, sampling, workspace=workspace).fan
+    # the weights of these columns are kept, so that none are made
+    weights, lobes = workspace.weights(fan.column_edges_rad, None)
+    assert (lobes is not None) == far_side_lobes
+    # float32 products of some hundred weights
+    response = (lobes or weights).column_response
+    np.testing.assert_allclose(response, found.sum(axis=0), rtol=1e-5, atol=1e-6 * found.sum(axis=0).max())
+
+
 @pytest.mark.parametrize("name", DEVICES)
 def test_beams_weigh_all_columns_by_the_pattern(name):
     """Within the support exactly, beyond it within TOLERANCE of the floor and the side lobe's peak."""

@@ -2,6 +2,7 @@
 
 import pytest
 
+import sonar_gl as sg
 from tests.support import interrupts
 
 EVERY = 20
@@ -15,6 +16,21 @@ def test_a_ping_is_interrupted_at_its_lines(every):
         interrupts.ACTIONS["ping"], lambda places: list(dict.fromkeys(places))[::every]
     )
     assert found.n_interrupts > 300 / every
+    assert found.faults == []
+
+
+@pytest.mark.timeout(60, method="thread")
+def test_the_first_labels_are_interrupted_where_weights_are_found_and_kept():
+    """Other stages use the weights and the response of columns that an interrupted ping has left."""
+    acoustics = sg.Acoustics.physical(elevation_pattern="box")
+    labelled = interrupts.ACTIONS["ping with labels"]._replace(
+        settings={"acoustics": acoustics, "tolerance": 0.3}
+    )
+    files = "beamform/workspace.py", "beamform/far_lobes.py", "beamform/labels.py"
+    found = interrupts.interrupt(
+        labelled, lambda places: [place for place in dict.fromkeys(places) if place[0] in files]
+    )
+    assert found.n_interrupts > 100
     assert found.faults == []
 
 
