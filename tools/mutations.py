@@ -714,6 +714,9 @@ MUTATIONS = (
     ),
     Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),
     Mutation(
+        "surface/height of the wind", "AT_19_5_M * wind_speed_m_s", "wind_speed_m_s", ("test_sea_surface",)
+    ),
+    Mutation(
         "surface/waves end the mirror",
         "max(scene.surface_roughness_m, wave_height_m)",
         "scene.surface_roughness_m",

@@ -17,7 +17,7 @@ class PoseTrack:
     times_s : (N,) seconds, which do not fall; None for a sonar that stands at the first pose
 
     >>> from sonar_gl.core.poses import pose
-    >>> PoseTrack([pose(0), pose(2, yaw=1.0)], [0.0, 4.0]).at(1.0)[0, 3]
+    >>> float(PoseTrack([pose(0), pose(2, yaw=1.0)], [0.0, 4.0]).at(1.0)[0, 3])
     0.5
     """
 

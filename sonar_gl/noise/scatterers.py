@@ -90,7 +90,7 @@ def beam_response(taper_series: tuple[float, ...] = ()) -> np.ndarray:
 def beam_angle_rad(beam_width_rad: float, taper_series: tuple[float, ...] = ()) -> float:
     """Return the integral of a beam's power pattern over the azimuths of its support, radians.
 
-    >>> round(beam_angle_rad(1.0), 3)  # a uniform array: λ/L, less the 2.5 % beyond the support
+    >>> round(float(beam_angle_rad(1.0)), 3)  # a uniform array: λ/L, less the 2.5 % beyond the support
     1.1
     """
     power = beam_response(taper_series).astype(np.float64) ** 2

@@ -49,7 +49,8 @@ class Noise:
     looks : number of independent speckle patterns, each with its receiver noise, that are averaged; the
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
-        seed and pose of the sonar; `place_locked_speckle.place_locked_field` states which motion changes it
+        seed and pose of the sonar. A place keeps it while the sonar turns or moves along the line of sight, and loses
+        it as its aspect changes; `place_locked_speckle.place_locked_field` has the rates
     self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar
         that states one (`ring_down.ring_down_power`). The TVG of range law "sonar_equation" amplifies it, other
         laws have no TVG. Fields add: |√E g + √N n|²

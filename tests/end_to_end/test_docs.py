@@ -1,6 +1,7 @@
 """The documentation: its examples run, its commands and options exist, its links lead somewhere."""
 
 import dataclasses
+import doctest
 import importlib.util
 import os
 import pkgutil
@@ -124,6 +125,15 @@ def test_there_is_something_to_check():
 )
 def test_python_examples_run(code):
     exec(compile(code, "example", "exec"), {"__name__": "__main__"})
+
+
+def test_examples_of_docstrings_hold():
+    """Those of all modules; how NumPy prints a scalar depends on its version, for one."""
+    sources = [path for path in (ROOT / "sonar_gl").rglob("*.py") if "\n    >>> " in path.read_text("utf-8")]
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in sorted(sources)]
+    results = {name: doctest.testmod(importlib.import_module(name)) for name in names}
+    assert not [name for name, result in results.items() if result.failed]
+    assert sum(result.attempted for result in results.values()) > 140
 
 
 @pytest.mark.parametrize("words", commands())

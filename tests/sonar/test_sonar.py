@@ -1,5 +1,6 @@
 """Presets, sonars from files, and the message about each mistake in them."""
 
+import math
 import re
 import warnings
 from dataclasses import MISSING, replace
@@ -80,6 +81,20 @@ def test_unverified_numbers_are_marked():
     unverified = {name for name, sonar in presets().items() if "unverified:" in sonar.source}
     sourced = {"p900-45", "p900-90", "p900-130", "demarco-2015"}
     assert unverified == set(presets()) - sourced
+
+
+def test_floors_of_presets_are_those_of_the_same_errors_in_as_many_elements_as_their_beams_need():
+    """s²/N, errors of gain and phase of variance s² in N elements half a wavelength apart."""
+    variance = round((10 ** (0.75 / 20) - 1) ** 2 + math.radians(5.0) ** 2, 3)
+    assert variance == 0.016
+    for name, sonar in presets().items():
+        elements = 2 * 0.442946 / math.sin(math.radians(sonar.beam_width_deg) / 2)  # sinc² is 1/2 at 0.442946
+        floor_db = 10 * math.log10(variance / elements)
+        if name.startswith(("aris", "didson")):
+            floor_db = -35.0  # lenses
+        elif name in ("demarco-2015", "ping360"):
+            floor_db = None  # no array
+        assert sonar.element_error_db == (floor_db and round(floor_db)), name
 
 
 def test_changing_the_returned_presets_changes_no_preset():
