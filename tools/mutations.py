@@ -929,6 +929,7 @@ MUTATIONS = (
     Mutation(
         "sdf/side of a scan", "middle_deg + offset for offset", "offset - middle_deg for offset", SENSORS
     ),
+    Mutation("sdf/body of a model", "if name == link.model:", "if False:", SDF),
     Mutation(
         "sdf/one link",
         "if n_with_geometry[link.model] == 1",

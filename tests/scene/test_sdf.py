@@ -97,12 +97,13 @@ def test_chain_of_relative_frames_against_hand_computed_values(read):
             f"<collision name='c'><pose>0 0 5 0 0 0</pose>{BOX}{RETRO}</collision></link>"
         )
     )
-    # in the model: base (1 0 0), f (1 2 0), g (1 2 3) rolled by 90 degrees, whose y is up: tip (1 2 4)
+    # in the model: base (1 0 0), f (1 2 0), g (1 2 3) rolled by 90 degrees, whose y is up: tip (1 2 4),
+    # and the shape's centre, 5 along its z, (1 -3 4)
     # the model, turned by 90 degrees about z at (10 0 0), takes (x y z) to (10 - y, x, z)
     (body,) = scene.bodies
-    expected = [[0, 0, 1, 8], [1, 0, 0, 1], [0, 1, 0, 4], [0, 0, 0, 1]]
+    expected = [[0, -1, 0, 10], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     np.testing.assert_allclose(body.pose, expected, atol=ROUNDING)
-    np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, 2], [1, 2, 8]])
+    np.testing.assert_allclose(body.mesh.bounds, [[0, -6, 2], [2, 0, 6]], atol=ROUNDING)
     assert body.name == "m" and body.reflectivity == 1.0 and body.normals is None
 
 
@@ -114,8 +115,8 @@ def test_shape_relative_to_a_frame_of_its_model(read):
             + link("<pose>5 0 0 0 0 0</pose>", shape=shape)
         )
     )
-    # mark points backwards: the shape is at (-1 0 9) in the model, and at (-6 0 9) in the link
-    np.testing.assert_allclose(scene.bodies[0].mesh.bounds, [[-7, -2, 6], [-5, 2, 12]], atol=ROUNDING)
+    # mark points backwards: the shape is at (-1 0 9) in the model, wherever its link is
+    np.testing.assert_allclose(scene.bodies[0].mesh.bounds, [[-2, -2, 6], [0, 2, 12]], atol=ROUNDING)
 
 
 def test_quaternion_degrees_and_old_frame_attribute(read):
@@ -150,12 +151,23 @@ def test_nested_models_scoped_frames_joints_and_placement(read):
         + "<model name='placed' placement_frame='foot'><pose>0 0 0 0 0 0</pose>"
         "<frame name='foot'><pose>0 0 -3 0 0 0</pose></frame>" + link() + "</model>"
     )
-    poses = {body.name: body.pose for body in scene.bodies}
-    np.testing.assert_array_equal(poses["outer::inner"], pose(1, 1, 5))
-    np.testing.assert_array_equal(poses["outer"], pose(1, 1, 5))
-    np.testing.assert_array_equal(poses["beside"], pose(1, 0, 6))
-    np.testing.assert_array_equal(poses["jointed"], pose(0, 0, 3))
-    np.testing.assert_array_equal(poses["placed"], pose(0, 0, 3))
+    assert {body.name: body.pose[:3, 3].tolist() for body in scene.bodies} == {
+        "outer::inner": [1, 0, 5],
+        "outer": [0, 0, 5],
+        "beside": [1, 0, 6],
+        "jointed": [0, 0, 0],
+        "placed": [0, 0, 3],
+    }
+    boxes = {
+        body.name: (body.pose @ [*body.mesh.bounds.mean(axis=0), 1])[:3].tolist() for body in scene.bodies
+    }
+    assert boxes == {
+        "outer::inner": [1, 1, 5],
+        "outer": [1, 1, 5],
+        "beside": [1, 0, 6],
+        "jointed": [0, 0, 3],
+        "placed": [0, 0, 3],
+    }
 
 
 def test_poses_keep_float64_far_from_the_origin(read):
@@ -177,6 +189,31 @@ def test_names_of_several_links(read):
         model(link(name="a") + link(name="b") + "<link name='bare'/>" + model(link(), "inner"), "outer")
     )
     assert [b.name for b in scene.bodies] == ["outer::a", "outer::b", "outer::inner"]
+
+
+def test_a_body_with_the_name_of_its_model_has_its_pose(read):
+    """A simulator that says where the model is places the body by its name; the pose of the link stays."""
+    tags = f"<pose>0 0 3 0 0 1.5707963267948966</pose>{shape(RETRO)}"
+    scene = read(
+        model(
+            f"<pose>10 0 0 0 0 0</pose><link name='link'>{tags}"
+            f"{shape(RETRO + '<sonar_gl:speckle_shape>1</sonar_gl:speckle_shape>', 'rough')}"
+            "<sonar_gl:bubbles name='leak'><pose>1 0 0 0 0 0</pose></sonar_gl:bubbles></link>"
+        )
+    )
+    for body in scene.bodies:
+        np.testing.assert_array_equal(body.pose, pose(10))
+        np.testing.assert_allclose(body.mesh.bounds, [[-2, -1, 0], [2, 1, 6]], atol=ROUNDING)
+    assert [body.name for body in scene.bodies] == ["m", "m::rough"]
+    np.testing.assert_allclose(scene.plumes[0].pose[:3, 3], [10, 1, 3], atol=ROUNDING)
+
+
+def test_a_body_with_the_name_of_its_link_has_its_pose(read):
+    links = "".join(f"<link name='{k}'><pose>{k} 0 3 0 0 0</pose>{shape(RETRO)}</link>" for k in (1, 2))
+    scene = read(model(f"<pose>10 0 0 0 0 0</pose>{links}"))
+    for k, body in enumerate(scene.bodies, 1):
+        np.testing.assert_array_equal(body.pose, pose(10 + k, 0, 3))
+        np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, -3], [1, 2, 3]])
 
 
 SIZES = {"box": (2, 4, 6), "sphere": (2, 2, 2)}
@@ -1125,8 +1162,8 @@ def test_a_reflectivity_map_is_applied_from_above(read, tmp_path):
     ).bodies
     x, y, _ = body.surface.vertices[body.surface.faces].mean(axis=1).T
     # first row at the highest y, first column at the lowest x, as in a height map
-    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 0).astype(int)] / 255)
-    np.testing.assert_array_equal(body.pose, pose(10))
+    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 10).astype(int)] / 255)
+    np.testing.assert_array_equal(body.pose, np.eye(4))
 
 
 def test_a_shape_with_a_map_beside_one_without(read, tmp_path):

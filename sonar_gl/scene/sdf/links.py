@@ -39,9 +39,13 @@ class Link:
         """File and element, for messages."""
         return self.scope.frames[self.name].location
 
+    def pose_in_model(self) -> np.ndarray:
+        """Return (4, 4) model_from_link."""
+        return self.scope.find(self.name, self.location)
+
     def world_pose(self) -> np.ndarray:
         """Return (4, 4) world_from_link."""
-        return self.world_from_model @ self.scope.find(self.name, self.location)
+        return self.world_from_model @ self.pose_in_model()
 
     def pose_in_link(self, element, location: str) -> np.ndarray:
         """Return (4, 4) link_from_element of a shape, sensor or plume in the link."""
@@ -49,7 +53,7 @@ class Link:
         if pose_element is None or not (pose_element.get("relative_to") or pose_element.get("frame")):
             return read_pose(pose_element, location, self.scope.large_angles)
         in_model = self.scope.resolve_pose(pose_element, location, self.name)
-        return np.linalg.inv(self.scope.find(self.name, self.location)) @ in_model
+        return np.linalg.inv(self.pose_in_model()) @ in_model
 
 
 def links_of(scope: Scope, world_from_scope: np.ndarray, model: str = "") -> Iterator[Link]:

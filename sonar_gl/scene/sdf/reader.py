@@ -52,10 +52,10 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Notes
     -----
-    Bodies. A link becomes a body, named after its model, or `model::link` if several links of the model have
-    geometry; in a URDF file, named after the link, with all joints at zero. The collisions of a link make its
-    body; its visuals if it has no collisions, or if only visuals have surface properties. The link that
-    carries the sonar makes no body.
+    Bodies. A link becomes a body, with the name and the pose of its model, or `model::link` with the pose of the
+    link if several links of the model have geometry; in a URDF file, with those of the link, all joints at zero.
+    The collisions of a link make its body; its visuals if it has no collisions, or if only visuals have surface
+    properties. The link that carries the sonar makes no body.
 
     Surface properties of a collision or visual: reflectivity is `<laser_retro>` / 255, or 0.5, with one
     warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and

@@ -132,9 +132,13 @@ class BodyReader:
         """Return the bodies of a link, and whether the file specifies the reflectivity of all its shapes.
 
         Shapes with the same specular lobe and texture are joined. The body of the first shape has the name `name`,
-        those with others `name::shape`.
+        those with others `name::shape`. Named after its model, a body has the model's pose, since what moves it by
+        that name means the model; else the link's.
         """
         groups, names, complete = {}, {}, True
+        pose, body_from_link = link.world_pose(), np.eye(4)
+        if name == link.model:
+            pose, body_from_link = link.world_from_model, link.pose_in_model()
         for element in echoing_shapes(link):
             location = f"{link.location}/{element.tag}[{element.get('name') or ''}]"
             matrix = link.pose_in_link(element, location)
@@ -153,9 +157,8 @@ class BodyReader:
             complete &= any(child is not None for child in specified)
             kind = (surface.specular, surface.roughness_rad), surface.speckle_shape
             names.setdefault(kind, f"{name}::{element.get('name')}" if groups else name)
-            shape = primitives.transform(shape, matrix)
+            shape = primitives.transform(shape, body_from_link @ matrix)
             groups.setdefault(kind, []).append(EchoingShape(shape, reflectivity, surface.material))
-        pose = link.world_pose()
         with errors_at(link.location):
             return [
                 body_of_shapes(names[kind], group, pose, *kind) for kind, group in groups.items()
