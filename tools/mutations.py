@@ -929,6 +929,8 @@ MUTATIONS = (
     Mutation(
         "sdf/side of a scan", "middle_deg + offset for offset", "offset - middle_deg for offset", SENSORS
     ),
+    Mutation("sdf/name in a merged model", "if scope.holds(head):", "if head in scope.links:", SDF),
+    Mutation("sdf/pose of a merged model", "model, model_from_inner)", "model, model_from_scope)", SDF),
     Mutation("sdf/body of a model", "if name == link.model:", "if False:", SDF),
     Mutation(
         "sdf/one link",

@@ -928,6 +928,94 @@ def test_a_model_config_that_leads_out_is_refused(tmp_path):
     )
 
 
+MERGED = (
+    "<frame name='foot'><pose>0 0 -3 0 0 0</pose></frame>"
+    f"<link name='arm'><pose>0 1 0 0 0 0</pose>{SHAPE}</link>"
+    f"<link name='hand'><pose relative_to='__model__'>0 2 0 0 0 0</pose>{SHAPE}</link>"
+    "<joint name='wrist'><child>hand</child></joint>"
+    f"<model name='tool'><pose relative_to='hand'>0 0 1 0 0 0</pose><link name='link'>{SHAPE}</link></model>"
+)
+MESH = "<geometry><mesh><uri>a.stl</uri></mesh></geometry>"
+MERGE = "<include merge='true'><uri>model://arms</uri>{}</include>"
+
+
+def places(scene):
+    return {body.name: body.pose[:3, 3].tolist() for body in scene.bodies}
+
+
+@pytest.mark.parametrize(
+    ("inside", "x", "z"),
+    [("", 0, 0), ("<pose>1 0 0 0 0 0</pose>", 1, 0), ("<placement_frame>foot</placement_frame>", 0, 3)],
+)
+@pytest.mark.parametrize("comes_first", [True, False])
+def test_a_merged_include_becomes_a_part_of_the_model(tmp_path, read, inside, x, z, comes_first):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    parts = [
+        "<pose>10 0 0 0 0 0</pose>",
+        link("<pose relative_to='hand'>0 0 7 0 0 0</pose>", "held"),
+        "<frame name='grip' attached_to='wrist'><pose>0 0 4 0 0 0</pose></frame>",
+        model("<pose relative_to='grip'/>" + link(), "gripped"),
+        "<model name='held_too'><pose relative_to='tool::link'/>" + link() + "</model>",
+    ]
+    parts.insert(1 if comes_first else 5, MERGE.format(inside))
+    assert places(read(model("".join(parts), "rov"))) == {
+        "rov::arm": [10 + x, 1, z],
+        "rov::hand": [10 + x, 2, z],
+        "rov::tool": [10 + x, 2, z + 1],
+        "rov::held": [10 + x, 2, z + 7],
+        "rov::gripped": [10 + x, 2, z + 4],
+        "rov::held_too": [10 + x, 2, z + 1],
+    }
+
+
+def test_what_a_merged_include_names_lies_beside_it(tmp_path, read):
+    """Files are found in the folder of the included model; a single link makes the body of the outer one."""
+    add_model(tmp_path / "far", "arms", model(link(shape=shape(RETRO, geometry=MESH)), "arms"))
+    trimesh.creation.box((2, 2, 2)).export(tmp_path / "far" / "arms" / "a.stl")
+    uri = "<uri>far/arms</uri>"
+    merge = f"<include merge='1'>{uri}<pose>0 0 5 0 0 0</pose></include>"
+    scene = read(model(f"<pose>10 0 0 0 0 0</pose>{merge}", "rov"))
+    assert places(scene) == {"rov": [10, 0, 0]}
+    np.testing.assert_array_equal(scene.bodies[0].mesh.bounds, [[-1, -1, 4], [1, 1, 6]])
+
+
+def test_merged_includes_of_merged_includes_and_of_worlds(tmp_path, read):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    add_model(tmp_path, "upper", model(MERGE.format("<pose>0 0 1 0 0 0</pose>"), "upper"))
+    merge = MERGE.replace("arms", "upper").format("<pose>0 0 2 0 0 0</pose>")
+    scene = read(model(merge + link("<pose relative_to='hand'>0 1 0 0 0 0</pose>", "held"), "rov"))
+    assert places(scene)["rov::hand"] == [0, 2, 3] and places(scene)["rov::held"] == [0, 3, 3]
+    add_model(tmp_path, "yard", model(model(link(), "left") + model(link(), "right"), "yard"))
+    merge = MERGE.replace("arms", "yard").format("<pose>0 0 2 0 0 0</pose>")
+    assert places(read(merge)) == {"left": [0, 0, 2], "right": [0, 0, 2]}
+
+
+@pytest.mark.parametrize("comes_first", [True, False])
+def test_a_merged_include_must_bring_new_names(tmp_path, message, comes_first):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    parts = [MERGE.format(""), link(name="hand")]
+    place = "link[hand]" if comes_first else "include[model://arms]"
+    assert message(model("".join(parts if comes_first else parts[::-1]), "rov")) == (
+        f"a.sdf: world/model[rov]/{place}: names must be unique (got 'hand' twice)"
+    )
+
+
+def test_a_merged_include_must_not_lie_in_a_frame_of_its_own(tmp_path, message):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    assert message(model(MERGE.format("<pose relative_to='hand'/>"), "rov")) == (
+        "a.sdf: world/model[rov]/include[model://arms]/pose: frames must lead to the model or world "
+        "(got _merged__arms__model__ -> _merged__arms__model__ ...)"
+    )
+
+
+def test_links_are_not_merged_into_a_world(tmp_path, message):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    assert message(MERGE.format("")) == (
+        'a.sdf: world/include[model://arms]: a world holds models, no links (got merge="true" of a model with '
+        "link 'arm'; leave merge out)"
+    )
+
+
 def test_include_cycles(tmp_path, message):
     add_model(tmp_path, "a", model("<include><uri>model://b</uri></include>", "a"))
     add_model(tmp_path, "b", model("<include><uri>model://a</uri></include>", "b"))

@@ -307,4 +307,18 @@ class TreeReader:
         placement = (element.findtext("placement_frame") or model.get("placement_frame") or "").strip()
         inner = scope.inner(model_location, scope.folder if built_in else path.parent)
         frame = Frame(pose_element, pose_location, "", inner, placement)
-        self._add_model(scope, name, frame, model, (*stack, file), location)
+        if (element.get("merge") or "").strip() in ("true", "1"):
+            self._merge_model(scope, name, frame, model, (*stack, file), location)
+        else:
+            self._add_model(scope, name, frame, model, (*stack, file), location)
+
+    def _merge_model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, location: str):
+        """Add a model whose frames, links and models are those of the scope that includes it."""
+        own_name = f"_merged__{name}__model__"  # Gazebo's, too
+        self._add_model(scope, own_name, frame, element, stack, location)
+        if scope.is_world and (names := frame.scope.link_names()):
+            raise Error(
+                f'{location}: a world holds models, no links (got merge="true" of a model with link {names[0]!r}; '
+                "leave merge out)"
+            )
+        scope.merge(own_name, location)
