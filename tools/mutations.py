@@ -939,6 +939,12 @@ MUTATIONS = (
         SDF,
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
     ),
+    Mutation(
+        "cli/handler that stays",
+        "signal.signal(signal.SIGTERM, before)",
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN)",
+        ("test_sigterm",),
+    ),
     # counts and pictures
     Mutation("counts/full scale", "flat *= full**-law.exponent", "flat *= full**law.exponent", COUNTS),
     Mutation(
