@@ -585,6 +585,20 @@ def test_laser_retro_above_255_reflects_all_and_warns_once(tmp_path):
     ]
 
 
+def test_warnings_name_the_shapes_where_other_shapes_of_the_link_are_without_fault(tmp_path):
+    sheet = shape("", "water_plane", geometry=SHEET)
+    shapes = shape(RETRO, "good") + shape("", "bare") + shape("", "too", "visual") + sheet
+    shapes += "".join(shape(f"<laser_retro>{n}</laser_retro>", f"shiny_{n}") for n in (1150, 500))
+    _, texts = read_wet(tmp_path, model(link(shape=shapes), "rov") + model(link(shape=shape()), "rock"))
+    assert texts == [
+        "water and marks are no bodies, and are left out (rov::link/collision[water_plane]); "
+        "the water's surface is taken from its shape, z = 0 m",
+        "no <laser_retro> in 2 of 2 bodies (rov/collision[bare], rock); their reflectivity is taken as 0.5",
+        "<laser_retro> is more than 255 in 1 of 2 bodies (rov/collision[shiny_1150], rov/collision[shiny_500]); "
+        "their reflectivity is taken as 1",
+    ]
+
+
 def test_submeshes_are_found_without_prefix_and_in_any_case(tmp_path, read):
     parts = {"geom-Steering_Wheel": (1, 1, 1), "geom-Wheel": (2, 2, 2), "Wheel": (3, 3, 3)}
     scene = trimesh.Scene({name: trimesh.creation.box(size) for name, size in parts.items()})

@@ -91,7 +91,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     links = list(links_of(scope, np.eye(4)))
     sonars = find_sonars(links)
     sensors, changed = _read_sensors(sonars)
-    bodies, unspecified, saturated = _read_bodies(links, sonars[0].link if sonars else None, resources)
+    reader = BodyReader(resources)
+    bodies = _read_bodies(links, sonars[0].link if sonars else None, reader)
     if resources.recovered:
         files = ", ".join(
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
@@ -117,16 +118,16 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
         without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
         warn_caller(f"{path}: read without {', and without '.join(without)}")
-    if unspecified:
-        warn_caller(
-            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
-            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
-        )
-    if saturated:
-        warn_caller(
-            f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
-            f"({some_names(saturated)}); their reflectivity is taken as 1"
-        )
+    for found, what, reflectivity in (
+        (reader.unspecified, "no <laser_retro>", DEFAULT_REFLECTIVITY),
+        (reader.saturated, f"<laser_retro> is more than {MAX_RETRO}", 1),
+    ):
+        if found:
+            names = some_names([name for names in found.values() for name in names])
+            warn_caller(
+                f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
+                f"their reflectivity is taken as {reflectivity}"
+            )
     if changed:
         warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)
@@ -180,30 +181,23 @@ def _read_sensors(sonars: list[SensorOfLink]) -> tuple[list[SonarSensor], list[s
     return sensors, changed
 
 
-def _read_bodies(
-    links: list[Link], carrier: Link | None, resources: Resources
-) -> tuple[list[Body], list[str], list[str]]:
-    """Return the bodies of all links but the sonar's, and names: of unspecified reflectivity, and of too large."""
-    reader = BodyReader(resources)
+def _read_bodies(links: list[Link], carrier: Link | None, reader: BodyReader) -> list[Body]:
+    """Return the bodies of all links but the sonar's."""
     n_with_geometry = Counter(link.model for link in links if echoing_shapes(link))
-    bodies, unspecified = [], []
+    bodies = []
     for link in links:
         if link is carrier:
             continue
         name = link.model if n_with_geometry[link.model] == 1 and link.model else link.path
-        found, complete = reader.read(link, name)
-        bodies += found
-        if not complete:
-            unspecified.append(name)
-    return bodies, unspecified, reader.saturated
+        bodies += reader.read(link, name)
+    return bodies
 
 
 def _read_water(links: list[Link], resources: Resources) -> tuple[list[str], float | None]:
     """Return the names of shapes that are left out, as water or marks, and the height of the water's surface."""
     reader, names, heights = BodyReader(resources), {}, []
     for link in links:
-        if left_out_shapes(link):
-            names[link.path] = None
+        names |= dict.fromkeys(left_out_shapes(link))
         for element in link.element.findall("collision") + link.element.findall("visual"):
             if is_water(link, element) and not is_mark(link):
                 heights.append(reader.height_of_water(link, element))
