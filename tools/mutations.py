@@ -956,12 +956,22 @@ MUTATIONS = (
     Mutation(
         "sdf/side of a scan", "middle_deg + offset for offset", "offset - middle_deg for offset", SENSORS
     ),
+    Mutation("sdf/name in a merged model", "if scope.holds(head):", "if head in scope.links:", SDF),
+    Mutation("sdf/pose of a merged model", "model, model_from_inner)", "model, model_from_scope)", SDF),
+    Mutation("sdf/shapes at fault", "elements and len(elements) == len(among)", "elements", SDF),
+    Mutation("sdf/body of a model", "if name == link.model:", "if False:", SDF),
     Mutation(
         "sdf/one link",
         "if n_with_geometry[link.model] == 1",
         "if n_with_geometry[link.model] >= 1",
         SDF,
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
+    ),
+    Mutation(
+        "cli/handler that stays",
+        "signal.signal(signal.SIGTERM, before)",
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN)",
+        ("test_sigterm",),
     ),
     # counts and pictures
     Mutation("counts/full scale", "flat *= full**-law.exponent", "flat *= full**law.exponent", COUNTS),

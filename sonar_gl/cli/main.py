@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import errno
 import json
+import signal
 import sys
+import threading
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,7 +34,7 @@ class CommandGroup(click.Group):
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="replace")  # the terminal may not have Greek letters
         try:
-            with warnings.catch_warnings():
+            with _interrupted_by_sigterm(), warnings.catch_warnings():
                 warnings.simplefilter("always", UserWarning)
                 warnings.showwarning = _one_line_warnings()
                 super().invoke(ctx)
@@ -52,6 +55,19 @@ class CommandGroup(click.Group):
         if status:
             echo(f"error: {message}", err=True)
             ctx.exit(status)
+
+
+@contextmanager
+def _interrupted_by_sigterm():
+    """Have SIGTERM end a command as Ctrl-C does: service managers and containers send it."""
+    if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _one_line_warnings():

@@ -97,12 +97,13 @@ def test_chain_of_relative_frames_against_hand_computed_values(read):
             f"<collision name='c'><pose>0 0 5 0 0 0</pose>{BOX}{RETRO}</collision></link>"
         )
     )
-    # in the model: base (1 0 0), f (1 2 0), g (1 2 3) rolled by 90 degrees, whose y is up: tip (1 2 4)
+    # in the model: base (1 0 0), f (1 2 0), g (1 2 3) rolled by 90 degrees, whose y is up: tip (1 2 4),
+    # and the shape's centre, 5 along its z, (1 -3 4)
     # the model, turned by 90 degrees about z at (10 0 0), takes (x y z) to (10 - y, x, z)
     (body,) = scene.bodies
-    expected = [[0, 0, 1, 8], [1, 0, 0, 1], [0, 1, 0, 4], [0, 0, 0, 1]]
+    expected = [[0, -1, 0, 10], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     np.testing.assert_allclose(body.pose, expected, atol=ROUNDING)
-    np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, 2], [1, 2, 8]])
+    np.testing.assert_allclose(body.mesh.bounds, [[0, -6, 2], [2, 0, 6]], atol=ROUNDING)
     assert body.name == "m" and body.reflectivity == 1.0 and body.normals is None
 
 
@@ -114,8 +115,8 @@ def test_shape_relative_to_a_frame_of_its_model(read):
             + link("<pose>5 0 0 0 0 0</pose>", shape=shape)
         )
     )
-    # mark points backwards: the shape is at (-1 0 9) in the model, and at (-6 0 9) in the link
-    np.testing.assert_allclose(scene.bodies[0].mesh.bounds, [[-7, -2, 6], [-5, 2, 12]], atol=ROUNDING)
+    # mark points backwards: the shape is at (-1 0 9) in the model, wherever its link is
+    np.testing.assert_allclose(scene.bodies[0].mesh.bounds, [[-2, -2, 6], [0, 2, 12]], atol=ROUNDING)
 
 
 def test_quaternion_degrees_and_old_frame_attribute(read):
@@ -150,12 +151,23 @@ def test_nested_models_scoped_frames_joints_and_placement(read):
         + "<model name='placed' placement_frame='foot'><pose>0 0 0 0 0 0</pose>"
         "<frame name='foot'><pose>0 0 -3 0 0 0</pose></frame>" + link() + "</model>"
     )
-    poses = {body.name: body.pose for body in scene.bodies}
-    np.testing.assert_array_equal(poses["outer::inner"], pose(1, 1, 5))
-    np.testing.assert_array_equal(poses["outer"], pose(1, 1, 5))
-    np.testing.assert_array_equal(poses["beside"], pose(1, 0, 6))
-    np.testing.assert_array_equal(poses["jointed"], pose(0, 0, 3))
-    np.testing.assert_array_equal(poses["placed"], pose(0, 0, 3))
+    assert {body.name: body.pose[:3, 3].tolist() for body in scene.bodies} == {
+        "outer::inner": [1, 0, 5],
+        "outer": [0, 0, 5],
+        "beside": [1, 0, 6],
+        "jointed": [0, 0, 0],
+        "placed": [0, 0, 3],
+    }
+    boxes = {
+        body.name: (body.pose @ [*body.mesh.bounds.mean(axis=0), 1])[:3].tolist() for body in scene.bodies
+    }
+    assert boxes == {
+        "outer::inner": [1, 1, 5],
+        "outer": [1, 1, 5],
+        "beside": [1, 0, 6],
+        "jointed": [0, 0, 3],
+        "placed": [0, 0, 3],
+    }
 
 
 def test_poses_keep_float64_far_from_the_origin(read):
@@ -177,6 +189,31 @@ def test_names_of_several_links(read):
         model(link(name="a") + link(name="b") + "<link name='bare'/>" + model(link(), "inner"), "outer")
     )
     assert [b.name for b in scene.bodies] == ["outer::a", "outer::b", "outer::inner"]
+
+
+def test_a_body_with_the_name_of_its_model_has_its_pose(read):
+    """A simulator that says where the model is places the body by its name; the pose of the link stays."""
+    tags = f"<pose>0 0 3 0 0 1.5707963267948966</pose>{shape(RETRO)}"
+    scene = read(
+        model(
+            f"<pose>10 0 0 0 0 0</pose><link name='link'>{tags}"
+            f"{shape(RETRO + '<sonar_gl:speckle_shape>1</sonar_gl:speckle_shape>', 'rough')}"
+            "<sonar_gl:bubbles name='leak'><pose>1 0 0 0 0 0</pose></sonar_gl:bubbles></link>"
+        )
+    )
+    for body in scene.bodies:
+        np.testing.assert_array_equal(body.pose, pose(10))
+        np.testing.assert_allclose(body.mesh.bounds, [[-2, -1, 0], [2, 1, 6]], atol=ROUNDING)
+    assert [body.name for body in scene.bodies] == ["m", "m::rough"]
+    np.testing.assert_allclose(scene.plumes[0].pose[:3, 3], [10, 1, 3], atol=ROUNDING)
+
+
+def test_a_body_with_the_name_of_its_link_has_its_pose(read):
+    links = "".join(f"<link name='{k}'><pose>{k} 0 3 0 0 0</pose>{shape(RETRO)}</link>" for k in (1, 2))
+    scene = read(model(f"<pose>10 0 0 0 0 0</pose>{links}"))
+    for k, body in enumerate(scene.bodies, 1):
+        np.testing.assert_array_equal(body.pose, pose(10 + k, 0, 3))
+        np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, -3], [1, 2, 3]])
 
 
 SIZES = {"box": (2, 4, 6), "sphere": (2, 2, 2)}
@@ -548,6 +585,20 @@ def test_laser_retro_above_255_reflects_all_and_warns_once(tmp_path):
     ]
 
 
+def test_warnings_name_the_shapes_where_other_shapes_of_the_link_are_without_fault(tmp_path):
+    sheet = shape("", "water_plane", geometry=SHEET)
+    shapes = shape(RETRO, "good") + shape("", "bare") + shape("", "too", "visual") + sheet
+    shapes += "".join(shape(f"<laser_retro>{n}</laser_retro>", f"shiny_{n}") for n in (1150, 500))
+    _, texts = read_wet(tmp_path, model(link(shape=shapes), "rov") + model(link(shape=shape()), "rock"))
+    assert texts == [
+        "water and marks are no bodies, and are left out (rov::link/collision[water_plane]); "
+        "the water's surface is taken from its shape, z = 0 m",
+        "no <laser_retro> in 2 of 2 bodies (rov/collision[bare], rock); their reflectivity is taken as 0.5",
+        "<laser_retro> is more than 255 in 1 of 2 bodies (rov/collision[shiny_1150], rov/collision[shiny_500]); "
+        "their reflectivity is taken as 1",
+    ]
+
+
 def test_submeshes_are_found_without_prefix_and_in_any_case(tmp_path, read):
     parts = {"geom-Steering_Wheel": (1, 1, 1), "geom-Wheel": (2, 2, 2), "Wheel": (3, 3, 3)}
     scene = trimesh.Scene({name: trimesh.creation.box(size) for name, size in parts.items()})
@@ -891,6 +942,94 @@ def test_a_model_config_that_leads_out_is_refused(tmp_path):
     )
 
 
+MERGED = (
+    "<frame name='foot'><pose>0 0 -3 0 0 0</pose></frame>"
+    f"<link name='arm'><pose>0 1 0 0 0 0</pose>{SHAPE}</link>"
+    f"<link name='hand'><pose relative_to='__model__'>0 2 0 0 0 0</pose>{SHAPE}</link>"
+    "<joint name='wrist'><child>hand</child></joint>"
+    f"<model name='tool'><pose relative_to='hand'>0 0 1 0 0 0</pose><link name='link'>{SHAPE}</link></model>"
+)
+MESH = "<geometry><mesh><uri>a.stl</uri></mesh></geometry>"
+MERGE = "<include merge='true'><uri>model://arms</uri>{}</include>"
+
+
+def places(scene):
+    return {body.name: body.pose[:3, 3].tolist() for body in scene.bodies}
+
+
+@pytest.mark.parametrize(
+    ("inside", "x", "z"),
+    [("", 0, 0), ("<pose>1 0 0 0 0 0</pose>", 1, 0), ("<placement_frame>foot</placement_frame>", 0, 3)],
+)
+@pytest.mark.parametrize("comes_first", [True, False])
+def test_a_merged_include_becomes_a_part_of_the_model(tmp_path, read, inside, x, z, comes_first):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    parts = [
+        "<pose>10 0 0 0 0 0</pose>",
+        link("<pose relative_to='hand'>0 0 7 0 0 0</pose>", "held"),
+        "<frame name='grip' attached_to='wrist'><pose>0 0 4 0 0 0</pose></frame>",
+        model("<pose relative_to='grip'/>" + link(), "gripped"),
+        "<model name='held_too'><pose relative_to='tool::link'/>" + link() + "</model>",
+    ]
+    parts.insert(1 if comes_first else 5, MERGE.format(inside))
+    assert places(read(model("".join(parts), "rov"))) == {
+        "rov::arm": [10 + x, 1, z],
+        "rov::hand": [10 + x, 2, z],
+        "rov::tool": [10 + x, 2, z + 1],
+        "rov::held": [10 + x, 2, z + 7],
+        "rov::gripped": [10 + x, 2, z + 4],
+        "rov::held_too": [10 + x, 2, z + 1],
+    }
+
+
+def test_what_a_merged_include_names_lies_beside_it(tmp_path, read):
+    """Files are found in the folder of the included model; a single link makes the body of the outer one."""
+    add_model(tmp_path / "far", "arms", model(link(shape=shape(RETRO, geometry=MESH)), "arms"))
+    trimesh.creation.box((2, 2, 2)).export(tmp_path / "far" / "arms" / "a.stl")
+    uri = "<uri>far/arms</uri>"
+    merge = f"<include merge='1'>{uri}<pose>0 0 5 0 0 0</pose></include>"
+    scene = read(model(f"<pose>10 0 0 0 0 0</pose>{merge}", "rov"))
+    assert places(scene) == {"rov": [10, 0, 0]}
+    np.testing.assert_array_equal(scene.bodies[0].mesh.bounds, [[-1, -1, 4], [1, 1, 6]])
+
+
+def test_merged_includes_of_merged_includes_and_of_worlds(tmp_path, read):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    add_model(tmp_path, "upper", model(MERGE.format("<pose>0 0 1 0 0 0</pose>"), "upper"))
+    merge = MERGE.replace("arms", "upper").format("<pose>0 0 2 0 0 0</pose>")
+    scene = read(model(merge + link("<pose relative_to='hand'>0 1 0 0 0 0</pose>", "held"), "rov"))
+    assert places(scene)["rov::hand"] == [0, 2, 3] and places(scene)["rov::held"] == [0, 3, 3]
+    add_model(tmp_path, "yard", model(model(link(), "left") + model(link(), "right"), "yard"))
+    merge = MERGE.replace("arms", "yard").format("<pose>0 0 2 0 0 0</pose>")
+    assert places(read(merge)) == {"left": [0, 0, 2], "right": [0, 0, 2]}
+
+
+@pytest.mark.parametrize("comes_first", [True, False])
+def test_a_merged_include_must_bring_new_names(tmp_path, message, comes_first):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    parts = [MERGE.format(""), link(name="hand")]
+    place = "link[hand]" if comes_first else "include[model://arms]"
+    assert message(model("".join(parts if comes_first else parts[::-1]), "rov")) == (
+        f"a.sdf: world/model[rov]/{place}: names must be unique (got 'hand' twice)"
+    )
+
+
+def test_a_merged_include_must_not_lie_in_a_frame_of_its_own(tmp_path, message):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    assert message(model(MERGE.format("<pose relative_to='hand'/>"), "rov")) == (
+        "a.sdf: world/model[rov]/include[model://arms]/pose: frames must lead to the model or world "
+        "(got _merged__arms__model__ -> _merged__arms__model__ ...)"
+    )
+
+
+def test_links_are_not_merged_into_a_world(tmp_path, message):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    assert message(MERGE.format("")) == (
+        'a.sdf: world/include[model://arms]: a world holds models, no links (got merge="true" of a model with '
+        "link 'arm'; leave merge out)"
+    )
+
+
 def test_include_cycles(tmp_path, message):
     add_model(tmp_path, "a", model("<include><uri>model://b</uri></include>", "a"))
     add_model(tmp_path, "b", model("<include><uri>model://a</uri></include>", "b"))
@@ -1125,8 +1264,8 @@ def test_a_reflectivity_map_is_applied_from_above(read, tmp_path):
     ).bodies
     x, y, _ = body.surface.vertices[body.surface.faces].mean(axis=1).T
     # first row at the highest y, first column at the lowest x, as in a height map
-    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 0).astype(int)] / 255)
-    np.testing.assert_array_equal(body.pose, pose(10))
+    np.testing.assert_allclose(body.reflectivity, image[(y < 0).astype(int), (x > 10).astype(int)] / 255)
+    np.testing.assert_array_equal(body.pose, np.eye(4))
 
 
 def test_a_shape_with_a_map_beside_one_without(read, tmp_path):

@@ -26,8 +26,8 @@ class Printed(io.StringIO):
         return written
 
 
-def run_beside(command, work, wait_s):
-    """Run a command here until a function has returned in another thread; it ends as by Ctrl-C.
+def run_beside(command, work, wait_s, by=signal.SIGINT):
+    """Run a command here until a function has returned in another thread; it ends by a signal, that of Ctrl-C.
 
     Returns what the command printed, and what the function returned.
     """
@@ -41,7 +41,7 @@ def run_beside(command, work, wait_s):
         finally:
             with lock:
                 if not has_ended:
-                    os.kill(os.getpid(), signal.SIGINT)
+                    os.kill(os.getpid(), by)
 
     with ThreadPoolExecutor(1) as beside:
         found = beside.submit(run_work)

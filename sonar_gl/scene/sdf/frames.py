@@ -97,6 +97,7 @@ class Scope:
     is_world : whether it is a world
     frames : name -> Frame
     links : name -> `<link>` element
+    merged : name of the frame -> Scope, of each model whose names count as names in this scope, too
     large_angles : locations of poses whose radians were probably meant as degrees, of this and all inner scopes
     """
 
@@ -105,6 +106,7 @@ class Scope:
     is_world: bool = False
     frames: dict = field(default_factory=dict)
     links: dict = field(default_factory=dict)
+    merged: dict = field(default_factory=dict)
     large_angles: dict = field(default_factory=dict)
 
     def inner(self, location: str, folder: Path) -> Scope:
@@ -120,9 +122,31 @@ class Scope:
         location = location or frame.location
         if not name:
             raise Error(f"{location}: must have a name")
-        if name in self.frames:
-            raise Error(f"{location}: names must be unique (got {name!r} twice)")
+        self._check_new(name, location)
         self.frames[name] = frame
+
+    def merge(self, name: str, location: str):
+        """Let the names in the model of a frame count as names in this scope, too."""
+        inner = self.frames[name].scope
+        for new in inner.names():
+            self._check_new(new, location)
+        self.merged[name] = inner
+
+    def names(self) -> list[str]:
+        """Return the names of all frames, with those of merged models."""
+        return [*self.frames, *(name for scope in self.merged.values() for name in scope.names())]
+
+    def link_names(self) -> list[str]:
+        """Return the names of all links, with those of merged models."""
+        return [*self.links, *(name for scope in self.merged.values() for name in scope.link_names())]
+
+    def holds(self, name: str) -> bool:
+        """Return whether a frame has this name, here or in a merged model."""
+        return name in self.frames or any(scope.holds(name) for scope in self.merged.values())
+
+    def _check_new(self, name: str, location: str):
+        if self.holds(name):
+            raise Error(f"{location}: names must be unique (got {name!r} twice)")
 
     def find(self, name: str, location: str, visited=()) -> np.ndarray:
         """Return the (4, 4) matrix scope_from_frame of a frame.
@@ -139,8 +163,12 @@ class Scope:
         if name in self.frames:
             head, rest = name, ""
         frame = self.frames.get(head)
+        if frame is None:
+            for merged, scope in self.merged.items():
+                if scope.holds(head):
+                    return self.find(merged, location, visited) @ scope.find(name, location)
         if frame is None or (rest and frame.scope is None):
-            known = [*self.frames, "world" if self.is_world else "__model__"]
+            known = [*self.names(), "world" if self.is_world else "__model__"]
             raise Error(f"{location}: unknown frame {name!r} ({nearest_names(name, known)})")
         if frame.matrix is None:
             if head in visited or len(visited) > 200:

@@ -9,6 +9,8 @@ import numpy as np
 
 from sonar_gl.scene.sdf.frames import Scope, read_pose
 
+IDENTITY = np.eye(4)
+
 
 @dataclass(frozen=True)
 class Link:
@@ -16,11 +18,11 @@ class Link:
 
     Attributes
     ----------
-    scope : the model that holds it
-    name : in that model
+    scope : the model that holds it, or a model that is merged into that one
+    name : in that scope
     element : its `<link>`
     model : name of the model, "outer::inner" if nested; "" in a URDF file
-    world_from_model : (4, 4)
+    world_from_model, model_from_scope : (4, 4)
     """
 
     scope: Scope
@@ -28,6 +30,7 @@ class Link:
     element: object
     model: str
     world_from_model: np.ndarray
+    model_from_scope: np.ndarray
 
     @property
     def path(self) -> str:
@@ -39,24 +42,41 @@ class Link:
         """File and element, for messages."""
         return self.scope.frames[self.name].location
 
+    def pose_in_model(self) -> np.ndarray:
+        """Return (4, 4) model_from_link."""
+        return self.model_from_scope @ self.scope.find(self.name, self.location)
+
     def world_pose(self) -> np.ndarray:
         """Return (4, 4) world_from_link."""
-        return self.world_from_model @ self.scope.find(self.name, self.location)
+        return self.world_from_model @ self.pose_in_model()
 
     def pose_in_link(self, element, location: str) -> np.ndarray:
         """Return (4, 4) link_from_element of a shape, sensor or plume in the link."""
         pose_element, location = element.find("pose"), f"{location}/pose"
         if pose_element is None or not (pose_element.get("relative_to") or pose_element.get("frame")):
             return read_pose(pose_element, location, self.scope.large_angles)
-        in_model = self.scope.resolve_pose(pose_element, location, self.name)
-        return np.linalg.inv(self.scope.find(self.name, self.location)) @ in_model
+        in_scope = self.scope.resolve_pose(pose_element, location, self.name)
+        return np.linalg.inv(self.scope.find(self.name, self.location)) @ in_scope
 
 
-def links_of(scope: Scope, world_from_scope: np.ndarray, model: str = "") -> Iterator[Link]:
-    """Yield every link of a scope and the models in it, in the order of the file."""
+def links_of(
+    scope: Scope, world_from_model: np.ndarray, model: str = "", model_from_scope: np.ndarray = IDENTITY
+) -> Iterator[Link]:
+    """Yield every link of a scope and the models in it, in the order of the file.
+
+    Parameters
+    ----------
+    scope : of a world, of a model, or of what is merged into one of them
+    world_from_model, model_from_scope : (4, 4)
+    model : name of the model; "" of a world
+    """
     for name, frame in scope.frames.items():
         if frame.scope is not None:
-            world_from_model = world_from_scope @ scope.find(name, frame.location)
-            yield from links_of(frame.scope, world_from_model, f"{model}::{name}" if model else name)
+            model_from_inner = model_from_scope @ scope.find(name, frame.location)
+            if name in scope.merged:
+                yield from links_of(frame.scope, world_from_model, model, model_from_inner)
+            else:
+                inner = f"{model}::{name}" if model else name
+                yield from links_of(frame.scope, world_from_model @ model_from_inner, inner)
         elif name in scope.links:
-            yield Link(scope, name, scope.links[name], model, world_from_scope)
+            yield Link(scope, name, scope.links[name], model, world_from_model, model_from_scope)

@@ -52,10 +52,10 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Notes
     -----
-    Bodies. A link becomes a body, named after its model, or `model::link` if several links of the model have
-    geometry; in a URDF file, named after the link, with all joints at zero. The collisions of a link make its
-    body; its visuals if it has no collisions, or if only visuals have surface properties. The link that
-    carries the sonar makes no body.
+    Bodies. A link becomes a body, with the name and the pose of its model, or `model::link` with the pose of the
+    link if several links of the model have geometry; in a URDF file, with those of the link, all joints at zero.
+    The collisions of a link make its body; its visuals if it has no collisions, or if only visuals have surface
+    properties. The link that carries the sonar makes no body.
 
     Surface properties of a collision or visual: reflectivity is `<laser_retro>` / 255, or 0.5, with one
     warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and
@@ -91,7 +91,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     links = list(links_of(scope, np.eye(4)))
     sonars = find_sonars(links)
     sensors, changed = _read_sensors(sonars)
-    bodies, unspecified, saturated = _read_bodies(links, sonars[0].link if sonars else None, resources)
+    reader = BodyReader(resources)
+    bodies = _read_bodies(links, sonars[0].link if sonars else None, reader)
     if resources.recovered:
         files = ", ".join(
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
@@ -117,16 +118,16 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
         without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
         warn_caller(f"{path}: read without {', and without '.join(without)}")
-    if unspecified:
-        warn_caller(
-            f"{path}: no <laser_retro> in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
-            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
-        )
-    if saturated:
-        warn_caller(
-            f"{path}: <laser_retro> is more than {MAX_RETRO} in {len(saturated)} of {len(bodies)} bodies "
-            f"({some_names(saturated)}); their reflectivity is taken as 1"
-        )
+    for found, what, reflectivity in (
+        (reader.unspecified, "no <laser_retro>", DEFAULT_REFLECTIVITY),
+        (reader.saturated, f"<laser_retro> is more than {MAX_RETRO}", 1),
+    ):
+        if found:
+            names = some_names([name for names in found.values() for name in names])
+            warn_caller(
+                f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
+                f"their reflectivity is taken as {reflectivity}"
+            )
     if changed:
         warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)
@@ -180,30 +181,23 @@ def _read_sensors(sonars: list[SensorOfLink]) -> tuple[list[SonarSensor], list[s
     return sensors, changed
 
 
-def _read_bodies(
-    links: list[Link], carrier: Link | None, resources: Resources
-) -> tuple[list[Body], list[str], list[str]]:
-    """Return the bodies of all links but the sonar's, and names: of unspecified reflectivity, and of too large."""
-    reader = BodyReader(resources)
+def _read_bodies(links: list[Link], carrier: Link | None, reader: BodyReader) -> list[Body]:
+    """Return the bodies of all links but the sonar's."""
     n_with_geometry = Counter(link.model for link in links if echoing_shapes(link))
-    bodies, unspecified = [], []
+    bodies = []
     for link in links:
         if link is carrier:
             continue
         name = link.model if n_with_geometry[link.model] == 1 and link.model else link.path
-        found, complete = reader.read(link, name)
-        bodies += found
-        if not complete:
-            unspecified.append(name)
-    return bodies, unspecified, reader.saturated
+        bodies += reader.read(link, name)
+    return bodies
 
 
 def _read_water(links: list[Link], resources: Resources) -> tuple[list[str], float | None]:
     """Return the names of shapes that are left out, as water or marks, and the height of the water's surface."""
     reader, names, heights = BodyReader(resources), {}, []
     for link in links:
-        if left_out_shapes(link):
-            names[link.path] = None
+        names |= dict.fromkeys(left_out_shapes(link))
         for element in link.element.findall("collision") + link.element.findall("visual"):
             if is_water(link, element) and not is_mark(link):
                 heights.append(reader.height_of_water(link, element))
@@ -307,4 +301,18 @@ class TreeReader:
         placement = (element.findtext("placement_frame") or model.get("placement_frame") or "").strip()
         inner = scope.inner(model_location, scope.folder if built_in else path.parent)
         frame = Frame(pose_element, pose_location, "", inner, placement)
-        self._add_model(scope, name, frame, model, (*stack, file), location)
+        if (element.get("merge") or "").strip() in ("true", "1"):
+            self._merge_model(scope, name, frame, model, (*stack, file), location)
+        else:
+            self._add_model(scope, name, frame, model, (*stack, file), location)
+
+    def _merge_model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, location: str):
+        """Add a model whose frames, links and models are those of the scope that includes it."""
+        own_name = f"_merged__{name}__model__"  # Gazebo's, too
+        self._add_model(scope, own_name, frame, element, stack, location)
+        if scope.is_world and (names := frame.scope.link_names()):
+            raise Error(
+                f'{location}: a world holds models, no links (got merge="true" of a model with link {names[0]!r}; '
+                "leave merge out)"
+            )
+        scope.merge(own_name, location)

@@ -46,9 +46,17 @@ def echoing_shapes(link: Link) -> list:
     return [element for element in _solid_shapes(link) if not _is_left_out(link, element)]
 
 
-def left_out_shapes(link: Link) -> list:
-    """Return the elements of a link that would make bodies if they were not water or marks."""
-    return [element for element in _solid_shapes(link) if _is_left_out(link, element)]
+def left_out_shapes(link: Link) -> list[str]:
+    """Return the names of the shapes of a link that would make bodies if they were not water or marks."""
+    solid = _solid_shapes(link)
+    return names_at_fault(link.path, [e for e in solid if _is_left_out(link, e)], solid)
+
+
+def names_at_fault(owner: str, elements: list, among: list) -> list[str]:
+    """Return the names for a message about some elements of a link: of the owner alone if it is about all of them."""
+    if elements and len(elements) == len(among):
+        return [owner]
+    return [f"{owner}/{element.tag}[{element.get('name') or ''}]" for element in elements]
 
 
 def _is_left_out(link: Link, element) -> bool:
@@ -120,21 +128,26 @@ class BodyReader:
 
     Attributes
     ----------
-    saturated : names of bodies whose laser_retro is more than MAX_RETRO
+    unspecified : name of a body -> names of shapes whose reflectivity the file does not specify, or of the body
+    saturated : the same of shapes whose laser_retro is more than MAX_RETRO
     """
 
     def __init__(self, resources: Resources):
         self.resources = resources
-        self.saturated = []
+        self.unspecified, self.saturated = {}, {}
         self._meshes = {}
 
-    def read(self, link: Link, name: str) -> tuple[list[Body], bool]:
-        """Return the bodies of a link, and whether the file specifies the reflectivity of all its shapes.
+    def read(self, link: Link, name: str) -> list[Body]:
+        """Return the bodies of a link.
 
         Shapes with the same specular lobe and texture are joined. The body of the first shape has the name `name`,
-        those with others `name::shape`.
+        those with others `name::shape`. Named after its model, a body has the model's pose, since what moves it by
+        that name means the model; else the link's.
         """
-        groups, names, complete = {}, {}, True
+        groups, names, read, unspecified, saturated = {}, {}, [], [], []
+        pose, body_from_link = link.world_pose(), np.eye(4)
+        if name == link.model:
+            pose, body_from_link = link.world_from_model, link.pose_in_model()
         for element in echoing_shapes(link):
             location = f"{link.location}/{element.tag}[{element.get('name') or ''}]"
             matrix = link.pose_in_link(element, location)
@@ -147,19 +160,20 @@ class BodyReader:
                 location = f"{location}/sonar_gl:reflectivity_map"
                 shape, reflectivity = self._apply_map(link, element, shape, reflectivity, location)
             retro = element.find("laser_retro")
-            if retro is not None and float(retro.text) > MAX_RETRO and name not in self.saturated:
-                self.saturated.append(name)
-            specified = retro, find_extension(element, "material"), image
-            complete &= any(child is not None for child in specified)
+            read.append(element)
+            if retro is not None and float(retro.text) > MAX_RETRO:
+                saturated.append(element)
+            if retro is None and find_extension(element, "material") is None and image is None:
+                unspecified.append(element)
             kind = (surface.specular, surface.roughness_rad), surface.speckle_shape
             names.setdefault(kind, f"{name}::{element.get('name')}" if groups else name)
-            shape = primitives.transform(shape, matrix)
+            shape = primitives.transform(shape, body_from_link @ matrix)
             groups.setdefault(kind, []).append(EchoingShape(shape, reflectivity, surface.material))
-        pose = link.world_pose()
+        for found, elements in ((self.unspecified, unspecified), (self.saturated, saturated)):
+            if elements:
+                found[name] = names_at_fault(name, elements, read)
         with errors_at(link.location):
-            return [
-                body_of_shapes(names[kind], group, pose, *kind) for kind, group in groups.items()
-            ], complete
+            return [body_of_shapes(names[kind], group, pose, *kind) for kind, group in groups.items()]
 
     def height_of_water(self, link: Link, element) -> float | None:
         """Return the height of the surface that a shape of water has, metres; None of a wall.
