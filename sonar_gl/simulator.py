@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error, other_process_error
+from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
@@ -246,7 +246,7 @@ class Simulator:
             self._run.close()
 
     def __reduce__(self):
-        raise other_process_error("Simulator")  # in place of what pickle says of a lock
+        raise copied_error("Simulator")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self
