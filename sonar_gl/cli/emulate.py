@@ -77,7 +77,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
             def describe() -> str:
                 return f"{describe_server()}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
 
-            asyncio.run(asyncio.wait_for(_listen(server, describe), options.duration))
+            asyncio.run(asyncio.wait_for(listen(server, describe), options.duration))
         except (KeyboardInterrupt, asyncio.TimeoutError):
             if server is None:  # before it listened
                 raise
@@ -91,7 +91,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     return server
 
 
-async def _listen(server, describe: Callable[[], str]) -> None:
+async def listen(server, describe: Callable[[], str]) -> None:
     """Serve, and print what `describe` returns once the port is open: the system chooses a port for 0."""
     started = asyncio.Event()
     serving = asyncio.create_task(server.run(started))
