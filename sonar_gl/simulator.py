@@ -188,8 +188,9 @@ class Simulator:
         Notes
         -----
         Poses are taken several pings ahead, and a ping has the bodies where they are when its pose is taken. Where
-        bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose: a `place`
-        between two pings that come out acts several pings later. Where a pose depends on the pings before, use `ping`.
+        bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose. A `place` or
+        `add` between two pings that come out acts several pings later; a warning says so once. Where a pose depends
+        on the pings before, use `ping`.
         """
         per_ping = {
             "bodies": ("bodies", bodies),
@@ -205,7 +206,7 @@ class Simulator:
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away.
 
-        Pings of `pings` whose poses were taken before have the bodies where they were.
+        Pings of `pings` whose poses were taken before have the bodies where they were, see there.
         """
         with self._run.drawing():
             self.world.place(bodies)
