@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error, other_process_error
+from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
@@ -188,8 +188,9 @@ class Simulator:
         Notes
         -----
         Poses are taken several pings ahead, and a ping has the bodies where they are when its pose is taken. Where
-        bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose: a `place`
-        between two pings that come out acts several pings later. Where a pose depends on the pings before, use `ping`.
+        bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose. A `place` or
+        `add` between two pings that come out acts several pings later; a warning says so once. Where a pose depends
+        on the pings before, use `ping`.
         """
         per_ping = {
             "bodies": ("bodies", bodies),
@@ -205,7 +206,7 @@ class Simulator:
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away.
 
-        Pings of `pings` whose poses were taken before have the bodies where they were.
+        Pings of `pings` whose poses were taken before have the bodies where they were, see there.
         """
         with self._run.drawing():
             self.world.place(bodies)
@@ -246,7 +247,7 @@ class Simulator:
             self._run.close()
 
     def __reduce__(self):
-        raise other_process_error("Simulator")  # in place of what pickle says of a lock
+        raise copied_error("Simulator")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self

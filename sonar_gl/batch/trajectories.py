@@ -18,6 +18,7 @@ from pydantic.dataclasses import dataclass
 
 from sonar_gl.batch.job import STRICT, check_keys, job_error, key_path
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.poses import pose, read_poses
 
 MAX_COORDINATE_M = 1e8  # also of lengths; northings of UTM reach 1e7
@@ -124,6 +125,7 @@ class FileTrajectory(Trajectory):
     file: str
 
     def __post_init__(self):
+        check_kind_of_file(self.file)  # no pipe: a batch reads the file again when it is resumed
         times_s, poses = read_poses(self.file)
         for array in (times_s, poses):
             array.setflags(write=False)

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import os
 import socket
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from
@@ -32,7 +33,7 @@ def oculus(scene_name: str, options) -> str:
         where = "no status, since --host 0.0.0.0 is no address that a program could connect to"
         if status_to is not None:
             where = f"status to {options.status_to}:{STATUS_PORT} every second"
-        return server, f"Oculus {options.model.upper()} at {options.host}:{port}; {where}"
+        return server, lambda: f"Oculus {options.model.upper()} at {options.host}:{server.port}; {where}"
 
     server = _serve(scene_name, options, load_sonar(model.presets[1]), serve)
     return (
@@ -45,10 +46,8 @@ def ping360(scene_name: str, options) -> str:
 
     def serve(simulation, head):
         port = PORT if options.port is None else options.port
-        return (
-            Ping360Server(Ping360Head(head), simulation, options.host, port),
-            f"Ping360 at {options.host}:{port} (UDP)",
-        )
+        server = Ping360Server(Ping360Head(head), simulation, options.host, port)
+        return server, lambda: f"Ping360 at {options.host}:{server.port} (UDP)"
 
     server = _serve(scene_name, options, load_sonar("ping360"), serve)
     return f"{server.pings} pings sent, {server.dropped} messages dropped as more came than could be answered"
@@ -73,9 +72,12 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
         try:
             # the first ping after an installation compiles for half a minute, which no program would wait for
             simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()
-            server, line = make_server(simulation, head)
-            line = f"{line}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
-            asyncio.run(asyncio.wait_for(_listen(server, line), options.duration))
+            server, describe_server = make_server(simulation, head)
+
+            def describe() -> str:
+                return f"{describe_server()}; scene {scene.name}, on {head.renderer}; Ctrl-C stops it"
+
+            asyncio.run(asyncio.wait_for(listen(server, describe), options.duration))
         except (KeyboardInterrupt, asyncio.TimeoutError):
             if server is None:  # before it listened
                 raise
@@ -89,15 +91,15 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     return server
 
 
-async def _listen(server, line: str) -> None:
-    """Serve, and print a line once the port is open."""
+async def listen(server, describe: Callable[[], str]) -> None:
+    """Serve, and print what `describe` returns once the port is open: the system chooses a port for 0."""
     started = asyncio.Event()
     serving = asyncio.create_task(server.run(started))
     opening = asyncio.create_task(started.wait())
     try:
         await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
         if started.is_set():
-            echo(line, err=True)
+            echo(describe(), err=True)
         await serving
     finally:
         opening.cancel()

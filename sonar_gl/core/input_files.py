@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
-from pathlib import Path
+import stat
 
 from sonar_gl.core.errors import Error
 
 LINK_LOOP = "a loop of symbolic links"
+GIT_LFS_HEAD = b"version https://git-lfs"  # of a pointer
 
 
 def is_link_loop(path) -> bool:
@@ -29,10 +30,56 @@ def check_no_link_loop(path) -> None:
 
 
 def check_is_file(path) -> None:
-    """Raise an `Error` unless there is a regular file at a path."""
+    """Raise an `Error` unless there is a regular file at a path, which holds something."""
     check_no_link_loop(path)
-    if not Path(path).is_file():
+    if not os.path.exists(path):
         raise Error(f"{path}: there is no such file")
+    check_kind_of_file(path)
+    if os.path.getsize(path) == 0:
+        raise Error(f"{path}: must not be empty (got a file of 0 bytes)")
+
+
+def check_kind_of_file(path, pipe: bool = False) -> None:
+    """Raise an `Error` if something else than a file is at a path, or a pointer of Git LFS in the place of a file.
+
+    Opening a named pipe waits until somebody writes to it, and a device may never end. A missing file passes.
+
+    Parameters
+    ----------
+    pipe : whether a pipe will do that is open already, as /dev/stdin may be, or what a shell makes of <(...)
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # missing, a loop, a null character: reading tells
+        return
+    if stat.S_ISREG(mode):
+        _check_not_git_lfs(path)
+        return
+    is_open_pipe = stat.S_ISFIFO(mode) and not os.path.exists(os.path.realpath(path))
+    if pipe and is_open_pipe:
+        return
+    cure = ""
+    if stat.S_ISDIR(mode):
+        got = "a folder"
+    elif stat.S_ISFIFO(mode):
+        got, cure = "a pipe" if is_open_pipe else "a named pipe", "; write its content to a file first"
+    else:
+        got = "a socket" if stat.S_ISSOCK(mode) else "a device"
+    raise Error(f"{path}: must be a file (got {got}{cure})")
+
+
+def _check_not_git_lfs(path) -> None:
+    """Raise an `Error` for what Git LFS leaves in the place of a large file until it is fetched."""
+    try:
+        with open(path, "rb") as file:
+            is_pointer = file.read(len(GIT_LFS_HEAD)) == GIT_LFS_HEAD
+    except OSError:  # who reads it says why
+        return
+    if is_pointer:
+        raise Error(
+            f"{path}: must be the file itself (got a pointer of Git LFS; fetch the file by 'git lfs pull' in its "
+            "repository)"
+        )
 
 
 def read_error_text(why: OSError) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sonar_gl.core.checks import frozen_array, shown
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import read_error_text
+from sonar_gl.core.input_files import check_kind_of_file, read_error_text
 from sonar_gl.core.warn import warn_caller
 
 TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
@@ -130,6 +130,7 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
         column.
     """
     path = Path(path)
+    check_kind_of_file(path, pipe=True)
     blocks, last, is_unwrapped = [], None, False
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:

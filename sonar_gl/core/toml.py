@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import read_error_text
+from sonar_gl.core.input_files import check_kind_of_file, read_error_text
 
 try:
     import tomllib
@@ -24,8 +24,9 @@ def read_toml(path: Path, what: str) -> dict:
     Raises
     ------
     Error
-        if the file cannot be read, or is not TOML.
+        if it is no file, cannot be read, or is not TOML.
     """
+    check_kind_of_file(path, pipe=True)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as why:

@@ -19,7 +19,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error, closed_error, other_process_error
+from sonar_gl.core.errors import Error, closed_error, copied_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread, ThreadLock
@@ -352,7 +352,7 @@ class Sensor:
             lifetime.release(host)
 
     def __reduce__(self):
-        raise other_process_error("Sensor")  # in place of what pickle says of a lock
+        raise copied_error("Sensor")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self

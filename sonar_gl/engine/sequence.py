@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.core.errors import Error, SampleLimitError
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
@@ -131,19 +133,21 @@ class _Upcoming:
 
     Attributes
     ----------
+    n_taken : number of pings whose requests were taken
     failure : why there are no more; or None
     """
 
     def __init__(self, run: Run, requests: Iterator[PingRequest]):
         self._run, self._requests = run, requests
         self._setups: deque[PingSetup] = deque()
-        self._is_over, self.failure = False, None
+        self._is_over, self.failure, self.n_taken = False, None, 0
 
     def fill(self, count: int) -> bool:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
         while len(self._setups) < count and not self._is_over:
             try:
                 self._setups.append(self._run.set_up(next(self._requests)))
+                self.n_taken += 1
             except StopIteration:
                 self._is_over = True
             except (
@@ -236,9 +240,32 @@ class _Workers:
 
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
-    """Yield pings, in order: some are made by other threads while the caller has those before."""
+    """Yield pings, in order: some are made by other threads while the caller has those before.
+
+    Warns once if the caller places or adds bodies while it has a ping, and others were taken ahead.
+    """
+    world, upcoming, has_warned = run.world, _Upcoming(run, requests), False
+    with closing(_made(run, upcoming)) as pings:
+        for number, ping in enumerate(pings, 1):
+            n_changes = world.n_changes
+            yield ping
+            n_ahead = upcoming.n_taken - number
+            if world.n_changes != n_changes and n_ahead and not has_warned:
+                has_warned = True
+                _warn_of_late_bodies(n_ahead)
+
+
+def _warn_of_late_bodies(n_ahead: int) -> None:
+    several = "ping is made ahead and has" if n_ahead == 1 else f"{n_ahead} pings are made ahead and have"
+    warn_caller(
+        f"bodies were placed or added between two pings of a sequence, whose next {several} them as they were; give "
+        "bodies= to pings(), place them in the generator of poses, or use ping()"
+    )
+
+
+def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
+    """Yield the pings to come, in order."""
     in_flight: deque[_Started] = deque()
-    upcoming = _Upcoming(run, requests)
     with run.drawing():
         threads = _Overlap(run) if run.world.engine.name == "opengl" else _Workers(run)
     try:

@@ -38,6 +38,7 @@ class World:
     engine : RasterEngine, with their meshes; None once it is given back
     thread : SecondThread, which all simulators share
     gl_info : names and limits of what draws
+    n_changes : how often bodies were placed or added
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class World:
         self.engine: RasterEngine | None = None
         self._lock, self._process = ThreadLock(IN_USE), os.getpid()
         self.scene, self._users, self.thread = scene, set(), SecondThread()
+        self.n_changes = 0
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self.engine = make_engine(scene, engine, device, context)
         self.gl_info = self.engine.driver
@@ -122,6 +124,7 @@ class World:
     def place(self, bodies) -> None:
         """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
         self.engine.meshes.state, self._plume_poses = self._moved(bodies)
+        self.n_changes += bool(bodies)
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
         state = self.engine.meshes.state
@@ -171,6 +174,7 @@ class World:
         self.engine.contents, self.scene, self._plume_poses, self._indices = (
             contents, scene, plume_poses, indices
         )  # fmt: skip
+        self.n_changes += bool(bodies)
 
     def join(self, user: int) -> None:
         """Count one user more, by its id."""

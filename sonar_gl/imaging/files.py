@@ -17,6 +17,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
 from sonar_gl.core.checks import check_kind, check_number
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
@@ -131,6 +132,8 @@ def load_npz(path) -> Ping:
     describes a sonar or acoustics that cannot be made: the ping then has None in their place.
     """
     path = Path(path)
+    if os.path.exists(path):
+        check_is_file(path)
     try:
         arrays, names = read_npz(path, dict.fromkeys(NPZ_FIELDS, "biuf") | {"meta": "U"})
     except OSError as why:

@@ -13,7 +13,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error, MachineError, closed_error
+from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
@@ -450,6 +450,9 @@ class Publisher:
         executor.shutdown()
         if self._work is not None and (why := self._work.exception()) is not None:
             logger.warning("the last ping could not be made: %s", why)
+
+    def __reduce__(self):
+        raise copied_error("Publisher")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self

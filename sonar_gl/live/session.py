@@ -17,7 +17,7 @@ import numpy as np
 
 from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
@@ -342,6 +342,9 @@ class LiveSession:
     def wait_closed(self, timeout_s: float | None = None) -> bool:
         """Wait until the session is closed, or so many seconds; return whether it is."""
         return self._thread.wait_closed(timeout_s)
+
+    def __reduce__(self):
+        raise copied_error("LiveSession")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
@@ -94,6 +94,9 @@ class LiveView:
         """Close the page and the session; a second call does nothing."""
         self._page.close()
         self.session.close()
+
+    def __reduce__(self):
+        raise copied_error("LiveView")  # in place of what copy and pickle say of a lock
 
     def __enter__(self):
         return self

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names
-from sonar_gl.core.input_files import check_no_link_loop
+from sonar_gl.core.input_files import check_is_file, check_no_link_loop
 from sonar_gl.scene import mesh_files, mujoco_model
 from sonar_gl.scene.mujoco_model import convert_mujoco_model, is_mujoco_model
 from sonar_gl.scene.primitives import Shape, transform
@@ -92,9 +92,10 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         if path.is_dir():
-            raise Error(f"{path}: a scene must be a file, or the folder of a model (it has no model.sdf)")
-        if not path.is_file():
+            raise Error(f"{path}: must be a file, or the folder of a model (it has no model.sdf)")
+        if not path.exists():
             raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
+        check_is_file(path)
         if suffix in mesh_files.SUFFIXES:
             return _read_mesh_scene(path)
         if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":

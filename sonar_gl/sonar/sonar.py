@@ -367,7 +367,7 @@ def load_sonar(what: str | Path) -> Sonar:
     stem, mark, table = text.rpartition(".toml#")
     path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
     check_no_link_loop(path)
-    if not path.is_file():
+    if not path.is_file() and (path.suffix != ".toml" or not path.exists()):
         if isinstance(what, str) and path.name == text and path.suffix != ".toml":
             hint = nearest_names(text.casefold(), known)
             if Path(f"{text}.toml").is_file():

@@ -37,11 +37,11 @@ def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
     def ping(head, sonar, acoustics, time_s, number):
         pings.append((sonar.name, head.track.at(time_s).shape, len(listening)))
 
-    async def listen(server, line):
-        listening.append(line)
+    async def listen(server, describe):
+        listening.append(describe())
 
     monkeypatch.setattr(SimulatedHead, "ping", ping)
-    monkeypatch.setattr(emulate, "_listen", listen)
+    monkeypatch.setattr(emulate, "listen", listen)
     status, _, _ = run("emulate", device, *PYLON, "--port", "0")
     assert status == 0 and len(listening) == 1
     assert pings == [({"oculus": "oculus-m1200d-hf", "ping360": "ping360"}[device], (4, 4), 0)]
@@ -52,6 +52,20 @@ def test_a_device_that_listens_says_so_once(device):
     status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1")
     assert status == 0
     assert errors.count("Ctrl-C stops it") == 1
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_port_0_is_told_as_the_port_that_the_system_chose(device, monkeypatch):
+    listen, servers = emulate.listen, []
+
+    async def noted(server, describe):
+        servers.append(server)
+        await listen(server, describe)
+
+    monkeypatch.setattr(emulate, "listen", noted)
+    status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1")
+    assert status == 0 and servers[0].port != 0
+    assert f" at 127.0.0.1:{servers[0].port}" in errors
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -71,11 +85,11 @@ def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
 def test_an_address_that_other_machines_may_reach_is_warned_of(device, host, monkeypatch):
     """The last is for documentation; nobody listens at any, as the server is left out."""
 
-    async def listen(server, line):
-        assert f"at {host}:" in line
+    async def listen(server, describe):
+        assert f"at {host}:" in describe()
 
     monkeypatch.setattr(SimulatedHead, "ping", lambda *_, **__: None)
-    monkeypatch.setattr(emulate, "_listen", listen)
+    monkeypatch.setattr(emulate, "listen", listen)
     status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--host", host)
     warning = f"warning: any machine that reaches {host} can use this sonar\n"
     is_reached = host in ("0.0.0.0", "192.0.2.1")

@@ -621,7 +621,7 @@ def test_scene_files_that_cannot_be_read():
     assert refused(scene="none.sdf") == f"none.sdf: {none}"
     assert (
         refused(scene="folder.sdf")
-        == "folder.sdf: a scene must be a file, or the folder of a model (it has no model.sdf)"
+        == "folder.sdf: must be a file, or the folder of a model (it has no model.sdf)"
     )
     assert refused(scene="folder").startswith("folder: a folder must be that of a model (it has neither ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
@@ -828,7 +828,7 @@ def test_tables_of_poses_that_cannot_be_read():
         "none.csv: the file of poses must be readable (no such file or directory)"
     )
     Path("folder").mkdir()
-    assert refused("--poses", "folder") == "folder: the file of poses must be readable (is a directory)"
+    assert refused("--poses", "folder") == "folder: must be a file (got a folder)"
     Path("p.csv").write_bytes(b"t,x\xff\n")
     assert refused("--poses", "p.csv") == "p.csv: the file of poses must be text in UTF-8"
 

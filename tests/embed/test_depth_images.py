@@ -1,8 +1,10 @@
 """Pings of depth images against closed forms and against pings of a Simulator of the same scene."""
 
+import copy
 import gc
 import math
 import os
+import pickle
 import signal
 import threading
 import time
@@ -672,6 +674,15 @@ def test_a_forked_process_may_ping():
     with embed.Sensor(sonar, IDEAL) as sensor:
         reply = ping_in_fork(parent_intensity, depth, camera, sensor)
     assert reply == "same, a Sensor must be used in the process that made it; make one in each process"
+
+
+@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_sensor_refuses_to_be_copied(take):
+    with (
+        embed.Sensor(sonar_of(), IDEAL) as sensor,
+        pytest.raises(sg.Error, match="a Sensor cannot be copied"),
+    ):
+        take(sensor)
 
 
 def ping_in_fork(parent_intensity, depth, camera, sensor):

@@ -1,5 +1,6 @@
 """The Simulator from scene to ping: results, warnings of empty pings, and errors."""
 
+import copy
 import gc
 import math
 import os
@@ -530,10 +531,6 @@ NAN[0, 3] = np.nan
             'the name of bubbles must be a str (got int; such as "diver::bubbles")',
         ),
         (
-            lambda: pickle.dumps(simulator()),
-            "a Simulator must be used in the process that made it; make one in each process",
-        ),
-        (
             lambda: replace(BOX, reflectivity=255),
             "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",
         ),
@@ -544,6 +541,19 @@ def test_invalid_arguments_raise_errors(make, message):
     with pytest.raises(sg.Error) as caught:
         make()
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_simulator_refuses_to_be_copied_and_still_pings(take):
+    with simulator() as it:
+        expected = it.ping(np.eye(4)).intensity
+        with pytest.raises(sg.Error) as caught:
+            take(it)
+        np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
+    assert str(caught.value) == (
+        "a Simulator cannot be copied or pickled, since its threads and memory belong to it and to its process; make "
+        "another one with the same arguments"
+    )
 
 
 def test_a_closed_simulator_raises_an_error():

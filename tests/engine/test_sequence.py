@@ -1,5 +1,6 @@
 """Sequences of pings: identical to single pings, in order, without leaks."""
 
+import re
 import threading
 import time
 import tracemalloc
@@ -319,7 +320,8 @@ def test_a_body_added_during_a_sequence_is_in_later_pings():
         pings = it.pings(POSES, labels=True)
         together = list(islice(pings, 2))
         it.add(BODIES[2])
-        together += pings
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            together += pings
         after = [it.ping(pose, labels=True) for pose in POSES]
     assert len(together) == len(POSES)
     old = [len(ping.body_echo) == 3 for ping in together]
@@ -344,6 +346,44 @@ def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
 
     for ping, single in zip(it.pings(poses(), labels=True), expected, strict=True):
         check_same(ping, single)
+
+
+@pytest.mark.parametrize("change", ["place", "add"])
+def test_bodies_that_change_between_two_pings_are_warned_of_once(it, change):
+    """Pings made ahead have the bodies where they were: without a word, the picture lags behind the program."""
+    lines = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for number, _ in enumerate(it.pings(POSES)):
+            if change == "place":
+                it.place({"box": sg.pose(6, 2 - 0.3 * number)})
+            else:
+                it.add(sg.Body(f"ball {number}", BALL, sg.pose(8, 0.3 * number)))
+            lines.append(len(caught))
+    assert lines == [0] + [1] * 10
+    text = str(caught[0].message)
+    match = re.fullmatch(
+        r"bodies were placed or added between two pings of a sequence, whose next (\d+) pings are made ahead and have "
+        r"them as they were; give bodies= to pings\(\), place them in the generator of poses, or use ping\(\)",
+        text,
+    )
+    assert 1 <= int(match[1]) <= 10
+    assert caught[0].filename == __file__
+
+
+def test_bodies_that_change_where_no_ping_was_made_ahead_are_not_warned_of(it):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in it.pings(POSES):  # left before the next ping
+            it.place({"box": sg.pose(6)})
+            break
+        for _ in it.pings(POSES[:1]):  # there is no next ping
+            it.place({"box": sg.pose(6, 1)})
+        for pose in POSES[:2]:
+            it.place({"box": sg.pose(6, 2)})
+            it.ping(pose)
+        for _ in it.pings(POSES):  # nothing changes
+            it.place({})
 
 
 def test_a_call_in_the_middle_of_a_ping_raises_an_error(it):

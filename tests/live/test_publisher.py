@@ -1,7 +1,9 @@
 """Live topics of ROS 2, decoded by two independent decoders and compared with the ping."""
 
+import copy
 import logging
 import math
+import pickle
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
@@ -59,6 +61,13 @@ def by_mcap(topic, data):
     """Decode by the definition that the topic brings along."""
     schema = Schema(id=1, data=topic.definition.encode(), encoding="ros2msg", name=topic.msgtype)
     return DecoderFactory().decoder_for("cdr", schema)(data)
+
+
+@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_publisher_refuses_to_be_copied(scene, loopback, take):
+    refused = pytest.raises(Error, match="a Publisher cannot be copied or pickled")
+    with publisher_of(scene, loopback) as publisher, refused:
+        take(publisher)
 
 
 DECODERS = pytest.mark.parametrize("decode", [by_rosbags, by_mcap])

@@ -1,5 +1,7 @@
 """`sonar_gl.view` and `sonar-gl view`, before a page that stands for the real one."""
 
+import copy
+import pickle
 import sys
 import threading
 from pathlib import Path
@@ -66,6 +68,14 @@ def test_a_scene_of_ones_own_and_a_file_of_poses():
         assert opened.session.state().duration_s == 2.0
     with sg.view(scene, pose=sg.pose(1, 2, -4), block=False, tolerance=0.2) as opened:
         assert opened.session.pose.tolist() == sg.pose(1, 2, -4).tolist()
+
+
+@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_view_and_its_session_refuse_to_be_copied(take):
+    with sg.view("pylon", block=False, tolerance=0.2) as opened:
+        for it in (opened, opened.session):
+            with pytest.raises(sg.Error, match=f"a {type(it).__name__} cannot be copied or pickled"):
+                take(it)
 
 
 def test_an_exception_of_the_callback_ends_a_blocking_view(pages):

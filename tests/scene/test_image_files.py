@@ -75,7 +75,7 @@ def test_images_are_read_as_they_were_stored(tmp_path, suffix, image):
     np.testing.assert_array_equal(read_image_file(path, "an image", KINDS), image)
 
 
-@pytest.mark.parametrize("content", [b"", b"II*\0", b"MM\0+", b"not an image", png(3, 3), tiff(3, 3)])
+@pytest.mark.parametrize("content", [b" ", b"II*\0", b"MM\0+", b"not an image", png(3, 3), tiff(3, 3)])
 def test_what_is_no_image(tmp_path, content):
     path = tmp_path / "a.png"
     path.write_bytes(content)

@@ -276,7 +276,7 @@ NO_FACE = "a mesh must have at least one face (got none: the file is cut short, 
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("empty.stl", "", NO_FACE),
+        ("empty.stl", "", "must not be empty (got a file of 0 bytes)"),
         ("cut_short.stl", "\0" * 80 + "\x0c\0\0\0" + "\0" * 300, NO_FACE),
         ("points.ply", POINTS, NO_FACE),
         ("points.obj", "v 0 0 0\nv 1 0 0\n", NO_FACE),

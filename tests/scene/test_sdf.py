@@ -1144,9 +1144,7 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     (tmp_path / "b.stl").write_text("")
     mesh = "<collision name='c'><geometry><mesh><uri>b.stl</uri></mesh></geometry></collision>"
     where = "a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh"
-    assert message(model(link(shape=mesh))) == (
-        f"{where}: b.stl: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
-    )
+    assert message(model(link(shape=mesh))) == (f"{where}: b.stl: must not be empty (got a file of 0 bytes)")
     zero = mesh.replace("</uri>", "</uri><scale>1 0 1</scale>")
     assert message(model(link(shape=zero))) == f"{where}/scale: must not be zero (got '1 0 1')"
 
@@ -1155,7 +1153,8 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     ("text", "expected"),
     [
         ("<sdf>\n  <world>\n</sdf>", "line 3, column 3: broken XML (mismatched tag)"),
-        ("", "line 1, column 1: broken XML (no element found)"),
+        (" ", "line 1, column 2: broken XML (no element found)"),
+        ("", "must not be empty (got a file of 0 bytes)"),
         (
             "<sdf><a b=c/></sdf>",
             "line 1, column 11: broken XML (not well-formed (invalid token); attribute values need quotes: 'b=c')",

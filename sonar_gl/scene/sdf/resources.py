@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import LINK_LOOP, is_link_loop
+from sonar_gl.core.input_files import LINK_LOOP, check_is_file, is_link_loop
 from sonar_gl.scene.sdf.extensions import declare_namespace
 
 MAX_XML_BYTES = 50_000_000
@@ -103,6 +103,8 @@ class Resources:
     def read(self, path: Path) -> bytes:
         """Return the XML of a file, with the prefix sonar_gl declared; huge files are refused."""
         try:
+            if path.exists():
+                check_is_file(path)
             if path.stat().st_size > MAX_XML_BYTES:
                 raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
             return declare_namespace(path.read_bytes())
