@@ -371,6 +371,12 @@ MUTATIONS = (
         ("test_labels::test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes",),
     ),
     Mutation(
+        "labels/columns joined beside the fan",
+        "uneven = np.maximum.reduceat(off, begins) > UNEVEN * means",
+        "uneven = np.maximum.reduceat(off, begins) > UNEVEN * response.max()",
+        ("test_labels::test_joined_columns_keep_the_echo_of_a_thin_rod_beside_the_fan",),
+    ),
+    Mutation(
         "labels/response of columns at the seam",
         "(columns % n_columns).ravel(), self.weights.ravel(), n_columns",
         "np.abs(columns).ravel() % n_columns, self.weights.ravel(), n_columns",
