@@ -389,6 +389,18 @@ MUTATIONS = (
         ("test_far_lobes::test_the_response_of_columns_is_the_sum_of_all_beams",),
     ),
     Mutation(
+        "far lobes/threads of LAPACK",
+        'limit(limits=1, user_api="blas")',
+        'limit(limits=2, user_api="blas")',
+        ("test_far_lobes::test_lapack_has_one_thread_and_is_looked_for_once",),
+    ),
+    Mutation(
+        "far lobes/search for LAPACK",
+        "@cache\ndef _libraries()",
+        "def _libraries()",
+        ("test_far_lobes::test_lapack_has_one_thread_and_is_looked_for_once",),
+    ),
+    Mutation(
         "labels/interrupted weights",
         "self._weights = key, make()",
         "self._weights = key, None; self._weights = key, make()",
