@@ -84,6 +84,12 @@ COUNTS = ("test_counts",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
+SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
+HIDDEN = "test_adaptive::test_a_body_that_few_samples_met_is_not_hidden_by_them"
+BETWEEN_BOXES = "test_adaptive::test_a_body_between_boxes_changes_neither_samples_nor_echo"
+RECEIVED_SAMPLES = "test_adaptive::test_samples_between_boxes_are_those_that_no_beam_receives"
+CORNER = "test_adaptive::test_a_body_in_the_place_of_another_needs_no_finer_samples"
+
 MUTATIONS = (
     # footprints of samples into columns and bins
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
@@ -363,6 +369,49 @@ MUTATIONS = (
         "out[self._indices[name]] = True",
         LABELS,
         (("out[1 + self.places] = True", "out[self.places] = True"),),
+    ),
+    Mutation(
+        "hidden bodies/edges cut by the fan",
+        "places = low[held, None] + places * (high - low)[held, None]",
+        "places = places",
+        (SEEN_ROD,),
+    ),
+    Mutation(
+        "hidden bodies/points along edges",
+        "n = POINTS // max(len(held), 1)",
+        "n = 1",
+        (SEEN_ROD,),
+    ),
+    Mutation(
+        "hidden bodies/gaps between beams",
+        "if len(received): near &= np",
+        "if False: near &= np",
+        ("test_adaptive::test_a_thin_body_between_two_beams_is_not_seen",),
+    ),
+    Mutation(
+        "hidden bodies/nine samples around",
+        "for row, column in product((-1, 0, 1), repeat=2)",
+        "for row, column in [(0, 0)]",
+        (CORNER,),
+    ),
+    Mutation("hidden bodies/samples of its own", "| (body_id[beside] == number)", "", (HIDDEN,)),
+    Mutation(
+        "visible bodies/gaps between beams",
+        "if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:",
+        "if False:",
+        (BETWEEN_BOXES,),
+    ),
+    Mutation(
+        "visible bodies/strips narrower than a sample",
+        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
+        "np.concatenate([table.width for table in tables])[order]",
+        (RECEIVED_SAMPLES,),
+    ),
+    Mutation(
+        "visible bodies/strips wider than a sample",
+        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
+        "sector.u[1]",
+        (RECEIVED_SAMPLES,),
     ),
     Mutation(
         "labels/far side lobes",
