@@ -88,6 +88,8 @@ SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_i
 HIDDEN = "test_adaptive::test_a_body_that_few_samples_met_is_not_hidden_by_them"
 BETWEEN_BOXES = "test_adaptive::test_a_body_between_boxes_changes_neither_samples_nor_echo"
 RECEIVED_SAMPLES = "test_adaptive::test_samples_between_boxes_are_those_that_no_beam_receives"
+ENDS_EARLY = "test_sequence::test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before"
+CHANGED_MESH = "test_moving_bodies::test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape"
 CORNER = "test_adaptive::test_a_body_in_the_place_of_another_needs_no_finer_samples"
 
 MUTATIONS = (
@@ -408,10 +410,46 @@ MUTATIONS = (
         (RECEIVED_SAMPLES,),
     ),
     Mutation(
-        "visible bodies/strips wider than a sample",
-        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
-        "sector.u[1]",
-        (RECEIVED_SAMPLES,),
+        "sequence/iterator that ends early",
+        "_next_value(column, per_ping[field][0], number)",
+        "next(column, None)",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/name of what ended",
+        "column, per_ping[field][0], number",
+        "column, field, number",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/where it ended",
+        "(got {number}; pose {number},",
+        "(got {number}; pose {number + 1},",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/iterator that goes on",
+        "(column, per_ping[field][0], number) for field, column in columns",
+        "(column, per_ping[field][0], number) for field, column in columns for _ in (0, 1)",
+        ("test_sequence::test_an_iterator_may_go_on_beyond_the_poses",),
+    ),
+    Mutation(
+        "sequence/lists of other lengths",
+        "if counted and len(values) != len(poses):",
+        "if False:",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "meshes/vertices changed in place",
+        "in (surface.vertices, surface.faces) if",
+        "in (surface.faces,) if",
+        (CHANGED_MESH,),
+    ),
+    Mutation(
+        "meshes/faces changed in place",
+        "in (surface.vertices, surface.faces) if",
+        "in (surface.vertices,) if",
+        (CHANGED_MESH,),
     ),
     Mutation(
         "labels/far side lobes",
