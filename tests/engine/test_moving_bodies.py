@@ -286,7 +286,7 @@ def test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape():
         mesh.vertices[:, 2] += 0.2
         it.add(sg.Body("raised", mesh, sg.pose(5, -1)))
         mesh.faces = mesh.faces[6:]  # without its front
-        it.add(sg.Body("open", mesh, sg.pose(7, -1.5)))
+        it.add(sg.Body("open", mesh, sg.pose(7, -2.5)))
         found = it.ping(POSE, labels=True)
     small = BOX.copy().apply_scale(0.5)
     raised = small.copy().apply_translation((0, 0, 0.2))
@@ -295,7 +295,7 @@ def test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape():
         sg.Body("before", BOX, sg.pose(6, 1.5)),
         sg.Body("scaled", small, sg.pose(7)),
         sg.Body("raised", raised, sg.pose(5, -1)),
-        sg.Body("open", half, sg.pose(7, -1.5)),
+        sg.Body("open", half, sg.pose(7, -2.5)),
     ]
     check_same(found, fresh(bodies))
 
