@@ -84,6 +84,14 @@ COUNTS = ("test_counts",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
+SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
+HIDDEN = "test_adaptive::test_a_body_that_few_samples_met_is_not_hidden_by_them"
+BETWEEN_BOXES = "test_adaptive::test_a_body_between_boxes_changes_neither_samples_nor_echo"
+RECEIVED_SAMPLES = "test_adaptive::test_samples_between_boxes_are_those_that_no_beam_receives"
+ENDS_EARLY = "test_sequence::test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before"
+CHANGED_MESH = "test_moving_bodies::test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape"
+CORNER = "test_adaptive::test_a_body_in_the_place_of_another_needs_no_finer_samples"
+
 MUTATIONS = (
     # footprints of samples into columns and bins
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
@@ -365,10 +373,95 @@ MUTATIONS = (
         (("out[1 + self.places] = True", "out[self.places] = True"),),
     ),
     Mutation(
+        "hidden bodies/edges cut by the fan",
+        "places = low[held, None] + places * (high - low)[held, None]",
+        "places = places",
+        (SEEN_ROD,),
+    ),
+    Mutation(
+        "hidden bodies/points along edges",
+        "n = POINTS // max(len(held), 1)",
+        "n = 1",
+        (SEEN_ROD,),
+    ),
+    Mutation(
+        "hidden bodies/gaps between beams",
+        "if len(received): near &= np",
+        "if False: near &= np",
+        ("test_adaptive::test_a_thin_body_between_two_beams_is_not_seen",),
+    ),
+    Mutation(
+        "hidden bodies/nine samples around",
+        "for row, column in product((-1, 0, 1), repeat=2)",
+        "for row, column in [(0, 0)]",
+        (CORNER,),
+    ),
+    Mutation("hidden bodies/samples of its own", "| (body_id[beside] == number)", "", (HIDDEN,)),
+    Mutation(
+        "visible bodies/gaps between beams",
+        "if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:",
+        "if False:",
+        (BETWEEN_BOXES,),
+    ),
+    Mutation(
+        "visible bodies/strips narrower than a sample",
+        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
+        "np.concatenate([table.width for table in tables])[order]",
+        (RECEIVED_SAMPLES,),
+    ),
+    Mutation(
+        "sequence/iterator that ends early",
+        "_next_value(column, per_ping[field][0], number)",
+        "next(column, None)",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/name of what ended",
+        "column, per_ping[field][0], number",
+        "column, field, number",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/where it ended",
+        "(got {number}; pose {number},",
+        "(got {number}; pose {number + 1},",
+        (ENDS_EARLY,),
+    ),
+    Mutation(
+        "sequence/iterator that goes on",
+        "(column, per_ping[field][0], number) for field, column in columns",
+        "(column, per_ping[field][0], number) for field, column in columns for _ in (0, 1)",
+        ("test_sequence::test_an_iterator_may_go_on_beyond_the_poses",),
+    ),
+    Mutation(
+        "sequence/lists of other lengths",
+        "if counted and len(values) != len(poses):",
+        "if False:",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "meshes/vertices changed in place",
+        "in (surface.vertices, surface.faces) if",
+        "in (surface.faces,) if",
+        (CHANGED_MESH,),
+    ),
+    Mutation(
+        "meshes/faces changed in place",
+        "in (surface.vertices, surface.faces) if",
+        "in (surface.vertices,) if",
+        (CHANGED_MESH,),
+    ),
+    Mutation(
         "labels/far side lobes",
         "self._weights.column_response if self._far is None else self._far.column_response",
         "self._weights.column_response",
         ("test_labels::test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes",),
+    ),
+    Mutation(
+        "labels/columns joined beside the fan",
+        "uneven = np.maximum.reduceat(off, begins) > UNEVEN * means",
+        "uneven = np.maximum.reduceat(off, begins) > UNEVEN * response.max()",
+        ("test_labels::test_joined_columns_keep_the_echo_of_a_thin_rod_beside_the_fan",),
     ),
     Mutation(
         "labels/response of columns at the seam",
@@ -381,6 +474,18 @@ MUTATIONS = (
         "np.maximum(received, 0).sum(axis=0",
         "received.sum(axis=0",
         ("test_far_lobes::test_the_response_of_columns_is_the_sum_of_all_beams",),
+    ),
+    Mutation(
+        "far lobes/threads of LAPACK",
+        'limit(limits=1, user_api="blas")',
+        'limit(limits=2, user_api="blas")',
+        ("test_far_lobes::test_lapack_has_one_thread_and_is_looked_for_once",),
+    ),
+    Mutation(
+        "far lobes/search for LAPACK",
+        "@cache\ndef _libraries()",
+        "def _libraries()",
+        ("test_far_lobes::test_lapack_has_one_thread_and_is_looked_for_once",),
     ),
     Mutation(
         "labels/interrupted weights",

@@ -24,8 +24,8 @@ MAX_SHADOW_ECHO = 0.1
 # have. With four, P900-45 before `pylon` gives 0.4 % of the labelled bins to another body, and finer samples do so with
 # 0.6 %.
 COLUMNS_PER_BEAM = 4
-# Where beams overlap, all of them together receive neighbouring columns alike. Columns that they do not, by more than
-# this share, are not joined: the sum of a body's echo over the beams would be wrong.
+# Where beams overlap, all of them together receive neighbouring columns alike. Columns are joined only if what all
+# beams return of each is within this share of their mean: it bounds the error of a body's echo, whichever hold it.
 UNEVEN = 2e-3
 
 
@@ -114,14 +114,11 @@ class LabelColumns(NamedTuple):
 
 
 def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float, response: np.ndarray) -> LabelColumns:
-    """Join columns where the result is no wider than `widest_rad` and all beams receive them alike.
+    """Join columns where the result is no wider than `widest_rad` and all beams together receive them alike.
 
     response : of `Labeller`
     """
     widths_rad, n = np.diff(fan.column_edges_rad), fan.n_columns
-    # of each beam, counted on from its first one: a fan that is a full circle goes on at its seam
-    columns = weights.first[:, None] + np.arange(weights.weights.shape[1])
-    by_all = np.bincount((columns % n).ravel(), weights.weights.ravel(), n)
     limits = fan.wide_edges if fan.n_wide_columns else np.array([0, n])
     begins = []
     for first, past in itertools.pairwise(limits.tolist()):
@@ -129,10 +126,14 @@ def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float, response: n
         count = math.ceil((past - first) / most)
         begins.append(first + (np.arange(count) * (past - first)) // count)
     begins = np.concatenate(begins)
-    uneven = np.maximum.reduceat(by_all, begins) - np.minimum.reduceat(by_all, begins) > UNEVEN * by_all.max()
-    alone = np.flatnonzero(np.repeat(uneven, np.diff(np.append(begins, n))))
-    begins = np.union1d(begins, alone)
+    counts = np.diff(np.append(begins, n))
+    means = np.add.reduceat(response * widths_rad, begins) / np.add.reduceat(widths_rad, begins)
+    off = np.abs(response - np.repeat(means, counts))
+    uneven = np.maximum.reduceat(off, begins) > UNEVEN * means
+    begins = np.union1d(begins, np.flatnonzero(np.repeat(uneven, counts)))
     of_columns = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, n)))
+    # of each beam, counted on from its first one: a fan that is a full circle goes on at its seam
+    columns = weights.first[:, None] + np.arange(weights.weights.shape[1])
     joined = columns // n * len(begins) + of_columns[columns % n]
     first, place = joined[:, 0], joined - joined[:, :1]
     n_beams, width = len(first), int(place.max()) + 1

@@ -13,11 +13,14 @@ from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.core.compiled import compiled
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
+from sonar_gl.sonar.sector import Sector
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
-VERTICES = 64  # of a body, about, are compared with the samples
-IN_FRONT = 1.01  # 1/x over that of the sample there: a vertex at the foot of a body is as near as the floor
+POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
+MAX_CLIPPED_FACES = 4096  # of larger meshes about so many: their edges are short
+STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
+IN_FRONT = 1.01  # 1/x over that of the sample there: a point at the foot of a body is as near as the floor
 
 
 class Reception(NamedTuple):
@@ -131,23 +134,22 @@ def count_bodies(
 def is_unobstructed(
     samples: Sequence[SectorSamples], number: int, body, body_pose, pose, sonar: Sonar, received_u
 ) -> bool:
-    """Return whether some vertex of a body that few samples met, or none, lies in a beam, in front of others around it.
+    """Return whether some point of a body that few samples met, or none, lies in a beam, in front of others around it.
 
-    It must lie in front of all nine, but for samples of the body itself: the corners of a body in the place of another
-    lie beside samples of that. `number` is that of the body in the samples.
+    Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
+    lie beside the fan. A point must lie in front of all nine, but for samples of the body itself: the corners of a body
+    in the place of another lie beside samples of that. `number` is that of the body in the samples.
     """
-    vertices = np.asarray(body.surface.vertices, np.float64)
-    vertices = vertices[:: max(1, len(vertices) // VERTICES)]
-    world = vertices @ body_pose[:3, :3].T + body_pose[:3, 3]
-    points = (world - pose[:3, 3]) @ pose[:3, :3]
-    range_m = np.linalg.norm(points, axis=1)
-    points = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)]
+    faces = np.asarray(body.surface.faces)
+    ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
+    edges = (world - pose[:3, 3]) @ pose[:3, :3]
     for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
-        x, y, z = (points @ sector.rotation().T).T
-        ahead = x > 1e-3
-        u, v, q = -y[ahead] / x[ahead], z[ahead] / x[ahead], 1 / x[ahead]
-        near = sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
-        near &= sector.is_received(u, v)
+        points = _points_within(sector, edges @ sector.rotation().T, sonar.range_max_m)
+        range_m = np.linalg.norm(points, axis=1)
+        x, y, z = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)].T
+        u, v, q = -y / x, z / x, 1 / x
+        near = sector.holds_elevation(u, v) & sector.is_received(u, v)
         if len(received):
             near &= np.searchsorted(received, u) % 2 == 1
         lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
@@ -161,6 +163,29 @@ def is_unobstructed(
         if in_front.any():
             return True
     return False
+
+
+def _points_within(sector: Sector, edges, range_max_m: float) -> np.ndarray:
+    """Return (n, 3) points on the parts of edges inside the frustum about a sector, POINTS at most, even on each part.
+
+    edges : (m, 2, 3) in the frame of the sector
+    """
+    beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
+    above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
+    axes = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
+    inside_m = edges @ np.transpose(axes) + [-1e-3, range_max_m, 0, 0, 0, 0]
+    begin, end = inside_m[:, 0], inside_m[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = begin / (begin - end)
+    low = np.where(end > begin, crossing, 0.0).max(axis=1).clip(0.0)
+    high = np.where(end < begin, crossing, 1.0).min(axis=1).clip(None, 1.0)
+    held = np.flatnonzero((low < high) & (np.maximum(begin, end) > 0).all(axis=1))
+    held = held[:: max(math.ceil(len(held) / POINTS), 1)]
+    n = POINTS // max(len(held), 1)
+    places = (np.arange(n) + (np.arange(len(held))[:, None] * STAGGER) % 1) / max(n, 1)
+    places = low[held, None] + places * (high - low)[held, None]
+    first, last = edges[held, None, 0], edges[held, None, 1]
+    return (first + places[..., None] * (last - first)).reshape(-1, 3)
 
 
 def _greatest(values, first, last) -> np.ndarray:

@@ -1,16 +1,18 @@
 """Far side lobes against the pattern itself: all beams over all columns, a floor, and the level of a wall."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from threadpoolctl import ThreadpoolController
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
-from sonar_gl.beamform import far_lobes
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
@@ -138,24 +140,47 @@ def test_the_pattern_is_decomposed_once_for_each_size_of_block_that_is_tried(mon
     assert 0 < len(sizes) < len(LOBES)
 
 
-def test_lapack_has_one_thread_and_is_looked_for_once(monkeypatch):
-    """To look through the libraries of the process takes longer than the rest of a small sonar's weights."""
-    searches, threads, decompose = [], set(), np.linalg.eigh
+LAPACK_THREADS = """
+import numpy as np
+import threadpoolctl
 
-    def search():
-        searches.append(ThreadpoolController())
-        return searches[-1]
+made, during, decompose, Controller = [], [], np.linalg.eigh, threadpoolctl.ThreadpoolController
 
-    def noted(matrix):
-        blas = ThreadpoolController().select(user_api="blas")
-        threads.update(one["num_threads"] for one in blas.info())
-        return decompose(matrix)
+def threads():
+    return [one["num_threads"] for one in Controller().select(user_api="blas").info()]
 
-    monkeypatch.setattr(far_lobes, "ThreadpoolController", search)
-    monkeypatch.setattr(np.linalg, "eigh", noted)
-    for width_deg in (1.03, 1.07):  # of no other test, so that neither is kept
-        fan_and_weights(replace(P900, beam_width_deg=width_deg), PHYSICAL)
-    assert len(searches) <= 1 and threads == {1}  # none where an earlier test has looked
+def noted(matrix):
+    during.append(threads())
+    return decompose(matrix)
+
+class Noted(Controller):
+    def __init__(self):
+        made.append(self)
+        super().__init__()
+
+np.linalg.eigh, threadpoolctl.ThreadpoolController = noted, Noted
+from tests.beamform.test_far_lobes import P900, PHYSICAL, make_lobe_blocks, replace
+
+before = threads()
+for width_deg in (1.0, 2.0):
+    sonar = replace(P900, beam_width_deg=width_deg)
+    make_lobe_blocks(PHYSICAL.far_pattern(sonar), sonar.azimuth_rad, (-0.5, 0.5))
+assert len(made) == 1, f"{len(made)} searches"
+assert len(during) > 1 and during == [[1] * len(before)] * len(during), during
+assert threads() == before, (threads(), before)
+print(*before)
+"""
+
+
+def test_lapack_has_one_thread_and_is_looked_for_once():
+    """To look through the libraries of the process takes longer than the rest of a small sonar's weights.
+
+    Another process has loaded NumPy's libraries alone, and decomposed nothing yet.
+    """
+    settings = {f"{name}_NUM_THREADS": "2" for name in ("OPENBLAS", "OMP", "MKL")}
+    environment = {**os.environ, **settings, "PYTHONPATH": str(Path(sg.__file__).parent.parent)}
+    command = [sys.executable, "-c", LAPACK_THREADS]
+    assert subprocess.check_output(command, env=environment, text=True, timeout=60).split()
 
 
 def test_a_floor_alone_is_exact():

@@ -10,6 +10,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
+from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.engine import error_model
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.pipeline import make_ping
@@ -107,6 +108,50 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
             arguments = bodies[1].pose, np.eye(4), SONAR, stage.beamformer.received_u
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
+
+
+def is_seen_before_a_wall(sonar, body, wall_m=12.0):
+    """Return whether a body is taken for visible that no sample met: the samples are those of a wall alone."""
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 60, 60)), sg.pose(wall_m))
+    with sg.Simulator(sg.Scene([wall]), sonar, IDEAL, sg.Sampling(20, 8)) as simulator:
+        stage = simulator.run.sampler.resolution.stage
+        with simulator.run.drawing():
+            (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
+            arguments = body.pose, np.eye(4), sonar, stage.beamformer.received_u
+            return is_unobstructed(view.sectors, 2, body, *arguments)
+
+
+GAPS = replace(SONAR, n_beams=6, beam_width_deg=1.0)  # 7.5 degrees apart
+SLIVER = trimesh.Trimesh([[0, -0.55, 0], [0, 0.55, 0], [0, 0.55, 0.004]], [[0, 1, 2]])
+
+
+@pytest.mark.parametrize(
+    "sonar, mesh, place",
+    [
+        pytest.param(SONAR, trimesh.creation.box((0.004, 4000, 0.004)), sg.pose(8, 137), id="beside the fan"),
+        pytest.param(
+            SONAR, trimesh.creation.box((0.004, 0.004, 4000)), sg.pose(8, 0, 137), id="above and below"
+        ),
+        pytest.param(
+            SONAR,
+            trimesh.creation.box((4000, 0.004, 0.004)),
+            sg.pose(8, 0.3, 0, 0, 0, 0.02),
+            id="out of range",
+        ),
+        pytest.param(GAPS, SLIVER, sg.pose(8, 8 * math.tan(math.radians(5))), id="between beams"),
+    ],
+)
+def test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices(sonar, mesh, place):
+    """All of its vertices lie where no beam receives."""
+    rod = sg.Body("rod", mesh, place)
+    assert is_seen_before_a_wall(sonar, rod)
+    assert not is_seen_before_a_wall(sonar, rod, wall_m=0.6)  # before the rod
+
+
+def test_a_thin_body_between_two_beams_is_not_seen():
+    upright = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 40)), sg.pose(8))
+    assert is_seen_before_a_wall(SONAR, upright)
+    assert not is_seen_before_a_wall(GAPS, upright)
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
@@ -304,6 +349,24 @@ def test_a_body_between_boxes_changes_neither_samples_nor_echo():
     assert ping.meta["sampling"] == alone.meta["sampling"]
     np.testing.assert_array_equal(ping.intensity, alone.intensity)
     assert ping.body_echo[2] == 0
+
+
+@pytest.mark.parametrize("columns_per_beam", [1, 3, 12])
+def test_samples_between_boxes_are_those_that_no_beam_receives(columns_per_beam):
+    """Each sample of a row by itself, wider than the boxes of 0.6 degrees or narrower, returns an echo or not."""
+    sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)
+    former = make_beamformer(sonar, IDEAL, sg.Sampling(columns_per_beam, 8))
+    (sector,), (received,) = former.fan.sectors, former.received_u
+    u, v = sector.sample_coordinates()
+    j, found = sector.rows // 2, []
+    echoes = np.zeros((sector.rows, sector.columns, 4), np.float32)
+    for i in range(sector.columns):
+        echoes[:] = 0
+        echoes[j, i] = math.sqrt(1 + u[j, i] ** 2 + v[j, i] ** 2) / 6, 0, 0, 1
+        found.append(former.sum_footprints([SectorSamples(sector, echoes, np.empty((0, 0)))]).total > 0)
+    inside = np.abs(np.arctan(u[j])) < sector.half_width_rad
+    assert sum(found) > 0 and (columns_per_beam == 1 or sum(found) < inside.sum())
+    np.testing.assert_array_equal(inside & (np.searchsorted(received, u[j]) % 2 == 1), found)
 
 
 @pytest.mark.parametrize("mesh", [trimesh.creation.box((1, 1, 1)), trimesh.creation.icosphere(3, 0.4)])

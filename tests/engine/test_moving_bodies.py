@@ -285,17 +285,17 @@ def test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape():
         it.add(sg.Body("scaled", mesh, sg.pose(7)))
         mesh.vertices[:, 2] += 0.2
         it.add(sg.Body("raised", mesh, sg.pose(5, -1)))
-        mesh.faces = mesh.faces[:6]
-        it.add(sg.Body("open", mesh, sg.pose(7, -1.5)))
+        mesh.faces = mesh.faces[6:]  # without its front
+        it.add(sg.Body("open", mesh, sg.pose(7, -2.5)))
         found = it.ping(POSE, labels=True)
     small = BOX.copy().apply_scale(0.5)
     raised = small.copy().apply_translation((0, 0, 0.2))
-    half = trimesh.Trimesh(raised.vertices, raised.faces[:6], process=False)
+    half = trimesh.Trimesh(raised.vertices, raised.faces[6:], process=False)
     bodies = [
         sg.Body("before", BOX, sg.pose(6, 1.5)),
         sg.Body("scaled", small, sg.pose(7)),
         sg.Body("raised", raised, sg.pose(5, -1)),
-        sg.Body("open", half, sg.pose(7, -1.5)),
+        sg.Body("open", half, sg.pose(7, -2.5)),
     ]
     check_same(found, fresh(bodies))
 
