@@ -107,18 +107,18 @@ def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> 
     images.fix(least)
 
 
-class _Noticed(NamedTuple):
-    """A ping of a sequence, and the sampler's `track` before it."""
+class _QueuedPing(NamedTuple):
+    """A ping of a sequence, and the sampler's `history` before it."""
 
     setup: PingSetup
-    track: object
+    history: object
 
 
 class _Started(NamedTuple):
     """Pings that another thread makes: the job, the pings, and the sampler's `choice` by which they are made."""
 
     job: Job
-    pings: list[_Noticed]
+    pings: list[_QueuedPing]
     choice: object
 
 
@@ -154,30 +154,30 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
-    def next_batch(self, most: int) -> tuple[list[_Noticed], bool]:
+    def next_batch(self, most: int) -> tuple[list[_QueuedPing], bool]:
         """Return pings that can be drawn at once, and whether the error of the one after them is to be estimated."""
         batch, sampler = [], self._run.sampler
         sectors = sampler.resolution.stage.fan.sectors
         most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
-            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.track
-            if sampler.notice(setup):
-                sampler.track = before  # it is noticed when it is sampled
+            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.history
+            if sampler.register(setup):
+                sampler.history = before  # it is registered when it is sampled
                 return batch, True
             self._setups.popleft()
-            batch.append(_Noticed(setup, before))
+            batch.append(_QueuedPing(setup, before))
         return batch, False
 
     def pop(self) -> PingSetup:
         """Return the next ping."""
         return self._setups.popleft()
 
-    def put_back(self, pings: Iterable[_Noticed]) -> None:
-        """Have these pings come first, in their order, as if the sampler had not noticed them."""
+    def put_back(self, pings: Iterable[_QueuedPing]) -> None:
+        """Have these pings come first, in their order, as if the sampler had not registered them."""
         pings = list(pings)
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
-            self._run.sampler.track = pings[0].track
+            self._run.sampler.history = pings[0].history
 
 
 class _Overlap:
