@@ -186,14 +186,18 @@ def make_beamformer(
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
     is_box, transmit = pattern is None, acoustics.transmit_pattern(sonar)
+    elevations_deg = {}
+    if side_lobes:
+        elevations_deg["dense_elevation_deg"] = acoustics.dense_elevation_deg(sonar)
+        elevations_deg["max_elevation_deg"] = acoustics.max_elevation_deg(sonar)
     fan = make_fan(
         true_range,
         extend_rows(sampling, sonar, true_range),
         reach,
-        is_box,
-        shear,
-        max_column_width,
-        *((acoustics.dense_elevation_deg(sonar), acoustics.max_elevation_deg(sonar)) if side_lobes else ()),
+        **elevations_deg,
+        box=is_box,
+        shear=shear,
+        max_column_width=max_column_width,
         are_cones=acoustics.has_cones(sonar),
         transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
     )
