@@ -68,6 +68,19 @@ class BodySums(NamedTuple):
     is_little: bool
 
 
+class ShadowedBackground(NamedTuple):
+    """The bodies on whose echo others cast shadows.
+
+    Attributes
+    ----------
+    is_background : (n_bodies + 1,) bool by number
+    samples : SectorSamples of these bodies alone, one of each sector
+    """
+
+    is_background: np.ndarray
+    samples: Sequence[SectorSamples]
+
+
 @dataclass(frozen=True, eq=False)
 class ImageSourceView:
     """What the sonar, or its image behind a planar reflector, sees, to be summed as multipath echoes.
@@ -466,19 +479,21 @@ class Beamformer:
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, BodySums(runs, is_little)
 
-    def find_labels(self, bodies: BodySums, gain, n_bodies: int, background=None) -> Labels:
+    def find_labels(
+        self, bodies: BodySums, gain, n_bodies: int, background: ShadowedBackground | None = None
+    ) -> Labels:
         """Return the labels of samples whose bodies were summed last.
 
         Parameters
         ----------
         gain : (K,) float32
         n_bodies : the highest number of a body
-        background : None, or (n_bodies + 1,) bool by number, and the samples of these bodies alone
+        background : on which bodies cast shadows; None for no shadows
         """
         mask, unshadowed = None, None
         if background is not None:
-            mask, alone = background
-            self._sum_footprints(alone)
+            mask, samples = background
+            self._sum_footprints(samples)
             unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies.runs, run, gain, n_bodies, mask, unshadowed)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
-from sonar_gl.beamform.beamformer import BeamEcho, BodySums
+from sonar_gl.beamform.beamformer import BeamEcho, BodySums, ShadowedBackground
 from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
 from sonar_gl.beamform.surface_reverberation import sum_surface
 from sonar_gl.beamform.volume import sum_volume
@@ -198,11 +198,11 @@ def label(drawn: DrawnPing, bodies: BodySums) -> Labels:
     return beamformer.find_labels(bodies, setup.gain, setup.n_bodies, shadowed_background(drawn))
 
 
-def shadowed_background(drawn: DrawnPing) -> tuple | None:
-    """Return which bodies are the background of shadows, by number, and their samples alone; None for no shadows."""
+def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
+    """Return the bodies on which others cast shadows; None for no shadows."""
     if drawn.background is None:
         return None
-    return drawn.setup.background, drawn.background.sectors
+    return ShadowedBackground(drawn.setup.background, drawn.background.sectors)
 
 
 def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
