@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -19,7 +19,7 @@ from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import receive_images
@@ -28,7 +28,6 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import NOISE_PARTS, Ping
-from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 
 
@@ -73,10 +72,11 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     tried, plan = chosen
     stage = tried.stage
     resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
-    pairs = [(setup, state) for state in partial_states(setup)]
-    parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
+    further = further_states(setup)
+    states = further.needed
+    views = stage.draw([setup.head_pose] * len(states), states, keep_last=True) if states else []
     (images,) = run.draw_images(resolution, [tried.view], [setup])
-    drawn = drawn_ping(setup, resolution, tried.view, images, parts)
+    drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(views)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 
@@ -91,43 +91,32 @@ def draw(
     images_by: ImageDrawer, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
-    n = len(setups)
-    whole = [(setup, setup.state) for setup in setups]
-    parts = [(setup, state) for setup in setups for state in partial_states(setup)]
+    n, further = len(setups), [further_states(setup) for setup in setups]
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
+    for setup, more in zip(setups, further, strict=True):
+        poses += [setup.head_pose] * len(more.needed)
+        states += more.needed
     views = resolution.stage.draw(
-        *poses_and_states(whole + parts),
+        poses,
+        states,
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
-    images = images_by.draw_images(resolution, views[:n], setups)
-    drawn_parts = iter(views[n:])
+    images, further_views = images_by.draw_images(resolution, views[:n], setups), iter(views[n:])
     return [
-        drawn_ping(setup, resolution, *both, drawn_parts)
-        for setup, *both in zip(setups, views[:n], images, strict=True)
+        DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))
+        for setup, view, of_images, more in zip(setups, views[:n], images, further, strict=True)
     ]
 
 
-def partial_states(setup: PingSetup) -> list[SceneState]:
-    """Return the states of a ping's further views, if needed: background, specular lobes and texture, each alone."""
-    background = [] if setup.background is None else [setup.state.only(setup.background[1:])]
-    lobes = [setup.state.without_diffuse_echo()] if setup.lobes else []
-    texture = [] if setup.texture is None else [setup.state.with_reflectivity(setup.texture)]
-    return background + lobes + texture
-
-
-def poses_and_states(pairs: Sequence[tuple[PingSetup, SceneState]]) -> tuple[list, list]:
-    """Return the poses of some pings, and the states to draw from there."""
-    return [setup.head_pose for setup, _ in pairs], [state for _, state in pairs]
-
-
-def drawn_ping(
-    setup: PingSetup, resolution: Resolution, view: ViewSamples, images, parts: Iterator[ViewSamples]
-) -> DrawnPing:
-    """Return a drawn ping; it takes the views of its `partial_states` from `parts`."""
-    background = None if setup.background is None else next(parts)
-    lobes = next(parts) if setup.lobes else None
-    texture = None if setup.texture is None else next(parts)
-    return DrawnPing(setup, resolution, view, images, background, lobes, texture)
+def further_states(setup: PingSetup) -> FurtherViews:
+    """Return what a ping draws beside the whole scene."""
+    state = setup.state
+    return FurtherViews(
+        background=None if setup.background is None else state.only(setup.background[1:]),
+        lobes=state.without_diffuse_echo() if setup.lobes else None,
+        texture=None if setup.texture is None else state.with_reflectivity(setup.texture),
+    )
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
@@ -154,8 +143,8 @@ def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> R
         labels,
         receive_volume(drawn),
         surface,
-        receive_part(drawn, drawn.lobes),
-        receive_part(drawn, drawn.texture),
+        receive_part(drawn, drawn.further.lobes),
+        receive_part(drawn, drawn.further.texture),
     )
 
 
@@ -200,9 +189,10 @@ def label(drawn: DrawnPing, bodies: BodySums) -> Labels:
 
 def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
     """Return the bodies on which others cast shadows; None for no shadows."""
-    if drawn.background is None:
+    background = drawn.further.background
+    if background is None:
         return None
-    return ShadowedBackground(drawn.setup.background, drawn.background.sectors)
+    return ShadowedBackground(drawn.setup.background, background.sectors)
 
 
 def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
