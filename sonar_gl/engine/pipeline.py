@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
-from sonar_gl.engine.multipath import receive_images
+from sonar_gl.engine.multipath import ImageSources, ImageSourceSamples, receive_images
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
@@ -50,12 +49,13 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
         resolution = run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
-            (images,) = run.draw_images(resolution, [received.drawn.view], [setup])
+            sources = run.image_sources_for(resolution, [setup])
+            (images,) = draw_images(sources, resolution, [received.drawn.view], [setup])
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run, [setup], resolution)
+                (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(resolution, error)
                 continue
@@ -75,20 +75,13 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     further = further_states(setup)
     states = further.needed
     views = stage.draw([setup.head_pose] * len(states), states, keep_last=True) if states else []
-    (images,) = run.draw_images(resolution, [tried.view], [setup])
+    (images,) = draw_images(run.image_sources_for(resolution, [setup]), resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(views)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 
-class ImageDrawer(Protocol):
-    """What draws the image sources of pings: a run, or a worker of one."""
-
-    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
-        """Draw the image sources of pings that were just drawn; None for each without multipath."""
-
-
 def draw(
-    images_by: ImageDrawer, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
+    sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
     n, further = len(setups), [further_states(setup) for setup in setups]
@@ -102,11 +95,24 @@ def draw(
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
-    images, further_views = images_by.draw_images(resolution, views[:n], setups), iter(views[n:])
+    images, further_views = draw_images(sources, resolution, views[:n], setups), iter(views[n:])
     return [
         DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))
         for setup, view, of_images, more in zip(setups, views[:n], images, further, strict=True)
     ]
+
+
+def draw_images(
+    sources: ImageSources | None,
+    resolution: Resolution,
+    views: Sequence[ViewSamples],
+    setups: Sequence[PingSetup],
+) -> list[ImageSourceSamples | None]:
+    """Draw the image sources of pings whose views were just drawn; None for each without multipath."""
+    if sources is None:
+        return [None] * len(setups)
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
+    return sources.draw(resolution.stage, views, poses, states)
 
 
 def further_states(setup: PingSetup) -> FurtherViews:

@@ -172,16 +172,13 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
-        """Draw the image sources of pings that were just drawn; None for each without multipath."""
-        images = self.image_sources
-        if images is None:
-            return [None] * len(setups)
-        images.use_scene(self.world.scene)
-        if not resolution.finer_images:
-            self._reset_images(any(setup.request.alone for setup in setups))
-        poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-        return images.draw(resolution.stage, views, poses, states)
+    def image_sources_for(self, resolution: Resolution, setups: Sequence[PingSetup]) -> ImageSources | None:
+        """Return the image sources, ready to draw those of some pings; None without multipath."""
+        if self.image_sources is not None:
+            self.image_sources.use_scene(self.world.scene)
+            if not resolution.finer_images:
+                self._reset_images(any(setup.request.alone for setup in setups))
+        return self.image_sources
 
     def image_choice(self) -> HalvingChoice | None:
         """Return how often samples are halved for the image sources of the next ping; None without multipath."""

@@ -196,7 +196,9 @@ class _Overlap:
 
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
-        drawn = draw(self._run, setups, self._run.sampler.resolution, keep_last=True)
+        resolution = self._run.sampler.resolution
+        sources = self._run.image_sources_for(resolution, setups)
+        drawn = draw(sources, setups, resolution, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
         return job
@@ -296,7 +298,8 @@ def _sampled(run: Run, setup: PingSetup) -> Ping:
 def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
-        (drawn,) = draw(run, [setup], run.sampler.resolution)
+        resolution = run.sampler.resolution
+        (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)
