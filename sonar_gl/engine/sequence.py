@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from itertools import repeat
 from typing import NamedTuple
 
@@ -218,8 +219,7 @@ class _Workers:
         sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
         world, most_samples = run.world, run.stages.most_samples
         made_of = world.engine, sonar, acoustics, world.scene, run.tolerance, most_samples
-        idle = run.idle_workers
-        self._workers = [idle.pop() if idle else PingWorker(*made_of) for _ in range(n_threads())]
+        self._workers = run.take_workers(n_threads(), partial(PingWorker, *made_of))
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
@@ -234,7 +234,7 @@ class _Workers:
         """End the threads; the next sequence goes on with their stages."""
         for worker in self._workers:
             worker.close()
-        self._run.idle_workers[:] = [*self._run.idle_workers, *self._workers][-n_threads() :]
+        self._run.keep_workers(self._workers)
 
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
