@@ -241,36 +241,51 @@ def assemble(
     for array in (intensity, coherent, texture, volume, *labels.values()):
         if array is not None:
             array.setflags(write=False)
-    time_s = None if setup.state is None else setup.state.time_s
-    meta = instrument.provenance.meta(
-        origin,
-        setup.acoustics,
-        sampling=dict(
-            vars(received.drawn.resolution.stage.sampling)
-        ),  # as asdict, in a twentieth of its time
-        seed=request.seed,
-        has_echo=received.total > 0,
-        **({} if time_s is None else {"time_s": time_s}),
-        **({} if label_level_db is None else {"label_level_db": label_level_db}),
-    )
-    ping = Ping(
-        intensity,
-        instrument.azimuth_rad,
-        instrument.range_m,
-        pose=request.pose,
-        meta=meta,
-        error_estimate=error_estimate,
-        sonar=instrument.sonar,
-        acoustics=setup.acoustics,
-        coherent=coherent,
-        texture_deviation=texture,
-        volume=volume,
-        **labels,
+    powers = {"intensity": intensity, "coherent": coherent, "texture_deviation": texture, "volume": volume}
+    ping = ping_of(
+        instrument, received, origin, label_level_db, error_estimate=error_estimate, **powers, **labels
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
     if request.noise is None:
         return ping
     return add_noise(ping, request.noise, request.seed, request.number, thread)
+
+
+def ping_of(
+    instrument: Instrument,
+    received: ReceivedPing,
+    origin: SampleOrigin,
+    label_level_db: float | None,
+    **fields,
+) -> Ping:
+    """Return a ping with the record of how it was made.
+
+    Parameters
+    ----------
+    label_level_db : level from which on bins are labelled; None without labels
+    fields : of `Ping`, what is not known from the other arguments: powers, labels and the estimated error
+    """
+    setup = received.drawn.setup
+    time_s = None if setup.state is None else setup.state.time_s
+    meta = instrument.provenance.meta(
+        origin,
+        setup.acoustics,
+        # as asdict, in a twentieth of its time
+        sampling=dict(vars(received.drawn.resolution.stage.sampling)),
+        seed=setup.request.seed,
+        has_echo=received.total > 0,
+        **({} if time_s is None else {"time_s": time_s}),
+        **({} if label_level_db is None else {"label_level_db": label_level_db}),
+    )
+    return Ping(
+        azimuth_rad=instrument.azimuth_rad,
+        range_m=instrument.range_m,
+        pose=setup.request.pose,
+        meta=meta,
+        sonar=instrument.sonar,
+        acoustics=setup.acoustics,
+        **fields,
+    )
 
 
 def with_cross_talk(ping: Ping) -> Ping:
