@@ -854,8 +854,8 @@ MUTATIONS = (
     ),
     Mutation(
         "noise/diffuse echo among the lobes",
-        "[setup.state.without_diffuse_echo()]",
-        "[setup.state]",
+        "lobes=state.without_diffuse_echo()",
+        "lobes=state",
         ("test_coherent_lobes",),
     ),
     Mutation("noise/interpolation of beams", "np.sinc(off) * window", "window", NOISE),

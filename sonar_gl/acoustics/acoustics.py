@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_pattern, line_array_pattern
-from sonar_gl.acoustics.pulse import bin_weights, resolution_cell_m
+from sonar_gl.acoustics.pulse import PulseResponse, bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.sea_surface import surface_backscattering
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
@@ -552,12 +552,12 @@ class Acoustics:
         """
         return bin_weights(sonar.bin_size_m, *self.pulse_response(sonar)) if self.pulse else None
 
-    def pulse_response(self, sonar) -> tuple[float, str, float]:
-        """Return bandwidth, taper and the speed of sound of the pulse, as `pulse.amplitude_response` takes them."""
+    def pulse_response(self, sonar) -> PulseResponse:
+        """Return bandwidth and taper of the pulse, and the speed of sound."""
         speed_m_s = float(self.sonar_sound_speed_m_s or self.water.sound_speed())  # bins lie at shown ranges
         # the resolution cell is inversely proportional to the bandwidth
         as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m
-        return float(sonar.bandwidth_hz or as_a_bin_hz), sonar.pulse_taper, speed_m_s
+        return PulseResponse(float(sonar.bandwidth_hz or as_a_bin_hz), sonar.pulse_taper, speed_m_s)
 
 
 def check_moved(what: str, names) -> None:

@@ -366,20 +366,3 @@ def _steered_power(pattern: ArrayPattern, azimuth_rad, steer_azimuth_rad, steere
     if steered == "straight":
         return np.where(np.cos(azimuth) > 0, pattern.power(np.sin(azimuth) - np.sin(steer)) + floor, 0.0)
     return np.where(np.cos(azimuth - steer) > 0, pattern.power(np.sin(azimuth - steer)) + floor, 0.0)
-
-
-def box_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad):
-    """Return the pattern of an ideal beam: 1 within half its width of the axis, 0 outside.
-
-    Parameters
-    ----------
-    azimuth_rad, steer_azimuth_rad : direction and axis of the beam, radians, shapes that broadcast
-    beam_width_rad : full width, radians; the starboard edge belongs to the beam, the port edge does not
-
-    >>> box_pattern(np.radians([-0.6, -0.4, 0.4, 0.6]), 0.0, np.radians(1.0)).tolist()
-    [0.0, 1.0, 1.0, 0.0]
-    """
-    offset = np.asarray(azimuth_rad, np.float64) - np.asarray(steer_azimuth_rad, np.float64)
-    offset = (offset + np.pi) % (2 * np.pi) - np.pi
-    share = offset / np.asarray(beam_width_rad, np.float64)
-    return ((share >= -0.5) & (share < 0.5)).astype(np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import uint64
@@ -32,6 +33,21 @@ def _null_m(bandwidth_hz: float, sound_speed_m_s: float) -> float:
         if not 0 < value < np.inf:  # NaN too
             raise Error(f"pulse: {name} must be a number above 0 (got {value:g})")
     return sound_speed_m_s / (2 * bandwidth_hz)
+
+
+class PulseResponse(NamedTuple):
+    """What determines the response of the matched filter, as the functions of this module take it.
+
+    Attributes
+    ----------
+    bandwidth_hz : of the pulse, hertz
+    taper : weights of its spectrum, "uniform" or "hamming"
+    sound_speed_m_s : that the sonar is set to
+    """
+
+    bandwidth_hz: float
+    taper: str
+    sound_speed_m_s: float
 
 
 def amplitude_response(range_m, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0):

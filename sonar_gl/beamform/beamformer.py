@@ -68,6 +68,19 @@ class BodySums(NamedTuple):
     is_little: bool
 
 
+class ShadowedBackground(NamedTuple):
+    """The bodies on whose echo others cast shadows.
+
+    Attributes
+    ----------
+    is_background : (n_bodies + 1,) bool by number
+    samples : SectorSamples of these bodies alone, one of each sector
+    """
+
+    is_background: np.ndarray
+    samples: Sequence[SectorSamples]
+
+
 @dataclass(frozen=True, eq=False)
 class ImageSourceView:
     """What the sonar, or its image behind a planar reflector, sees, to be summed as multipath echoes.
@@ -186,14 +199,18 @@ def make_beamformer(
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
     is_box, transmit = pattern is None, acoustics.transmit_pattern(sonar)
+    elevations_deg = {}
+    if side_lobes:
+        elevations_deg["dense_elevation_deg"] = acoustics.dense_elevation_deg(sonar)
+        elevations_deg["max_elevation_deg"] = acoustics.max_elevation_deg(sonar)
     fan = make_fan(
         true_range,
         extend_rows(sampling, sonar, true_range),
         reach,
-        is_box,
-        shear,
-        max_column_width,
-        *((acoustics.dense_elevation_deg(sonar), acoustics.max_elevation_deg(sonar)) if side_lobes else ()),
+        **elevations_deg,
+        box=is_box,
+        shear=shear,
+        max_column_width=max_column_width,
         are_cones=acoustics.has_cones(sonar),
         transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
     )
@@ -440,19 +457,21 @@ class Beamformer:
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, BodySums(runs, is_little)
 
-    def find_labels(self, bodies: BodySums, gain, n_bodies: int, background=None) -> Labels:
+    def find_labels(
+        self, bodies: BodySums, gain, n_bodies: int, background: ShadowedBackground | None = None
+    ) -> Labels:
         """Return the labels of samples whose bodies were summed last.
 
         Parameters
         ----------
         gain : (K,) float32
         n_bodies : the highest number of a body
-        background : None, or (n_bodies + 1,) bool by number, and the samples of these bodies alone
+        background : on which bodies cast shadows; None for no shadows
         """
         mask, unshadowed = None, None
         if background is not None:
-            mask, alone = background
-            self._sum_footprints(alone)
+            mask, samples = background
+            self._sum_footprints(samples)
             unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies.runs, run, gain, n_bodies, mask, unshadowed)

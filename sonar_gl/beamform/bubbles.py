@@ -23,6 +23,11 @@ LAYERS = 64  # of range, between the nearest bubble and the furthest
 MIN_LAYER_M = 0.01
 MAX_HALF_RAD = math.radians(80.0)  # more than half of any sector
 MIN_RANGE_M = 0.1  # nearer bubbles count as if they were here: σ / r² would exceed all directions
+# columns of `points`: azimuth from the middle of the plumes, sine of elevation, range, and two cross sections
+AZIMUTH, SINE, RANGE, BACKSCATTER, EXTINCTION = range(5)
+ECHO = 3  # column of point scatterers, after the first three of `points`: steradians
+# elements of `grid`: where the first cell is, and how far apart cells are
+FIRST_AZIMUTH, FIRST_SINE, FIRST_RANGE, AZIMUTH_STEP, SINE_STEP, RANGE_STEP = range(6)
 
 
 @compiled
@@ -41,12 +46,13 @@ def _add_depth(points, grid, tau):
     grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
     tau : (I, J, L + 1), zeros; at the far end of each layer
     """
-    solid_angle = grid[3] * grid[4]
+    solid_angle = grid[AZIMUTH_STEP] * grid[SINE_STEP]
     for n in range(points.shape[0]):
-        x, y = (points[n, 0] - grid[0]) / grid[3], (points[n, 1] - grid[1]) / grid[4]
-        layer = min(int((points[n, 2] - grid[2]) / grid[5]), tau.shape[2] - 2) + 1
-        r = max(points[n, 2], MIN_RANGE_M)
-        depth, half = points[n, 4] / (r * r * solid_angle), max(0.5, SHADOW_M / (2 * r * CELL_RAD))
+        x = (points[n, AZIMUTH] - grid[FIRST_AZIMUTH]) / grid[AZIMUTH_STEP]
+        y = (points[n, SINE] - grid[FIRST_SINE]) / grid[SINE_STEP]
+        layer = min(int((points[n, RANGE] - grid[FIRST_RANGE]) / grid[RANGE_STEP]), tau.shape[2] - 2) + 1
+        r = max(points[n, RANGE], MIN_RANGE_M)
+        depth, half = points[n, EXTINCTION] / (r * r * solid_angle), max(0.5, SHADOW_M / (2 * r * CELL_RAD))
         for i in range(max(int(x + 0.5 - half), 0), min(int(x + 1.5 + half), tau.shape[0])):
             across = depth * _share(i, x, half)
             for j in range(max(int(y + 0.5 - half), 0), min(int(y + 1.5 + half), tau.shape[1])):
@@ -60,11 +66,11 @@ def _add_depth(points, grid, tau):
 @compiled
 def _depth(azimuth, sine, r, grid, tau):
     """Return τ on the way to a position, azimuth as in `points`; 0 outside the plume."""
-    x, y = (azimuth - grid[0]) / grid[3], (sine - grid[1]) / grid[4]
-    if not (0.0 <= x < tau.shape[0] - 1 and 0.0 <= y < tau.shape[1] - 1) or r <= grid[2]:
+    x, y = (azimuth - grid[FIRST_AZIMUTH]) / grid[AZIMUTH_STEP], (sine - grid[FIRST_SINE]) / grid[SINE_STEP]
+    if not (0.0 <= x < tau.shape[0] - 1 and 0.0 <= y < tau.shape[1] - 1) or r <= grid[FIRST_RANGE]:
         return 0.0
     i, j = int(x), int(y)
-    z = min((r - grid[2]) / grid[5], tau.shape[2] - 1.0)
+    z = min((r - grid[FIRST_RANGE]) / grid[RANGE_STEP], tau.shape[2] - 1.0)
     k = min(int(z), tau.shape[2] - 2)
     x, y, z, out = x - i, y - j, z - k, 0.0
     for a in range(2):
@@ -83,11 +89,12 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
     ----------
     plane_echo, sectors : of kernels.ViewIndex; middle : azimuth from which those of the grid count
     """
-    half, last = grid[3] * (tau.shape[0] - 1) / 2, grid[1] + grid[4] * (tau.shape[1] - 1)
+    half = grid[AZIMUTH_STEP] * (tau.shape[0] - 1) / 2
+    last = grid[FIRST_SINE] + grid[SINE_STEP] * (tau.shape[1] - 1)
     for k in range(sectors.shape[0]):
         t = sectors[k]
         # the middle of the grid, from the sector's axis
-        beside = grid[0] + half + middle - math.atan2(t.sin, t.cos)
+        beside = grid[FIRST_AZIMUTH] + half + middle - math.atan2(t.sin, t.cos)
         beside -= 2 * math.pi * math.floor(beside / (2 * math.pi) + 0.5)
         low_u = -math.tan(min(beside + half, MAX_HALF_RAD))
         high_u = -math.tan(max(beside - half, -MAX_HALF_RAD))
@@ -101,8 +108,8 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
                     continue
                 u, v = start + t.ui * column, t.v0 + t.vi * column + t.vj * row
                 length = math.sqrt(1.0 + u * u + v * v)
-                if grid[1] * length < v < last * length and length > at[0] * grid[2]:
-                    azimuth = grid[0] + half - beside - math.atan(u)
+                if grid[FIRST_SINE] * length < v < last * length and length > at[0] * grid[FIRST_RANGE]:
+                    azimuth = grid[FIRST_AZIMUTH] + half - beside - math.atan(u)
                     depth = _depth(azimuth, v / length, length / at[0], grid, tau)
                     at[3] *= math.exp(-2.0 * depth)
 
@@ -111,7 +118,7 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
 def _find_directions(points, middle, out):
     """Fill (3, n) `out` with unit vectors to the bubbles in the sonar's frame."""
     for n in range(points.shape[0]):
-        azimuth, sine = points[n, 0], points[n, 1]
+        azimuth, sine = points[n, AZIMUTH], points[n, SINE]
         level, true = math.sqrt(max(1.0 - sine * sine, 0.0)), azimuth + middle
         out[0, n], out[1, n], out[2, n] = level * math.cos(true), level * math.sin(true), sine
 
@@ -125,24 +132,26 @@ def _find_echoes(points, middle, grid, tau, surfaces, out):
     """
     count = 0
     for n in range(points.shape[0]):
-        azimuth, sine, r = points[n, 0], points[n, 1], points[n, 2]
+        azimuth, sine, r = points[n, AZIMUTH], points[n, SINE], points[n, RANGE]
         if surfaces[n] < 0.0 or surfaces[n] * r > 1.0:
             continue
         tau_here = _depth(azimuth, sine, r, grid, tau)
         # less what the bubble itself has contributed
-        across, up = (azimuth - grid[0]) / grid[3], (sine - grid[1]) / grid[4]
-        along = (r - grid[2]) / grid[5]
+        across = (azimuth - grid[FIRST_AZIMUTH]) / grid[AZIMUTH_STEP]
+        up = (sine - grid[FIRST_SINE]) / grid[SINE_STEP]
+        along = (r - grid[FIRST_RANGE]) / grid[RANGE_STEP]
         along -= min(int(along), tau.shape[2] - 2)
         held = max(r, MIN_RANGE_M)
         half, i, j = max(0.5, SHADOW_M / (2 * held * CELL_RAD)), int(across), int(up)
         own = (i + 1 - across) * _share(i, across, half) + (across - i) * _share(i + 1, across, half)
         own *= (j + 1 - up) * _share(j, up, half) + (up - j) * _share(j + 1, up, half)
         own *= along
-        tau_here -= own * points[n, 4] / (held * held * grid[3] * grid[4])
+        tau_here -= own * points[n, EXTINCTION] / (held * held * grid[AZIMUTH_STEP] * grid[SINE_STEP])
         true = azimuth + middle
         turns = math.floor(true / (2 * math.pi) + 0.5)
-        out[count, 0], out[count, 1], out[count, 2] = true - 2 * math.pi * turns, sine, r
-        out[count, 3] = math.pi * points[n, 3] / (held * held) * math.exp(-2.0 * max(tau_here, 0.0))
+        out[count, AZIMUTH], out[count, SINE], out[count, RANGE] = true - 2 * math.pi * turns, sine, r
+        solid_angle = math.pi * points[n, BACKSCATTER] / (held * held)
+        out[count, ECHO] = solid_angle * math.exp(-2.0 * max(tau_here, 0.0))
         count += 1
     return count
 

@@ -51,7 +51,7 @@ class LastCheck(NamedTuple):
     ----------
     pose, state : of that ping
     total : the sum of its echo
-    number : how many pings had been noticed by then
+    number : how many pings had been registered by then
     """
 
     pose: np.ndarray
@@ -82,8 +82,8 @@ class Choice:
     is_due: bool = False
 
 
-class Track(NamedTuple):
-    """The pings that were noticed.
+class PingHistory(NamedTuple):
+    """The pings so far, as the sampler knows them.
 
     Attributes
     ----------
@@ -117,18 +117,18 @@ class Sampler(Protocol):
     Attributes
     ----------
     choice : all that checks and plans change, to be put back where a plan is broken off
-    track : all that each ping changes, to be put back where a ping is to be made again
+    history : all that each ping changes, to be put back where a ping is to be made again
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
     """
 
     choice: object
-    track: object
+    history: object
     resolution: Resolution
     tolerance: float | None
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
-        """Take note of a ping, and return its samples."""
+        """Register a ping, and return its samples."""
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the samples to draw the ping with once more, or None if it is good."""
@@ -136,8 +136,8 @@ class Sampler(Protocol):
     def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
         """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
 
-    def notice(self, setup: PingSetup) -> bool:
-        """Take note of a ping to come; return whether its error is to be estimated."""
+    def register(self, setup: PingSetup) -> bool:
+        """Add a ping to come to the history; return whether its error is to be estimated."""
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, by the sum of the echo."""
@@ -155,7 +155,7 @@ class Sampler(Protocol):
 class FixedSampling:
     """Samples that were given: nothing to choose, nothing promised. A `Sampler`."""
 
-    tolerance = choice = track = None
+    tolerance = choice = history = None
 
     def __init__(self, stages: StageCache, sampling: Sampling):
         self.resolution = Resolution(stages.stage(sampling))
@@ -171,7 +171,7 @@ class FixedSampling:
         """Raise the error."""
         raise error
 
-    def notice(self, setup: PingSetup) -> bool:
+    def register(self, setup: PingSetup) -> bool:
         """Return False."""
         return False
 
@@ -201,7 +201,7 @@ class AdaptiveSampling:
     Attributes
     ----------
     choice : Choice; whoever takes a step of several that may be broken off keeps it, and puts it back
-    track : Track
+    history : PingHistory
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
@@ -210,7 +210,7 @@ class AdaptiveSampling:
         self._guess = min(typical_level(self.tolerance), self._model.finest)
         self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
         self._trigger, self._has_warned = ReplanTrigger(self._sonar), False
-        self.choice, self.track = Choice(self._resolution_at(self._guess), self._guess), Track()
+        self.choice, self.history = Choice(self._resolution_at(self._guess), self._guess), PingHistory()
 
     @property
     def resolution(self) -> Resolution:
@@ -226,8 +226,8 @@ class AdaptiveSampling:
         return Resolution(self._model.stage_at(level))
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
-        """Take note of a ping, and return its samples; those of the first ping keep the tolerance."""
-        before, check = self.track, self.notice(setup)
+        """Register a ping, and return its samples; those of the first ping keep the tolerance."""
+        before, check = self.history, self.register(setup)
         if check and self.plan is None:
             self.choice = self._search(setup, self.choice.level)
             self._warn_if_unmet(self.plan)
@@ -292,7 +292,7 @@ class AdaptiveSampling:
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 
     def _most_cost(self) -> float:
-        return MOST_COST * median(self.track.costs)
+        return MOST_COST * median(self.history.costs)
 
     def _can_check(self) -> bool:
         """Return whether a ping with a check costs no more than a ping may."""
@@ -336,20 +336,20 @@ class AdaptiveSampling:
         planned = self.choice.planned_poses
         return None if planned is not None and pose.tobytes() not in planned else self.plan.bound
 
-    def notice(self, setup: PingSetup) -> bool:
-        """Take note of a ping to come; return whether its error is to be estimated."""
+    def register(self, setup: PingSetup) -> bool:
+        """Add a ping to come to the history; return whether its error is to be estimated."""
         if setup.request.alone:
             return True
         if self.choice.planned_poses is not None:
             return False
-        pose, state, before, check = setup.head_pose, setup.state, self.track, self.choice.check
+        pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
         if check is None:
-            self.track = Track(number, pose, state, (cost,))
+            self.history = PingHistory(number, pose, state, (cost,))
             return True
         is_far = self._trigger.is_far(before, pose, state)
         costs = (cost,) if is_far else (*before.costs[1 - RECENT :], cost)  # another place has other costs
-        self.track = Track(number, pose, state, costs)
+        self.history = PingHistory(number, pose, state, costs)
         is_due = is_far or self.choice.is_due
         is_due = is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
@@ -380,7 +380,7 @@ class AdaptiveSampling:
         return ChosenView(tried, judged.plan)
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
-        return LastCheck(setup.head_pose, setup.state, total, self.track.number)
+        return LastCheck(setup.head_pose, setup.state, total, self.history.number)
 
     def _search(self, setup: PingSetup, level: int) -> Choice:
         """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
@@ -444,12 +444,12 @@ class ReplanTrigger:
             return False
         return n_pings >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
 
-    def is_far(self, last: LastCheck | Track, pose, state: SceneState) -> bool:
+    def is_far(self, last: LastCheck | PingHistory, pose, state: SceneState) -> bool:
         """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
         moved, turned = self._change_since(last, pose, state)
         return moved > self._far_m or turned > self._far_rad
 
-    def _change_since(self, last: LastCheck | Track, pose, state: SceneState) -> tuple[float, float]:
+    def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, float]:
         """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
         moved, turned = _motion(last.pose[None], pose[None])
         before = last.state

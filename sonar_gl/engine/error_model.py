@@ -90,6 +90,21 @@ class Judgement(NamedTuple):
     steps: int
 
 
+class ErrorEstimate(NamedTuple):
+    """An error of a sampling level, and what would keep the tolerance.
+
+    Attributes
+    ----------
+    error : estimated error, relative
+    steps : by how many levels finer (or coarser, if negative) would do
+    number : of the body whose own echo it is of; 0 for none
+    """
+
+    error: float
+    steps: float
+    number: int = 0
+
+
 class TriedView(NamedTuple):
     """A view that was drawn and summed with some sampling level.
 
@@ -182,22 +197,60 @@ class ErrorModel:
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
-        bodies, state, pose = self.bodies, setup.state, setup.head_pose
-        sectors, (hits, echo) = tried.view.sectors, tried.counts
         if before is None:
             fewer = part_of(tried.stage.sampling, 1 / COARSER)
             # in the mirror image of the lattice a rod that runs along its rows does not
             before = self._drawn(self._stages.stage(fewer, -SHEAR), setup)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
-        whole, total = tried.echo.total, echo.sum()
+        whole = self._whole_error(tried, before, coarser)
+        worst = self._worst_body(setup, tried, before, coarser)
+        steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
+        stage = tried.stage
+        estimates = whole.error, worst.error, worst.number
+        return Judgement(Plan(stage.sampling, level, *estimates, steps <= 0, stage.fan.n_samples), steps)
+
+    def _whole_error(self, tried: TriedView, before: TriedView, coarser: float) -> ErrorEstimate:
+        """Estimate the share of the echo in wrong bins, by how the two lattices differ.
+
+        coarser : how many times as many samples `tried` has as `before`
+        """
+        total = tried.echo.total
+        if total <= 0:
+            return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
         difference = _sum_of_differences(tried.echo.intensity, before.echo.intensity)
         factor = ERROR_FACTOR * _share_of_difference(coarser, ERROR_RATE / 2)
-        error = factor * float(difference / whole) if whole > 0 else 0.0
+        error = factor * float(difference / total)
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
-        if whole <= 0:
-            steps = 0.0  # nothing to judge by, and coarser samples would tell no more
-        # A body's own echo: by the samples that met it, and by how the two lattices differ. The echo of a body that
-        # few met is not known: it counts if it could be strong where it lies, unless it is hidden.
+        return ErrorEstimate(error, steps)
+
+    def _worst_body(
+        self, setup: PingSetup, tried: TriedView, before: TriedView, coarser: float
+    ) -> ErrorEstimate:
+        """Estimate the error of each body's own echo, and return the largest; `coarser` as of `_whole_error`.
+
+        By the samples that met it, and by how the two lattices differ.
+        """
+        hits, echo = tried.counts
+        counts = self._counting_bodies(setup, tried)
+        factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
+        apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
+        apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
+        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
+        if not counts.any():
+            return ErrorEstimate(0.0, -math.inf)
+        worst = int(errors.argmax())
+        finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
+        return ErrorEstimate(float(errors[worst]), LEVELS_PER_HALF / 2 * math.log2(finer), worst)
+
+    def _counting_bodies(self, setup: PingSetup, tried: TriedView) -> np.ndarray:
+        """Return (bodies + 1,) bool by number: which have so strong an echo that their own error counts.
+
+        The echo of a body that few samples met is not known: it counts if it could be strong where it lies, unless it
+        is hidden.
+        """
+        bodies, state, pose = self.bodies, setup.state, setup.head_pose
+        sectors, (hits, echo) = tried.view.sectors, tried.counts
+        total = echo.sum()
         counts = echo > MIN_ECHO_SHARE * total
         could_count = (
             self._extents.greatest_echo(state, pose, self._reception(tried)) > MIN_ECHO_SHARE * total
@@ -206,19 +259,7 @@ class ErrorModel:
             one = bodies[body - 1], state.poses[body - 1]
             received_u = tried.stage.beamformer.received_u
             counts[body] = is_unobstructed(sectors, body, *one, pose, self._true_range_sonar, received_u)
-        factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
-        apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
-        apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
-        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
-        worst = int(errors.argmax())
-        if counts.any():
-            finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
-            steps = max(steps, LEVELS_PER_HALF / 2 * math.log2(finer))
-        steps = min(math.ceil(steps), MAX_STEPS)
-        worst_error = float(errors[worst])
-        stage, worst = tried.stage, worst if counts.any() else 0
-        plan = Plan(stage.sampling, level, error, worst_error, worst, steps <= 0, stage.fan.n_samples)
-        return Judgement(plan, steps)
+        return counts
 
     def _reception(self, tried: TriedView) -> Reception:
         beamformer = tried.stage.beamformer

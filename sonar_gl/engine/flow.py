@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,6 +75,35 @@ class Resolution:
     error_estimate: float | None = None
 
 
+class FurtherViews(NamedTuple):
+    """What a ping draws from its pose beside the whole scene: first the SceneStates to draw, then their ViewSamples.
+
+    Each is None where the ping does not need it.
+
+    Attributes
+    ----------
+    background : the background bodies alone, for shadows
+    lobes : returns the specular lobes alone
+    texture : returns the deviation of the texture, and lobes
+    """
+
+    background: SceneState | ViewSamples | None = None
+    lobes: SceneState | ViewSamples | None = None
+    texture: SceneState | ViewSamples | None = None
+
+    @property
+    def needed(self) -> list:
+        """Those that are not None, in their order."""
+        return [one for one in self if one is not None]
+
+    def drawn(self, views: Iterator[ViewSamples]) -> FurtherViews:
+        """Return the views of these states, which it takes from `views` in their order."""
+        return FurtherViews(*(None if state is None else next(views) for state in self))
+
+
+NO_FURTHER_VIEWS = FurtherViews()
+
+
 @dataclass(frozen=True, eq=False)
 class DrawnPing:
     """The samples of a ping.
@@ -83,18 +113,14 @@ class DrawnPing:
     setup, resolution : PingSetup and Resolution
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
-    background : ViewSamples of the background bodies alone; None without shadows
-    lobes : ViewSamples that return the specular lobes alone; None where the ping does not need them
-    texture : ViewSamples that return the deviation of the texture, and lobes; None where the ping does not need them
+    further : FurtherViews, drawn
     """
 
     setup: PingSetup
     resolution: Resolution
     view: ViewSamples
     images: ImageSourceSamples | None = None
-    background: ViewSamples | None = None
-    lobes: ViewSamples | None = None
-    texture: ViewSamples | None = None
+    further: FurtherViews = NO_FURTHER_VIEWS
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from threading import Lock
 
@@ -73,20 +72,13 @@ class PingWorker:
                     self._stages.drop_large()  # of finer samples
                     self._sampling = resolution.stage.sampling
                 own = replace(resolution, stage=self._stages.stage(self._sampling))
-                return [receive(one) for one in draw(self, [setup], own)]
+                return [receive(one) for one in draw(self._images, [setup], own)]
 
         return Job(make)
 
     def submit(self, job: Job) -> None:
         """Have the thread do a job."""
         self._thread.submit(job)
-
-    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
-        """Draw the image sources of pings that were just drawn; None for each without multipath."""
-        if self._images is None:
-            return [None] * len(setups)
-        poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-        return self._images.draw(resolution.stage, views, poses, states)
 
     def close(self) -> None:
         """End the thread after the jobs that it has; a later job starts another."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
-from sonar_gl.beamform.beamformer import BeamEcho, BodySums
+from sonar_gl.beamform.beamformer import BeamEcho, BodySums, ShadowedBackground
 from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
 from sonar_gl.beamform.surface_reverberation import sum_surface
 from sonar_gl.beamform.volume import sum_volume
@@ -19,16 +18,15 @@ from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.engine.flow import DrawnPing, PingReport, PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
-from sonar_gl.engine.multipath import receive_images
+from sonar_gl.engine.multipath import ImageSources, ImageSourceSamples, receive_images
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import NOISE_PARTS, Ping
-from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 
 
@@ -51,12 +49,13 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
         resolution = run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
-            (images,) = run.draw_images(resolution, [received.drawn.view], [setup])
+            sources = run.image_sources_for(resolution, [setup])
+            (images,) = draw_images(sources, resolution, [received.drawn.view], [setup])
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run, [setup], resolution)
+                (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(resolution, error)
                 continue
@@ -73,61 +72,57 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     tried, plan = chosen
     stage = tried.stage
     resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
-    pairs = [(setup, state) for state in partial_states(setup)]
-    parts = iter(stage.draw(*poses_and_states(pairs), keep_last=True) if pairs else ())
-    (images,) = run.draw_images(resolution, [tried.view], [setup])
-    drawn = drawn_ping(setup, resolution, tried.view, images, parts)
+    further = further_states(setup)
+    states = further.needed
+    views = stage.draw([setup.head_pose] * len(states), states, keep_last=True) if states else []
+    (images,) = draw_images(run.image_sources_for(resolution, [setup]), resolution, [tried.view], [setup])
+    drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(views)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 
-class ImageDrawer(Protocol):
-    """What draws the image sources of pings: a run, or a worker of one."""
-
-    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
-        """Draw the image sources of pings that were just drawn; None for each without multipath."""
-
-
 def draw(
-    images_by: ImageDrawer, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
+    sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
-    n = len(setups)
-    whole = [(setup, setup.state) for setup in setups]
-    parts = [(setup, state) for setup in setups for state in partial_states(setup)]
+    n, further = len(setups), [further_states(setup) for setup in setups]
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
+    for setup, more in zip(setups, further, strict=True):
+        poses += [setup.head_pose] * len(more.needed)
+        states += more.needed
     views = resolution.stage.draw(
-        *poses_and_states(whole + parts),
+        poses,
+        states,
         with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
         keep_last=keep_last,
     )
-    images = images_by.draw_images(resolution, views[:n], setups)
-    drawn_parts = iter(views[n:])
+    images, further_views = draw_images(sources, resolution, views[:n], setups), iter(views[n:])
     return [
-        drawn_ping(setup, resolution, *both, drawn_parts)
-        for setup, *both in zip(setups, views[:n], images, strict=True)
+        DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))
+        for setup, view, of_images, more in zip(setups, views[:n], images, further, strict=True)
     ]
 
 
-def partial_states(setup: PingSetup) -> list[SceneState]:
-    """Return the states of a ping's further views, if needed: background, specular lobes and texture, each alone."""
-    background = [] if setup.background is None else [setup.state.only(setup.background[1:])]
-    lobes = [setup.state.without_diffuse_echo()] if setup.lobes else []
-    texture = [] if setup.texture is None else [setup.state.with_reflectivity(setup.texture)]
-    return background + lobes + texture
+def draw_images(
+    sources: ImageSources | None,
+    resolution: Resolution,
+    views: Sequence[ViewSamples],
+    setups: Sequence[PingSetup],
+) -> list[ImageSourceSamples | None]:
+    """Draw the image sources of pings whose views were just drawn; None for each without multipath."""
+    if sources is None:
+        return [None] * len(setups)
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
+    return sources.draw(resolution.stage, views, poses, states)
 
 
-def poses_and_states(pairs: Sequence[tuple[PingSetup, SceneState]]) -> tuple[list, list]:
-    """Return the poses of some pings, and the states to draw from there."""
-    return [setup.head_pose for setup, _ in pairs], [state for _, state in pairs]
-
-
-def drawn_ping(
-    setup: PingSetup, resolution: Resolution, view: ViewSamples, images, parts: Iterator[ViewSamples]
-) -> DrawnPing:
-    """Return a drawn ping; it takes the views of its `partial_states` from `parts`."""
-    background = None if setup.background is None else next(parts)
-    lobes = next(parts) if setup.lobes else None
-    texture = None if setup.texture is None else next(parts)
-    return DrawnPing(setup, resolution, view, images, background, lobes, texture)
+def further_states(setup: PingSetup) -> FurtherViews:
+    """Return what a ping draws beside the whole scene."""
+    state = setup.state
+    return FurtherViews(
+        background=None if setup.background is None else state.only(setup.background[1:]),
+        lobes=state.without_diffuse_echo() if setup.lobes else None,
+        texture=None if setup.texture is None else state.with_reflectivity(setup.texture),
+    )
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
@@ -154,8 +149,8 @@ def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> R
         labels,
         receive_volume(drawn),
         surface,
-        receive_part(drawn, drawn.lobes),
-        receive_part(drawn, drawn.texture),
+        receive_part(drawn, drawn.further.lobes),
+        receive_part(drawn, drawn.further.texture),
     )
 
 
@@ -198,11 +193,12 @@ def label(drawn: DrawnPing, bodies: BodySums) -> Labels:
     return beamformer.find_labels(bodies, setup.gain, setup.n_bodies, shadowed_background(drawn))
 
 
-def shadowed_background(drawn: DrawnPing) -> tuple | None:
-    """Return which bodies are the background of shadows, by number, and their samples alone; None for no shadows."""
-    if drawn.background is None:
+def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
+    """Return the bodies on which others cast shadows; None for no shadows."""
+    background = drawn.further.background
+    if background is None:
         return None
-    return drawn.setup.background, drawn.background.sectors
+    return ShadowedBackground(drawn.setup.background, background.sectors)
 
 
 def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
@@ -245,36 +241,51 @@ def assemble(
     for array in (intensity, coherent, texture, volume, *labels.values()):
         if array is not None:
             array.setflags(write=False)
-    time_s = None if setup.state is None else setup.state.time_s
-    meta = instrument.provenance.meta(
-        origin,
-        setup.acoustics,
-        sampling=dict(
-            vars(received.drawn.resolution.stage.sampling)
-        ),  # as asdict, in a twentieth of its time
-        seed=request.seed,
-        has_echo=received.total > 0,
-        **({} if time_s is None else {"time_s": time_s}),
-        **({} if label_level_db is None else {"label_level_db": label_level_db}),
-    )
-    ping = Ping(
-        intensity,
-        instrument.azimuth_rad,
-        instrument.range_m,
-        pose=request.pose,
-        meta=meta,
-        error_estimate=error_estimate,
-        sonar=instrument.sonar,
-        acoustics=setup.acoustics,
-        coherent=coherent,
-        texture_deviation=texture,
-        volume=volume,
-        **labels,
+    powers = {"intensity": intensity, "coherent": coherent, "texture_deviation": texture, "volume": volume}
+    ping = ping_of(
+        instrument, received, origin, label_level_db, error_estimate=error_estimate, **powers, **labels
     )
     ping = with_cross_talk(shown_in_motion(ping, request.velocity))
     if request.noise is None:
         return ping
     return add_noise(ping, request.noise, request.seed, request.number, thread)
+
+
+def ping_of(
+    instrument: Instrument,
+    received: ReceivedPing,
+    origin: SampleOrigin,
+    label_level_db: float | None,
+    **fields,
+) -> Ping:
+    """Return a ping with the record of how it was made.
+
+    Parameters
+    ----------
+    label_level_db : level from which on bins are labelled; None without labels
+    fields : of `Ping`, what is not known from the other arguments: powers, labels and the estimated error
+    """
+    setup = received.drawn.setup
+    time_s = None if setup.state is None else setup.state.time_s
+    meta = instrument.provenance.meta(
+        origin,
+        setup.acoustics,
+        # as asdict, in a twentieth of its time
+        sampling=dict(vars(received.drawn.resolution.stage.sampling)),
+        seed=setup.request.seed,
+        has_echo=received.total > 0,
+        **({} if time_s is None else {"time_s": time_s}),
+        **({} if label_level_db is None else {"label_level_db": label_level_db}),
+    )
+    return Ping(
+        azimuth_rad=instrument.azimuth_rad,
+        range_m=instrument.range_m,
+        pose=setup.request.pose,
+        meta=meta,
+        sonar=instrument.sonar,
+        acoustics=setup.acoustics,
+        **fields,
+    )
 
 
 def with_cross_talk(ping: Ping) -> Ping:

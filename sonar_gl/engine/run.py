@@ -43,7 +43,6 @@ class Run:
     sampler : Sampler, which chooses the resolution of each ping
     image_sources : ImageSources; None without multipath
     tolerance : as given, whether or not the sampler keeps it
-    idle_workers : those of past sequences, for the next one
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class Run:
     ):
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
-        self._in_flight, self._summing, self._is_closed, self.idle_workers = [], Lock(), False, []
+        self._in_flight, self._summing, self._is_closed, self._idle_workers = [], Lock(), False, []
         self.image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -172,16 +171,21 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def draw_images(self, resolution: Resolution, views, setups: Sequence[PingSetup]) -> list:
-        """Draw the image sources of pings that were just drawn; None for each without multipath."""
-        images = self.image_sources
-        if images is None:
-            return [None] * len(setups)
-        images.use_scene(self.world.scene)
-        if not resolution.finer_images:
-            self._reset_images(any(setup.request.alone for setup in setups))
-        poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-        return images.draw(resolution.stage, views, poses, states)
+    def image_sources_for(self, resolution: Resolution, setups: Sequence[PingSetup]) -> ImageSources | None:
+        """Return the image sources, ready to draw those of some pings; None without multipath."""
+        if self.image_sources is not None:
+            self.image_sources.use_scene(self.world.scene)
+            if not resolution.finer_images:
+                self._reset_images(any(setup.request.alone for setup in setups))
+        return self.image_sources
+
+    def take_workers(self, count: int, make: Callable) -> list:
+        """Return so many `PingWorker`s: those of past sequences, whose stages are made already, then new ones."""
+        return [self._idle_workers.pop() if self._idle_workers else make() for _ in range(count)]
+
+    def keep_workers(self, workers: Sequence) -> None:
+        """Keep the workers of a sequence that is over, and no more than these, for the next one."""
+        self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def image_choice(self) -> HalvingChoice | None:
         """Return how often samples are halved for the image sources of the next ping; None without multipath."""
@@ -257,7 +261,7 @@ class Run:
         for job in self._in_flight:
             job.settle()
         self.stages = self.sampler = self.image_sources = None
-        self._in_flight, self.idle_workers = [], []
+        self._in_flight, self._idle_workers = [], []
 
     def forget(self) -> None:
         """Count this run as unused without closing it, since finalisers must not call OpenGL."""

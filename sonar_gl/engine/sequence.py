@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
+from functools import partial
 from itertools import repeat
 from typing import NamedTuple
 
@@ -109,18 +110,18 @@ def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> 
     images.fix(least)
 
 
-class _Noticed(NamedTuple):
-    """A ping of a sequence, and the sampler's `track` before it."""
+class _QueuedPing(NamedTuple):
+    """A ping of a sequence, and the sampler's `history` before it."""
 
     setup: PingSetup
-    track: object
+    history: object
 
 
 class _Started(NamedTuple):
     """Pings that another thread makes: the job, the pings, and the sampler's `choice` by which they are made."""
 
     job: Job
-    pings: list[_Noticed]
+    pings: list[_QueuedPing]
     choice: object
 
 
@@ -158,30 +159,30 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
-    def next_batch(self, most: int) -> tuple[list[_Noticed], bool]:
+    def next_batch(self, most: int) -> tuple[list[_QueuedPing], bool]:
         """Return pings that can be drawn at once, and whether the error of the one after them is to be estimated."""
         batch, sampler = [], self._run.sampler
         sectors = sampler.resolution.stage.fan.sectors
         most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
-            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.track
-            if sampler.notice(setup):
-                sampler.track = before  # it is noticed when it is sampled
+            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.history
+            if sampler.register(setup):
+                sampler.history = before  # it is registered when it is sampled
                 return batch, True
             self._setups.popleft()
-            batch.append(_Noticed(setup, before))
+            batch.append(_QueuedPing(setup, before))
         return batch, False
 
     def pop(self) -> PingSetup:
         """Return the next ping."""
         return self._setups.popleft()
 
-    def put_back(self, pings: Iterable[_Noticed]) -> None:
-        """Have these pings come first, in their order, as if the sampler had not noticed them."""
+    def put_back(self, pings: Iterable[_QueuedPing]) -> None:
+        """Have these pings come first, in their order, as if the sampler had not registered them."""
         pings = list(pings)
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
-            self._run.sampler.track = pings[0].track
+            self._run.sampler.history = pings[0].history
 
 
 class _Overlap:
@@ -200,7 +201,9 @@ class _Overlap:
 
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
-        drawn = draw(self._run, setups, self._run.sampler.resolution, keep_last=True)
+        resolution = self._run.sampler.resolution
+        sources = self._run.image_sources_for(resolution, setups)
+        drawn = draw(sources, setups, resolution, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
         return job
@@ -220,8 +223,7 @@ class _Workers:
         sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
         world, most_samples = run.world, run.stages.most_samples
         made_of = world.engine, sonar, acoustics, world.scene, run.tolerance, most_samples
-        idle = run.idle_workers
-        self._workers = [idle.pop() if idle else PingWorker(*made_of) for _ in range(n_threads())]
+        self._workers = run.take_workers(n_threads(), partial(PingWorker, *made_of))
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
@@ -236,7 +238,7 @@ class _Workers:
         """End the threads; the next sequence goes on with their stages."""
         for worker in self._workers:
             worker.close()
-        self._run.idle_workers[:] = [*self._run.idle_workers, *self._workers][-n_threads() :]
+        self._run.keep_workers(self._workers)
 
 
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
@@ -323,7 +325,8 @@ def _sampled(run: Run, setup: PingSetup) -> Ping:
 def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
-        (drawn,) = draw(run, [setup], run.sampler.resolution)
+        resolution = run.sampler.resolution
+        (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)

@@ -71,6 +71,8 @@ class DemarcoStyle:
             self._warn("speckle and no gaussian noise")
         if noise.has_receiver_noise or noise.interference_lines:
             self._warn("receiver noise and no interference")
+        if noise.dropped_beams:
+            self._warn("dropped beams")
 
     def _warn(self, missing: str) -> None:
         warn_caller(f"pictures of style demarco2015 have no {missing}")

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from sonar_gl.acoustics.beam_pattern import taper_series
-from sonar_gl.acoustics.pulse import field_weights
+from sonar_gl.acoustics.pulse import PulseResponse, field_weights
 from sonar_gl.core.errors import Error
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.k_distribution import multiply_by_texture
@@ -34,7 +34,7 @@ def _field_at(
     n_bins: int,
     bin_size_m: float,
     wavelength_m: float,
-    pulse: tuple | None,
+    pulse: PulseResponse | None,
     place: bytes,
     key: tuple[int, str, int],
 ) -> np.ndarray:
@@ -245,8 +245,8 @@ class FieldNoise:
         return FieldCorrelation(azimuth_rad, width_rad, series, pulse_weights)
 
     @cached_property
-    def _pulse(self) -> tuple[float, str, float] | None:
-        """Bandwidth, taper and the speed of sound that the sonar is set to; None without a pulse response."""
+    def _pulse(self) -> PulseResponse | None:
+        """The response of the matched filter; None without one."""
         acoustics = self._ping.acoustics
         if acoustics is None or not acoustics.pulse:
             return None

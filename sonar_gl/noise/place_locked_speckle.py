@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.pulse import amplitude_response
+from sonar_gl.acoustics.pulse import PulseResponse, amplitude_response
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import held
 from sonar_gl.noise.gaussian import standard_normal
@@ -260,7 +260,7 @@ def place_locked_field(
     wavelength_m: float,
     pose,
     waves_of: Callable[[int, int, range, int], Waves],
-    pulse=None,
+    pulse: PulseResponse | None = None,
 ) -> np.ndarray:
     """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
 
@@ -270,7 +270,7 @@ def place_locked_field(
     n_bins, bin_size_m, wavelength_m : K, metres, metres
     pose : (4, 4) world_from_sonar, or its first two rows; its heading and its horizontal position count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
-    pulse : None, or (bandwidth_hz, taper, sound_speed_m_s) of `acoustics.pulse.amplitude_response`
+    pulse : PulseResponse; None without one
 
     Returns
     -------

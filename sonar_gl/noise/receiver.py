@@ -122,7 +122,7 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
             "(got None; give it in the sonar's file or by --sonar ...,source_level_db=..., or give the noise as "
             "ambient_db)"
         )
-    bandwidth_hz = acoustics.pulse_response(sonar)[0]
+    bandwidth_hz = acoustics.pulse_response(sonar).bandwidth_hz
     height = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
     solid_angle_sr = math.radians(sonar.beam_width_deg) * height
     echo_level_db = level_db + 10 * math.log10(solid_angle_sr / math.pi)

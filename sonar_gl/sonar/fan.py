@@ -115,6 +115,7 @@ def make_fan(
     sonar: Sonar,
     sampling: Sampling,
     support_rad: float,
+    *,
     box: bool = True,
     shear: float = SHEAR,
     max_column_width: float = 0.5,

@@ -11,7 +11,6 @@ import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import (
     ArrayPattern,
     aperture_pattern,
-    box_pattern,
     chebyshev_pattern,
     gaussian_pattern,
     line_array_pattern,
@@ -60,20 +59,6 @@ def test_the_pattern_is_zero_behind_a_line_array():
     # azimuths beyond ±180° are periodic
     a, b = line_array_pattern(np.radians([0.3, 360.3]), 0.0, np.radians(1.0))
     assert a == pytest.approx(b, rel=1e-12)
-
-
-def test_every_direction_lies_in_one_of_contiguous_boxes():
-    steer, width = (
-        (np.arange(8) - 3.5) / 4,
-        0.25,
-    )  # binary fractions, so that some directions are exactly edges
-    azimuth = np.arange(64) / 32 - 1
-    assert 0.125 in azimuth - steer[0]  # an edge
-    assert (box_pattern(azimuth[:, None], steer, width).sum(axis=1) == 1).all()
-
-
-def test_boxes_extend_across_180_degrees():
-    assert box_pattern(np.radians([-179.8, 179.8, 179.0]), np.pi, np.radians(1.0)).tolist() == [1, 1, 0]
 
 
 def peak_db(pattern, x):

@@ -28,7 +28,7 @@ def fan_of(sonar, samples_per_beam=2.0, box=False, **more):
     """Return a fan with side lobes in elevation."""
     support_rad = PHYSICAL.receive_support_rad(sonar)
     return make_fan(
-        sonar, sg.Sampling(samples_per_beam, 40), support_rad, box, max_elevation_deg=89.5, **more
+        sonar, sg.Sampling(samples_per_beam, 40), support_rad, box=box, max_elevation_deg=89.5, **more
     )
 
 

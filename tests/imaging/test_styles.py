@@ -53,6 +53,7 @@ def test_demarco_style_counts_seeds():
         (sg.Noise(gaussian=0.1), ["speckle and no gaussian noise"]),
         (sg.Noise(ambient_db=-90.0), ["receiver noise and no interference"]),
         (sg.Noise(interference_lines=1), ["receiver noise and no interference"]),
+        (sg.Noise(dropped_beams=0.1), ["dropped beams"]),
         (sg.Noise.physical(), ["speckle and no gaussian noise", "receiver noise and no interference"]),
         (sg.Noise.demarco2015(), []),
     ],
