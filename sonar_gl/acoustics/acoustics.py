@@ -385,6 +385,11 @@ class Acoustics:
         Returns
         -------
         function (grazing_rad) -> cross section per area and steradian, linear
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> windy = Acoustics.physical(water=Water(wind_speed_m_s=7.0))
+        >>> round(float(10 * np.log10(windy.surface_backscatter(load_sonar("p900-45"))(np.radians(20.0)))), 1)
+        -27.6
         """
         wind_speed_m_s = self.water.wind_speed_m_s
         if not self.surface_reverberation or wind_speed_m_s is None:
@@ -408,6 +413,11 @@ class Acoustics:
         ------
         Error
             if a straight array has to form beams along its own line.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> pattern = Acoustics.physical(far_side_lobes=False).receive_pattern(load_sonar("p900-45"))
+        >>> round(float(pattern(np.radians(10.5), np.radians(10.0))), 9)  # half of its width off the axis
+        0.5
         """
         if self.beam_pattern == "box":
             return None
@@ -429,10 +439,14 @@ class Acoustics:
         )
 
     def has_cones(self, sonar) -> bool:
-        """Return whether beams are cones: those of one straight array, but boxes.
+        """Return whether beams are cones: those of one straight array, unless they are boxes.
 
-        Lenses, curved arrays and arrays of several faces have upright beams; so have fans that look along their own
-        array.
+        Lenses, curved arrays and arrays of several faces have upright beams; so have fans that look further aside than
+        MAX_STEER_DEG, along their own array.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> [Acoustics.physical().has_cones(load_sonar(name)) for name in ("oculus-m750d-lf", "didson-hf")]
+        [True, False]
         """
         if not self.conical_beams or self.beam_pattern == "box":
             return False
@@ -457,6 +471,10 @@ class Acoustics:
 
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
         beam where its power is 1e-4.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> round(math.degrees(Acoustics.physical().receive_support_rad(load_sonar("p900-45"))), 2)  # 4 / 0.886 widths
+        4.52
         """
         half_width = math.radians(sonar.beam_width_deg) / 2
         if self.beam_pattern == "box":
@@ -481,6 +499,11 @@ class Acoustics:
         Returns
         -------
         function (azimuth_rad) -> linear one-way power, 1 on the boresight
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> pattern = Acoustics.physical().transmit_pattern(load_sonar("p900-45,transmit_width_deg=60"))
+        >>> round(float(pattern(np.radians(30.0))), 9)
+        0.5
         """
         if not self.transmit_beam or sonar.transmit_width_deg is None:
             return None
@@ -500,6 +523,11 @@ class Acoustics:
         Returns
         -------
         function (sine of elevation) -> linear two-way power, 1 on the boresight
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> pattern = Acoustics.physical().two_way_elevation_pattern(load_sonar("p900-45"))  # 20 degrees high
+        >>> round(float(pattern(np.sin(np.radians(10.0)))), 9)
+        0.5
         """
         if self.elevation_pattern == "box":
             return None
@@ -507,7 +535,15 @@ class Acoustics:
         return lambda sine: one_way.power(sine) ** 2
 
     def elevation_support_deg(self, sonar) -> float:
-        """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight."""
+        """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight.
+
+        The main lobe ends where the two-way power is ELEVATION_SUPPORT_LEVEL; a box ends at half its aperture.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> sonar = load_sonar("p900-45")
+        >>> Acoustics.ideal().elevation_support_deg(sonar), round(Acoustics.physical().elevation_support_deg(sonar), 2)
+        (10.0, 27.35)
+        """
         half_width = sonar.elevation_fov_deg / 2
         if self.elevation_pattern == "box":
             return half_width
@@ -515,7 +551,12 @@ class Acoustics:
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
 
     def dense_elevation_deg(self, sonar) -> float:
-        """Return the elevation beyond which the two-way pattern is so weak that coarse samples do."""
+        """Return the elevation, degrees, beyond which the two-way pattern is so weak that coarse samples do.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> round(Acoustics.physical().dense_elevation_deg(load_sonar("p900-45")), 2)
+        17.65
+        """
         if self.elevation_pattern == "box":
             return self.elevation_support_deg(sonar)
         sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(SKIRTS_LEVEL))
@@ -553,7 +594,13 @@ class Acoustics:
         return bin_weights(sonar.bin_size_m, *self.pulse_response(sonar)) if self.pulse else None
 
     def pulse_response(self, sonar) -> PulseResponse:
-        """Return bandwidth and taper of the pulse, and the speed of sound."""
+        """Return bandwidth and taper of the pulse, and the speed of sound.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> pulse = Acoustics(water=Water(sound_speed_m_s=1500.0)).pulse_response(load_sonar("p900-45"))
+        >>> round(pulse.bandwidth_hz)  # 1.3628 c / 2 / 25.4 mm
+        40241
+        """
         speed_m_s = float(self.sonar_sound_speed_m_s or self.water.sound_speed())  # bins lie at shown ranges
         # the resolution cell is inversely proportional to the bandwidth
         as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m

@@ -162,10 +162,10 @@ def bubble_extinction(radius_m):
 
     Notes
     -----
-    One half meets the bubble; the other half is diffracted around it by a few λ/(2πa), 3 to 15 degrees for radii
+    One half meets the bubble; the other half is diffracted around it by about λ/(2πa), 3 to 15 degrees for radii
     of 5 to 1 mm at 900 kHz. That is wider than a beam: diffracted sound returns as a faint haze from other directions
-    and is neglected. Beyond a²/λ, some centimetres, diffraction fills the shadow of a single bubble, and the
-    attenuation by many bubbles is even.
+    and is neglected. Beyond a²/λ, 6 cm at most for radii up to 1 cm, diffraction fills the shadow of a single bubble,
+    and the attenuation by many bubbles is even.
 
     Source: van de Hulst, Light Scattering by Small Particles, 1957
 

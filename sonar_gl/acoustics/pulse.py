@@ -15,7 +15,9 @@ from sonar_gl.core.errors import Error
 
 # F₁, F₂, … of the weights 1 + 2 Σ F_m cos(2πmf/B) of a spectrum, |f| <= B/2
 PULSE_TAPERS = {"uniform": (), "hamming": (HAMMING,)}
-NEGLECTED_ENERGY = 1e-3  # share of the energy that `bin_weights` may leave out
+# Share of the energy that `bin_weights` may leave out, by taper: of side lobes whose envelope has fallen below −50 dB,
+# beyond 101 and 15 c/2B.
+NEGLECTED_ENERGY = {"uniform": 1e-3, "hamming": 1.1e-4}
 NEGLECTED_POWER = 1e-4  # share of the power that `field_weights` may leave out
 MAX_FIELD_NULLS = 50  # or the length, in c/2B, at which `field_weights` end
 INTERVALS_PER_NULL = 2  # of integration per c/2B, each with these nodes: accurate to 1e-9
@@ -117,10 +119,10 @@ def _symmetric(half: np.ndarray) -> np.ndarray:
 
 
 def _sufficient_half_length(bin_size_m: float, null_m: float) -> int:
-    """Return bins to each side that contain all but NEGLECTED_ENERGY: beyond x, sinc² has the energy 1/π²x."""
+    """Return bins to each side that are enough with any taper: beyond x, sinc² has the energy 1/π²x, others less."""
     if not 0 < bin_size_m < np.inf:  # NaN too
         raise Error(f"pulse: bin_size_m must be a number above 0 (got {bin_size_m:g})")
-    bins = int(np.ceil(1.1 / (np.pi**2 * NEGLECTED_ENERGY) * null_m / bin_size_m)) + 1
+    bins = int(np.ceil(1.1 / (np.pi**2 * NEGLECTED_ENERGY["uniform"]) * null_m / bin_size_m)) + 1
     return min(MAX_HALF_LENGTH, bins)
 
 
@@ -131,8 +133,8 @@ def bin_weights(
     """Return what the matched filter puts of a bin's echo into the bins around it.
 
     The echo of a bin is spread evenly over it, and the receiver samples at the centres of bins: each share is thus
-    the power response integrated over one bin. For bins much coarser than c/2B the result is nearly [1]. The
-    outermost shares, 1e-3 of the energy, are left out.
+    the power response integrated over one bin. For bins much coarser than c/2B the result is nearly [1]. Side lobes
+    are left out from where their envelope falls below −50 dB: NEGLECTED_ENERGY of all.
 
     The level of a receiver is that of the echo in its resolution cell. A bin that is longer than the cell holds its
     own echo, and the sum of the weights is 1. A shorter bin holds only a part of the cell's echo, and the sum is the
@@ -147,7 +149,7 @@ def bin_weights(
     -------
     (n,) float32, n odd, symmetric, sum 1 or more, read-only
 
-    >>> bin_weights(0.05, 30e3, "hamming").astype(float).round(3).tolist()
+    >>> bin_weights(0.05, 30e3, "hamming")[6:9].astype(float).round(3).tolist()  # the middle ones of 15
     [0.028, 0.944, 0.028]
     """
     null_m = _null_m(bandwidth_hz, sound_speed_m_s)
@@ -163,7 +165,7 @@ def bin_weights(
         for node, weight in zip(*GAUSS_LEGENDRE, strict=True):
             r = middle + node * width / 2
             half += weight * width / 2 * amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s) ** 2
-    kernel = _symmetric(half[: _half_length_within(half, (1 - NEGLECTED_ENERGY) * cell_m) + 1])
+    kernel = _symmetric(half[: _half_length_within(half, (1 - NEGLECTED_ENERGY[taper]) * cell_m) + 1])
     return _read_only_float32(kernel / kernel.sum() * max(1.0, cell_m / bin_size_m))
 
 

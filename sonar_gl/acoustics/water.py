@@ -54,7 +54,8 @@ def absorption_francois_garrison(frequency_hz, temperature_c, salinity_psu, dept
 def absorption_ainslie_mccolm(frequency_hz, temperature_c, salinity_psu, depth_m, ph):
     """Return the absorption of sound in sea water by Ainslie and McColm, dB per metre, one way, float64.
 
-    It is simpler than `absorption_francois_garrison` and within 10 % of it. All arguments broadcast.
+    It is simpler than `absorption_francois_garrison`, and within 10 % of it from 100 kHz to 3 MHz in water of −2 to
+    30 °C, fresh to 40, down to 1 km. All arguments broadcast.
 
     Parameters
     ----------
@@ -251,21 +252,33 @@ class Water:
         return replace(self, **values)
 
     def absorption(self, frequency_hz: float) -> float:
-        """Return the absorption α at a frequency, dB per metre, one way."""
+        """Return the absorption α at a frequency, hertz: dB per metre, one way.
+
+        >>> round(Water(temperature_c=4.0, salinity_psu=8.0, ph=7.9).absorption(900e3), 3)
+        0.334
+        """
         if self.absorption_db_m is not None:
             return float(self.absorption_db_m)
         properties = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)
         return float(ABSORPTION_FORMULAS[self.absorption_formula](frequency_hz, *properties))
 
     def sound_speed(self) -> float:
-        """Return the speed of sound c, metres per second."""
+        """Return the speed of sound c, metres per second.
+
+        >>> round(Water().sound_speed(), 2), Water(sound_speed_m_s=1450.0).sound_speed()
+        (1489.97, 1450.0)
+        """
         if self.sound_speed_m_s is not None:
             return float(self.sound_speed_m_s)
         properties = (self.temperature_c, self.salinity_psu, self.depth_m)
         return float(SOUND_SPEED_FORMULAS[self.sound_speed_formula](*properties))
 
     def wave_height_m(self) -> float:
-        """Return the rms height of the waves, metres; 0 if the wind is not given."""
+        """Return the rms height of the waves, metres; 0 if the wind is not given.
+
+        >>> round(Water(wind_speed_m_s=7.0).wave_height_m(), 2)
+        0.29
+        """
         return 0.0 if self.wind_speed_m_s is None else rms_wave_height_m(self.wind_speed_m_s)
 
 

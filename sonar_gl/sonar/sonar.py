@@ -251,7 +251,11 @@ class Sonar:
 
     @property
     def azimuth_rad(self) -> np.ndarray:
-        """Beam centres, (B,) float64, radians, rising, positive to port."""
+        """Beam centres, (B,) float64, radians, rising, positive to port.
+
+        >>> np.degrees(load_sonar("p900-45").azimuth_rad[[0, -1]]).round(3).tolist()
+        [-22.412, 22.412]
+        """
         if self.beam_azimuths_deg is not None:
             return np.radians(self.beam_azimuths_deg)
         if self.beam_spacing == "sine" and self.n_beams > 1:
@@ -274,7 +278,11 @@ class Sonar:
 
     @property
     def range_m(self) -> np.ndarray:
-        """Bin centres, (K,) float64, metres."""
+        """Bin centres, (K,) float64, metres.
+
+        >>> load_sonar("p900-45").range_m[:2].round(4).tolist()  # bins of 25.4 mm, from 0.5 m on
+        [0.5127, 0.5381]
+        """
         edges = self.bin_edges_m
         return (edges[1:] + edges[:-1]) / 2
 

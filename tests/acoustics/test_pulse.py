@@ -6,6 +6,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.acoustics.pulse import (
+    NEGLECTED_ENERGY,
     PULSE_TAPERS,
     amplitude_response,
     bin_weights,
@@ -51,16 +52,33 @@ def test_bin_weights_are_integrals_of_the_response(taper, bin_size_m):
     half_length = len(weights) // 2 + 0.5
     r = (np.arange(len(weights) * per_bin) + 0.5) / per_bin * bin_size_m - half_length * bin_size_m
     energy = power(r / NULL_M, taper).reshape(-1, per_bin).mean(1) * bin_size_m
-    assert 0.999 * total <= energy.sum() <= total * (1 + 1e-6)
+    assert (1 - NEGLECTED_ENERGY[taper]) * total <= energy.sum() <= total * (1 + 1e-6)
     np.testing.assert_allclose(
         weights / level, energy / energy.sum(), rtol=0, atol=2e-5
     )  # error of the midpoint rule
 
 
 def test_coarse_bins_contain_nearly_the_whole_pulse():
-    """The side lobes of sinc² beyond half a bin, x = 10 c/2B, have 1/(π² x) of the energy."""
+    """The side lobes of sinc² beyond half a bin, x = 10 c/2B, have 1/(π² x) of the energy.
+
+    Those of Hamming's response have (0.08 / 0.54)² times the power, by the step at the ends of the spectrum.
+    """
     assert bin_weights(20 * NULL_M, BANDWIDTH_HZ).max() == pytest.approx(1 - 1 / (np.pi**2 * 10), abs=1e-3)
-    assert bin_weights(20 * NULL_M, BANDWIDTH_HZ, "hamming").tolist() == [1.0]
+    outside = (0.08 / 0.54) ** 2 / (np.pi**2 * 10) / (resolution_cell_m(BANDWIDTH_HZ, "hamming") / NULL_M)
+    assert bin_weights(20 * NULL_M, BANDWIDTH_HZ, "hamming").max() == pytest.approx(1 - outside, abs=1.1e-4)
+    assert bin_weights(40 * NULL_M, BANDWIDTH_HZ, "hamming").tolist() == [1.0]
+
+
+@pytest.mark.parametrize("taper", PULSE_TAPERS)
+@pytest.mark.parametrize("ratio", [0.1, 0.25, 1.0, 1.36])
+def test_side_lobes_are_kept_down_to_50_db(taper, ratio):
+    """What `bin_weights` leave out is weaker than −50 dB of the peak, and what they keep is not much weaker."""
+    weights = bin_weights(ratio * NULL_M, BANDWIDTH_HZ, taper, SPEED_M_S)
+    reach = ratio * len(weights) / 2  # in c/2B
+    x = np.linspace(0, 200, 400_001)
+    # the last bin ends within a bin of the place at which the envelope is there
+    assert power(x[x > reach], taper).max() < 1.05e-5
+    assert power(x[(x > 0.9 * reach) & (x < reach)], taper).max() > 0.9e-5
 
 
 @pytest.mark.parametrize("taper", PULSE_TAPERS)

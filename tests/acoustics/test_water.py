@@ -68,6 +68,13 @@ def test_depth_term_of_ainslie_mccolm_is_divided_by_17_km():
     assert deep / flat == pytest.approx(np.exp(-1 / 17), rel=1e-12)  # fresh water has no other term
 
 
+def test_the_formulas_of_absorption_agree_within_10_percent_in_the_upper_sea():
+    places = np.linspace(-2, 30, 9), np.linspace(0, 40, 5), np.linspace(0, 1000, 3)
+    waters = np.meshgrid(np.geomspace(1e5, 3e6, 16), *places, indexing="ij")
+    ratio = absorption_ainslie_mccolm(*waters, 8.0) / absorption_francois_garrison(*waters, 8.0)
+    assert np.abs(ratio - 1).max() < 0.1
+
+
 def test_absorption_broadcasts_its_arguments():
     assert absorption_francois_garrison(np.ones((3, 1)) * 9e5, np.ones(4), 35, 0, 8).shape == (3, 4)
 
