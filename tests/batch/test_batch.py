@@ -185,6 +185,28 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
     ]
 
 
+def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
+    """With all bits of the mantissa, bit for bit."""
+    path = write_plain_job(tmp_path, 2, 2, "[arrays]\nmantissa_bits = 23")
+    make_all(path, tmp_path / "out")
+    data = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    sonar, acoustics, noise = (
+        kind(**json.loads(data.attrs[name]))
+        for kind, name in ((sg.Sonar, "specification"), (sg.Acoustics, "acoustics"), (sg.Noise, "noise"))
+    )
+    for n in range(2):
+        sampling = sg.Sampling(float(data.columns_per_beam[n]), int(data.rows[n]))
+        with sg.Simulator(sg.load_scene(tmp_path / "tank.sdf"), sonar, acoustics, sampling) as simulator:
+            ping = simulator.ping(
+                data.pose[n].values,
+                noise,
+                int(data.attrs["noise_seed"]),
+                ping_number=n,
+                time_s=float(data.time_s[n]),
+            )
+        assert np.array_equal(ping.intensity, data.intensity[n])
+
+
 def test_varied_values_are_stored(small, requests):
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
     n_present = 0
