@@ -731,7 +731,7 @@ def test_the_page_of_batches_states_the_keys_of_the_outputs():
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
-    ("seed = 5", "only = []", "only: list should have at least 1 item"),
+    ("seed = 5", "only = []", "only: should have a length of at least 1 (got []"),
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
     ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
@@ -740,7 +740,7 @@ BAD = [
     ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
-    ("mount = [0.0,", "mount = [", "sonars[1].mount: list should have at least 6 items"),
+    ("mount = [0.0,", "mount = [", "sonars[1].mount: should have a length of at least 6 (got "),
     ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
     ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
     (
