@@ -1073,6 +1073,18 @@ MUTATIONS = (
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
     ),
     Mutation(
+        "live/home of a model",
+        "else model_from_world @ thing.pose",
+        "else thing.pose",
+        ("test_message_inputs",),
+    ),
+    Mutation(
+        "live/model without bodies",
+        "if inside: self._followers[model]",
+        "if True: self._followers[model]",
+        ("test_message_inputs",),
+    ),
+    Mutation(
         "cli/handler that stays",
         "signal.signal(signal.SIGTERM, before)",
         "signal.signal(signal.SIGTERM, signal.SIG_IGN)",

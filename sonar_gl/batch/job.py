@@ -24,6 +24,11 @@ from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
+# errors of pydantic about the length of a list
+LENGTHS = {
+    "too_short": "should have a length of at least {min_length}",
+    "too_long": "should have a length of at most {max_length}",
+}
 # keys of former versions: what stands in their place
 REPLACED = {
     "scale": 'counts = { law = "db" }, or { law = "power", exponent = 1 } for a linear scale',
@@ -342,6 +347,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
         return f"{key_path(place)} must be given"
     text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
     text = text[:1].lower() + text[1:]
+    if error["type"] in LENGTHS:
+        text = LENGTHS[error["type"]].format(**error["ctx"])
     if "(got " in text or not error["loc"]:
         return f"{key_path(place)}: {text}"
     got, cure = error["input"], _cure(kind, error["loc"])

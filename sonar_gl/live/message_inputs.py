@@ -10,7 +10,7 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from sonar_gl.batch.ros_messages import MAX_TIME_S, message_types
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
-from sonar_gl.scene.scene import Body
+from sonar_gl.scene.scene import Scene
 
 logger = logging.getLogger(__name__)
 
@@ -197,30 +197,40 @@ class FrameInput:
 
 
 class BodiesInput:
-    """The poses of bodies by tf2_msgs/TFMessage: the child frame is the name of a body.
+    """The poses of bodies by tf2_msgs/TFMessage: the child frame is the name of a body, or of a model of the scene.
 
-    Bodies such as `pylon::column`, which readers of scenes make of shapes of `pylon` that are smoother, move with it.
+    Bodies such as `pylon::column`, which readers of scenes make of shapes of `pylon` that are smoother, move with it;
+    and so does with a model all that is in it.
 
     Parameters
     ----------
     topic : of the messages
-    bodies : of the scene
+    scene : Scene
     world : frame that poses must be in
     refused : counts what is wrong
     """
 
-    def __init__(self, topic: str, bodies: Iterable[Body], world: str, refused: RefusedMessages):
+    def __init__(self, topic: str, scene: Scene, world: str, refused: RefusedMessages):
         self._topic, self._world, self._refused = topic, world, refused
-        bodies = list(bodies)
-        self._names = {
+        # what moves with a frame: names, and (4, 4) frame_from_body
+        self._followers: dict[str, list[tuple[str, np.ndarray]]] = {
             body.name: [
-                other.name
-                for other in bodies
+                (other.name, np.eye(4))
+                for other in scene.bodies
                 if other is body
                 or (other.name.startswith(f"{body.name}::") and np.array_equal(other.pose, body.pose))
             ]
-            for body in bodies
+            for body in scene.bodies
         }
+        for model, home in scene.models.items():
+            model_from_world = np.linalg.inv(home)
+            inside = [
+                (thing.name, np.eye(4) if np.array_equal(thing.pose, home) else model_from_world @ thing.pose)
+                for thing in (*scene.bodies, *scene.plumes)
+                if thing.name == model or thing.name.startswith(f"{model}::")
+            ]
+            if inside:
+                self._followers[model] = inside
         self._moved: dict[str, np.ndarray] = {}
         self._lock = threading.Lock()
 
@@ -228,14 +238,14 @@ class BodiesInput:
         """Take a message; what is wrong with one transform leaves the others in force."""
         for child, link in _transforms(data, self._topic, self._refused):
             with self._refused.counting(self._topic):
-                if child not in self._names:
+                if child not in self._followers:
                     raise RefusedError(
                         "no body", f"child frames must be names of bodies (got {shown(child)})"
                     )
                 _check_world(link.header.frame_id, self._world)
                 matrix = _matrix(link.transform.translation, link.transform.rotation)
                 with self._lock:
-                    self._moved |= dict.fromkeys(self._names[child], matrix)
+                    self._moved |= {name: matrix @ place for name, place in self._followers[child]}
 
     def take(self) -> dict[str, np.ndarray]:
         """Return the poses that came since the last call, (4, 4) world_from_body by name."""

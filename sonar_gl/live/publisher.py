@@ -207,7 +207,7 @@ class Publisher:
             poses = PoseInput(source.name, msgtype, settings.world_frame, self._refused)
             self._subscribe(source.name, msgtype, poses)
         if settings.bodies_from is not None:
-            bodies = BodiesInput(settings.bodies_from, scene.bodies, settings.world_frame, self._refused)
+            bodies = BodiesInput(settings.bodies_from, scene, settings.world_frame, self._refused)
             self._subscribe(settings.bodies_from, POSE_SOURCES["tf"], bodies, depth=TF_DEPTH)
         return poses, bodies
 

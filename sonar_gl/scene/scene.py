@@ -189,11 +189,13 @@ class Scene:
     surface_roughness_m : rms height of the surface's waves, metres; at 900 kHz a millimetre is enough to
         leave no coherent reflection
     sensors : SonarSensor objects, the one at `sonar_pose` first
+    models : names to (4, 4) world_from_model, of models whose bodies and plumes are named `model` or `model::part`
 
     Attributes
     ----------
     bodies, plumes : tuples of Body and of Bubbles
     sensors : tuple of SonarSensor: the sensors of the scene's file that stand for sonars
+    models : dict, the models of the scene's file
 
     Raises
     ------
@@ -209,6 +211,7 @@ class Scene:
         surface_z_m: float | None = None,
         surface_roughness_m: float = 1e-4,
         sensors: Iterable[SonarSensor] = (),
+        models: dict | None = None,
     ):
         things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
         for thing in things:
@@ -217,6 +220,11 @@ class Scene:
         self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         self.name, self.sensors = name, tuple(sensors)
+        check_kind("models of a scene", models or {}, dict, "those of another scene are `scene.models`")
+        self.models = {
+            model: check_pose(where, f"the pose of model {model!r}")
+            for model, where in (models or {}).items()
+        }
         for sensor in self.sensors:
             check_kind(
                 "a sensor of a scene", sensor, SonarSensor, "those of another scene are `scene.sensors`"
@@ -266,7 +274,9 @@ class Scene:
 
     def _with(self, things, *surface_z_m: float | None) -> Scene:
         (height_m,) = surface_z_m or (self.surface_z_m,)
-        return Scene(things, self.sonar_pose, self.name, height_m, self.surface_roughness_m, self.sensors)
+        return Scene(
+            things, self.sonar_pose, self.name, height_m, self.surface_roughness_m, self.sensors, self.models
+        )
 
     def _matching(self, patterns) -> set[str]:
         names, found = [thing.name for thing in (*self.bodies, *self.plumes)], set()

@@ -185,6 +185,28 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
     ]
 
 
+def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
+    """With all bits of the mantissa, bit for bit."""
+    path = write_plain_job(tmp_path, 2, 2, "[arrays]\nmantissa_bits = 23")
+    make_all(path, tmp_path / "out")
+    data = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    sonar, acoustics, noise = (
+        kind(**json.loads(data.attrs[name]))
+        for kind, name in ((sg.Sonar, "specification"), (sg.Acoustics, "acoustics"), (sg.Noise, "noise"))
+    )
+    for n in range(2):
+        sampling = sg.Sampling(float(data.columns_per_beam[n]), int(data.rows[n]))
+        with sg.Simulator(sg.load_scene(tmp_path / "tank.sdf"), sonar, acoustics, sampling) as simulator:
+            ping = simulator.ping(
+                data.pose[n].values,
+                noise,
+                int(data.attrs["noise_seed"]),
+                ping_number=n,
+                time_s=float(data.time_s[n]),
+            )
+        assert np.array_equal(ping.intensity, data.intensity[n])
+
+
 def test_varied_values_are_stored(small, requests):
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
     n_present = 0
@@ -709,7 +731,7 @@ def test_the_page_of_batches_states_the_keys_of_the_outputs():
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
-    ("seed = 5", "only = []", "only: list should have at least 1 item"),
+    ("seed = 5", "only = []", "only: should have a length of at least 1 (got []"),
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
     ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
@@ -718,7 +740,7 @@ BAD = [
     ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
-    ("mount = [0.0,", "mount = [", "sonars[1].mount: list should have at least 6 items"),
+    ("mount = [0.0,", "mount = [", "sonars[1].mount: should have a length of at least 6 (got "),
     ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
     ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
     (

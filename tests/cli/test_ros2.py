@@ -209,7 +209,7 @@ def test_a_wrong_domain_of_the_environment_is_told(transports, monkeypatch):
         ("[topics]\nfan = '/a'", "topics: unknown key (got 'fan'"),
         ("rate = '5'", "rate: should be a valid number (got '5')"),
         ("transport = ['mqtt']", "transport[0]: should be 'dds', 'zenoh' or 'foxglove' (got 'mqtt')"),
-        ("mount = [1, 2]", "mount: list should have at least 6 items"),
+        ("mount = [1, 2]", "mount: should have a length of at least 6 (got [1"),
         ("[foxglove]\nport = 70000", "foxglove.port: should be less than or equal to 65535 (got 70000"),
         ("rate = ", "the file of --config must be TOML"),
         ("world_frame = '/a'", "world_frame must be the name of a frame"),

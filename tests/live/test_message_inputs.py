@@ -20,7 +20,8 @@ from sonar_gl.live.message_inputs import (
     PoseInput,
     RefusedMessages,
 )
-from sonar_gl.scene.scene import Body
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.scene import Body, Scene
 from tests.support.pose_messages import odometry, pose_stamped, transforms
 
 PLACE = pose(3, -2, -5, 0.1, -0.2, 2.0)
@@ -130,7 +131,7 @@ def test_the_number_of_frames_has_a_bound(refused, monkeypatch):
 
 
 def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
-    bodies = BodiesInput("/bodies", bodies_at("ball", "wall"), "world", refused)
+    bodies = BodiesInput("/bodies", Scene(bodies_at("ball", "wall")), "world", refused)
     wrong = 2 * np.eye(4)
     bodies.receive(
         transforms(
@@ -151,11 +152,29 @@ def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
 def test_shapes_of_a_body_move_with_it_and_other_links_do_not(refused):
     other_link = bodies_at("pylon::arm", placed=pose(1, 0, 0))
     scene = [*bodies_at("pylon", "pylon::column", "pylon_2::column", "pylon_2"), *other_link]
-    bodies = BodiesInput("/bodies", scene, "world", refused)
+    bodies = BodiesInput("/bodies", Scene(scene), "world", refused)
     bodies.receive(transforms(("world", "pylon", PLACE)))
     assert list(bodies.take()) == ["pylon", "pylon::column"]
     bodies.receive(transforms(("world", "pylon::arm", PLACE)))
     assert list(bodies.take()) == ["pylon::arm"] and refused.total == 0
+
+
+def test_all_of_a_model_moves_with_it(refused):
+    """As a simulator says where a model of several links is; `moved` is what the world has in it."""
+    home, bubbles = pose(10, 0, 0, yaw=np.pi / 2), Bubbles("rov::bubbles", pose(10, 0, 1))
+    links = [*bodies_at("rov::hull", placed=home), *bodies_at("rov::arm", placed=pose(10, 2, 0))]
+    beside = bodies_at("rov_2", "rov_2::arm")
+    scene = Scene([*links, *beside, bubbles], models={"rov": home, "away": home})
+    bodies = BodiesInput("/bodies", scene.without("rov_2::arm"), "world", refused)
+    bodies.receive(transforms(("world", "rov", pose(0, 0, 5)), ("world", "away", PLACE)))
+    moved = bodies.take()
+    assert list(moved) == ["rov::hull", "rov::arm", "rov::bubbles"]
+    np.testing.assert_array_equal(moved["rov::hull"], pose(0, 0, 5))
+    np.testing.assert_allclose(moved["rov::arm"], pose(2, 0, 5, yaw=-np.pi / 2), atol=ROUNDING)
+    np.testing.assert_allclose(moved["rov::bubbles"], pose(0, 0, 6, yaw=-np.pi / 2), atol=ROUNDING)
+    assert refused.by_kind() == {("/bodies", "no body"): 1}
+    bodies.receive(transforms(("world", "rov::arm", PLACE)))
+    assert list(bodies.take()) == ["rov::arm"]
 
 
 def test_the_clock_gives_each_time_once(refused):
@@ -193,7 +212,10 @@ def test_wrong_messages_neither_raise_nor_stall(count, refused):
         (PoseInput("/odom", ODOMETRY, "world", refused), odometry(PLACE)),
         (PoseInput("/pose", STAMPED, "world", refused), pose_stamped(PLACE)),
         (FrameInput("base_link", "world", refused), transforms(("world", "base_link", PLACE))),
-        (BodiesInput("/bodies", bodies_at("ball"), "world", refused), transforms(("world", "ball", PLACE))),
+        (
+            BodiesInput("/bodies", Scene(bodies_at("ball")), "world", refused),
+            transforms(("world", "ball", PLACE)),
+        ),
         (ClockInput("/clock", refused), types.encode(types.clock(10**9))),
     ]
     slowest_s = 0.0

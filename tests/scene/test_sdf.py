@@ -208,6 +208,19 @@ def test_a_body_with_the_name_of_its_model_has_its_pose(read):
     np.testing.assert_allclose(scene.plumes[0].pose[:3, 3], [10, 1, 3], atol=ROUNDING)
 
 
+def test_the_poses_of_models_are_kept(tmp_path, read):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    inside = MERGE.format("<pose>0 0 2 0 0 0</pose>") + model("<pose>1 0 0 0 0 0</pose>" + link(), "inner")
+    scene = read(model("<pose>10 0 0 0 0 0</pose>" + inside, "rov") + model("", "empty"))
+    places = {name: matrix[:3, 3].tolist() for name, matrix in scene.without("rov::hand").models.items()}
+    assert places == {
+        "rov": [10, 0, 0],
+        "rov::tool": [10, 2, 3],
+        "rov::inner": [11, 0, 0],
+        "empty": [0, 0, 0],
+    }
+
+
 def test_a_body_with_the_name_of_its_link_has_its_pose(read):
     links = "".join(f"<link name='{k}'><pose>{k} 0 3 0 0 0</pose>{shape(RETRO)}</link>" for k in (1, 2))
     scene = read(model(f"<pose>10 0 0 0 0 0</pose>{links}"))

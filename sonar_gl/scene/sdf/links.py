@@ -59,6 +59,20 @@ class Link:
         return np.linalg.inv(self.scope.find(self.name, self.location)) @ in_scope
 
 
+def models_of(
+    scope: Scope, world_from_scope: np.ndarray, model: str = ""
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield name and (4, 4) world_from_model of every model in a scope; parameters as for `links_of`."""
+    for name, frame in scope.frames.items():
+        if frame.scope is None:
+            continue
+        world_from_inner, inner = world_from_scope @ scope.find(name, frame.location), model
+        if name not in scope.merged:
+            inner = f"{model}::{name}" if model else name
+            yield inner, world_from_inner
+        yield from models_of(frame.scope, world_from_inner, inner)
+
+
 def links_of(
     scope: Scope, world_from_model: np.ndarray, model: str = "", model_from_scope: np.ndarray = IDENTITY
 ) -> Iterator[Link]:

@@ -13,7 +13,7 @@ from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
 from sonar_gl.scene.sdf.frames import Frame, Scope
-from sonar_gl.scene.sdf.links import Link, links_of
+from sonar_gl.scene.sdf.links import Link, links_of, models_of
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
@@ -141,9 +141,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             f'Gazebo; if they are degrees, write <pose degrees="true"> ({some_names(places)})'
         )
     with errors_at(str(path)):
-        return Scene(
-            [*bodies, *plumes], sensors[0].pose if sensors else None, name, **surface, sensors=sensors
-        )
+        sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
+        return Scene([*bodies, *plumes], sonar_pose, name, **surface, sensors=sensors, models=models)
 
 
 def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
