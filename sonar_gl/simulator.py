@@ -90,8 +90,8 @@ class Simulator:
 
     @property
     def scene(self) -> Scene:
-        """The scene, with all bodies that were added to it."""
-        return self.world.scene
+        """The scene, with all bodies that were added to it, as they were given."""
+        return self.world.given_scene
 
     @property
     def sampling(self) -> Sampling:

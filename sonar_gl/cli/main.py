@@ -19,8 +19,9 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, ENGINE, HELP, PING_OPTIONS, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, HELP, PING_OPTIONS, PathText, option, ping_options
 from sonar_gl.cli.output import echo
+from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
@@ -104,10 +105,10 @@ Examples:
 
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
-@click.argument("scene")
+@click.argument("scene", type=PathText())
 @option("sonar", show_default="the scene's, or p900-45")
 @option("pose", show_default="the scene's")
-@option("poses")
+@option("poses", type=PathText())
 @option("range", type=float)
 @option("bins", type=int)
 @option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
@@ -132,12 +133,12 @@ Examples:
 @option("fps", type=float, default=10.0)
 @option("labels", is_flag=True)
 @option("label_level", type=float, show_default="what the display shows")
-@option("resource_path", multiple=True)
+@option("resource_path", multiple=True, type=PathText())
 @option("skip_missing", is_flag=True)
 @option("without", multiple=True)
 @option("only", multiple=True)
 @option("surface", type=float, show_default="the scene's")
-@option("out", default=".")
+@option("out", default=".", type=PathText())
 @click.pass_context
 def render(ctx, scene, **options):
     """Make pings of SCENE, a bundled scene (`sonar-gl scenes` lists them) or a file, and pictures of them.
@@ -160,7 +161,7 @@ Exit status: 0 the tolerance was kept, 1 it was not, 2 a mistake in the command 
 
 
 @main.command(epilog=VERIFY_EPILOG, short_help="Say how far a ping is from the truth.")
-@ping_options(height={"type": int, "default": 600}, out={"default": "."})
+@ping_options(height={"type": int, "default": 600}, out={"default": ".", "type": PathText()})
 @click.pass_context
 def verify(ctx, scene, **options):
     """Compare a ping of SCENE with the same integral by millions of rays, and draw the difference.
@@ -188,7 +189,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 
 
 @main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
-@ping_options(poses={})
+@ping_options(poses={"type": PathText()})
 @click.pass_context
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
@@ -222,8 +223,8 @@ Ctrl-C.
 
 
 @main.command(epilog=BATCH_EPILOG, short_help="Make a data set of many pings, from a job file.")
-@click.argument("job", required=False)
-@option("out", default=None, show_default="named after the job")
+@click.argument("job", required=False, type=PathText())
+@option("out", default=None, type=PathText(), show_default="named after the job")
 @click.option(
     "--dry-run", is_flag=True, help="Report what would be made, its size and time, after making a part."
 )
@@ -234,7 +235,9 @@ Ctrl-C.
     is_flag=True,
     help="Make pings also with other OpenGL or libraries than those that began the batch.",
 )
-@click.option("--check", metavar="DIR", help="Compare the files of a batch with their checksums.")
+@click.option(
+    "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
+)
 @click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
 @option("engine", **ENGINE)
 @click.option(
@@ -291,7 +294,7 @@ Examples:
 
 @main.command(epilog=VIEW_EPILOG, short_help="Move a sonar through a scene in the browser.")
 @ping_options(
-    poses={},
+    poses={"type": PathText()},
     noise={"default": "physical"},
     tolerance={"type": float, "default": 0.05},
     counts={"show_default": "the sonar's"},
@@ -302,8 +305,8 @@ Examples:
     host={"default": "127.0.0.1"},
     port={"type": click.IntRange(0, 65535), "default": 8080},
     duration={"type": float, "show_default": "until Ctrl-C"},
-    job={"type": click.Path(path_type=Path)},
-    out={"default": "sonar_out"},
+    job={"type": PathText()},
+    out={"default": "sonar_out", "type": PathText()},
     json=None,
 )
 def view(scene, **options):
@@ -328,14 +331,16 @@ Examples:
 @click.option(
     "--report",
     "report_path",
-    type=click.Path(path_type=Path),
+    type=PathText(),
     metavar="FILE.json",
     help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
     "scenes, to send it in.",
 )
 @option("device", **DEVICE)
-@click.option("--scene", metavar="SCENE", help="Say what this scene holds; check nothing else.")
-@option("resource_path", multiple=True)
+@click.option(
+    "--scene", type=PathText(), metavar="SCENE", help="Say what this scene holds; check nothing else."
+)
+@option("resource_path", multiple=True, type=PathText())
 @option("skip_missing", is_flag=True)
 @option("without", multiple=True)
 @option("only", multiple=True)
@@ -358,10 +363,12 @@ def doctor(ctx, report_path, scene, **options):
     for name in options:
         if ctx.get_parameter_source(name).name == "COMMANDLINE":
             raise Error(f"--{name.replace('_', '-')} needs --scene (it says how a scene is read)")
+    if report_path is not None:
+        check_output_file(Path(report_path))  # before the work, which takes a minute
     found = cli.doctor.examine()
     echo(cli.doctor.report_text(found))
     if report_path is not None:
-        cli.doctor.write_report(report_path, found)
+        cli.doctor.write_report(Path(report_path), found)
         echo(f"wrote {report_path}")
     ctx.exit(1 if any(finding.ok is False for finding in found) else 0)
 
@@ -389,6 +396,7 @@ def _emulate_options(**more):
         "without",
     )
     options = {name: PING_OPTIONS.get(name, {}) for name in (*names, "only", "surface")}
+    options |= {"poses": {"type": PathText()}}
     options |= {"noise": {"default": "physical"}, "tolerance": {"type": float, "default": 0.05}}
     options |= {"seed": {"type": int, "default": 0}, "host": {"default": "127.0.0.1"}}
     options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
@@ -397,7 +405,7 @@ def _emulate_options(**more):
     def decorate(command):
         for name in reversed([name for name in HELP if name in options]):
             command = option(name, **options[name])(command)
-        return click.argument("scene")(command)
+        return click.argument("scene", type=PathText())(command)
 
     return decorate
 
@@ -444,7 +452,7 @@ ROS2_OPTIONS = {
     "tolerance": {"type": float, "default": 0.05},
     "seed": {"type": int, "default": 0},
     "duration": {"type": float, "show_default": "until Ctrl-C"},
-    "config": {"type": click.Path(path_type=Path), "metavar": "FILE.toml"},
+    "config": {"type": PathText(), "metavar": "FILE.toml"},
     "transport": {
         "type": click.Choice(("dds", "zenoh", "foxglove")),
         "multiple": True,
@@ -460,7 +468,7 @@ ROS2_OPTIONS = {
 
 
 @main.command(epilog=ROS2_EXAMPLES, short_help="Publish live topics of ROS 2, without ROS.")
-@ping_options(poses={}, json=None, **ROS2_OPTIONS)
+@ping_options(poses={"type": PathText()}, json=None, **ROS2_OPTIONS)
 @click.pass_context
 def ros2(ctx, scene, **options):
     """Publish the pings of a sonar in SCENE as live topics of ROS 2: images, point clouds, frames and the clock.

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 
 import click
 
+from sonar_gl.core.errors import Error
+
 POSE = '"x y z roll pitch yaw", metres and radians'
 HELP = {
     "sonar": "Preset (`sonar-gl sonars` lists them) or .toml file; may go on with changes: p900-45,bandwidth_hz=30e3.",
@@ -61,6 +63,19 @@ HELP = {
 }
 
 
+class PathText(click.ParamType):
+    """The text of a path, in which ~ is the home folder: a shell leaves it as it is in `--out=~/pings`."""
+
+    name = "path"
+
+    def convert(self, value, param, ctx):
+        """Return the path; an `Error` for an empty text, which would be that of the working directory."""
+        if value == "":
+            what = param.opts[0] if param.opts[0].startswith("-") else param.human_readable_name
+            raise Error(f"{what} must be a path (got an empty text; is a variable of the shell empty?)")
+        return os.path.expanduser(value)
+
+
 def option(name: str, *choices: str, **settings):
     """Return a click option with its help; `formats` becomes --format, other names stay as they are."""
     flag = "--format" if name == "formats" else "--" + name.replace("_", "-")
@@ -111,7 +126,7 @@ PING_OPTIONS = {
     "tolerance": {"type": float, "default": 0.01},
     "engine": ENGINE,
     "device": DEVICE,
-    "resource_path": {"multiple": True},
+    "resource_path": {"multiple": True, "type": PathText()},
     "skip_missing": {"is_flag": True},
     "without": {"multiple": True},
     "only": {"multiple": True},
@@ -130,6 +145,6 @@ def ping_options(**more):
     def decorate(command):
         for name in reversed([name for name in HELP if name in settings]):
             command = option(name, **settings[name])(command)
-        return click.argument("scene")(command)
+        return click.argument("scene", type=PathText())(command)
 
     return decorate

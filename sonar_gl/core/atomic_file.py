@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import read_error_text
+from sonar_gl.core.input_files import describe_kind, read_error_text
 
 
 def temporary_path(path: Path) -> Path:
@@ -24,6 +24,43 @@ def describe_os_error(why: OSError, folder: Path) -> str:
     return read_error_text(why)
 
 
+def check_output_file(path: Path) -> None:
+    """Raise an `Error` unless a file can be written at a path; for work that takes long before it writes."""
+    with _writing(path):
+        trial = temporary_path(path)
+        try:
+            trial.write_bytes(b"sonar")
+        finally:
+            trial.unlink(missing_ok=True)
+
+
+def check_output_folder(path: Path) -> None:
+    """Raise an `Error` unless files can be written into a folder, or it can be made. It is not made."""
+    nearest = next(one for one in (path, *path.parents) if os.path.lexists(one) or one == one.parent)
+    if not nearest.is_dir():
+        why = f"{str(nearest)!r} is not a folder"
+    elif not os.access(nearest, os.W_OK | os.X_OK):
+        why = "permission denied"
+    else:
+        return
+    raise Error(f"cannot write into the folder {str(path)!r}: {why}")
+
+
+@contextmanager
+def _writing(path: Path):
+    """Have the errors of a block that writes a file be an `Error`; refuse a path that can be none at once."""
+    if not path.parent.is_dir():
+        what = "is not a folder" if path.parent.exists() else "does not exist"
+        raise Error(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} {what}")
+    if path.exists() and not path.is_file():  # renaming would replace a pipe, or /dev/null
+        got = describe_kind(path.stat().st_mode)
+        raise Error(f"cannot write {str(path)!r}: must be the name of a file (got {got})")
+    try:
+        yield
+    except OSError as why:
+        raise Error(f"cannot write {str(path)!r}: {describe_os_error(why, path.parent)}") from None
+
+
 @contextmanager
 def atomic_write(path: Path):
     """Yield a temporary path to write to; the block's end renames it to `path`, an exception removes it.
@@ -31,16 +68,12 @@ def atomic_write(path: Path):
     Raises
     ------
     Error
-        if the folder does not exist, or the file cannot be written.
+        if the folder does not exist, something else than a file is there, or the file cannot be written.
     """
-    if not path.parent.is_dir():
-        what = "is not a folder" if path.parent.exists() else "does not exist"
-        raise Error(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} {what}")
-    temporary = temporary_path(path)
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as why:
-        raise Error(f"cannot write {str(path)!r}: {describe_os_error(why, path.parent)}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    with _writing(path):
+        temporary = temporary_path(path)
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)

@@ -55,17 +55,24 @@ def check_kind_of_file(path, pipe: bool = False) -> None:
     if stat.S_ISREG(mode):
         _check_not_git_lfs(path)
         return
-    is_open_pipe = stat.S_ISFIFO(mode) and not os.path.exists(os.path.realpath(path))
+    is_pipe = stat.S_ISFIFO(mode)
+    is_open_pipe = is_pipe and not os.path.exists(os.path.realpath(path))
     if pipe and is_open_pipe:
         return
-    cure = ""
-    if stat.S_ISDIR(mode):
-        got = "a folder"
-    elif stat.S_ISFIFO(mode):
-        got, cure = "a pipe" if is_open_pipe else "a named pipe", "; write its content to a file first"
-    else:
-        got = "a socket" if stat.S_ISSOCK(mode) else "a device"
-    raise Error(f"{path}: must be a file (got {got}{cure})")
+    got = "a pipe" if is_open_pipe else describe_kind(mode)
+    raise Error(
+        f"{path}: must be a file (got {got}{'; write its content to a file first' if is_pipe else ''})"
+    )
+
+
+def describe_kind(mode: int) -> str:
+    """Return what is at a path that is no regular file, by the mode of `os.stat`.
+
+    >>> describe_kind(os.stat("/dev/null").st_mode)
+    'a device'
+    """
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}
+    return kinds.get(stat.S_IFMT(mode), "a device")
 
 
 def _check_not_git_lfs(path) -> None:

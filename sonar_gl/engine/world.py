@@ -13,6 +13,7 @@ from sonar_gl.core.errors import Error, closed_error, nearest_names, other_proce
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.worker import SecondThread, ThreadLock
 from sonar_gl.raster.engine import RasterEngine, make_engine
+from sonar_gl.scene.kept_meshes import KeptMeshes
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
@@ -34,7 +35,8 @@ class World:
 
     Attributes
     ----------
-    scene : Scene, of all bodies that there are
+    given_scene : Scene, of all bodies as they were given
+    scene : the same with copies of their meshes, which stay as they are drawn
     engine : RasterEngine, with their meshes; None once it is given back
     thread : SecondThread, which all simulators share
     gl_info : names and limits of what draws
@@ -50,10 +52,12 @@ class World:
     ):
         self.engine: RasterEngine | None = None
         self._lock, self._process = ThreadLock(IN_USE), os.getpid()
-        self.scene, self._users, self.thread = scene, set(), SecondThread()
+        self._kept_meshes = KeptMeshes()
+        self.given_scene, self.scene = scene, self._kept_meshes.scene(scene)
+        self._users, self.thread = set(), SecondThread()
         self.n_changes = 0
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
-        self.engine = make_engine(scene, engine, device, context)
+        self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
         self._indices = _indices(scene)
 
@@ -166,13 +170,14 @@ class World:
         """Append bodies or plumes; inside `drawing`."""
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
-        scene = self.scene.with_more(bodies)
-        contents = self.engine.with_more([body for body in bodies if isinstance(body, Body)])
+        given_scene, kept = self.given_scene.with_more(bodies), self._kept_meshes.bodies(bodies)
+        scene = self.scene.with_more(kept)
+        contents = self.engine.with_more([body for body in kept if isinstance(body, Body)])
         plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
         plume_poses, indices = self._plume_poses | plume_poses, _indices(scene)
         # all in one step: an interrupt before it leaves the scene without these bodies
-        self.engine.contents, self.scene, self._plume_poses, self._indices = (
-            contents, scene, plume_poses, indices
+        self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
+            contents, given_scene, scene, plume_poses, indices
         )  # fmt: skip
         self.n_changes += bool(bodies)
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
-from sonar_gl.core.atomic_file import atomic_write
+from sonar_gl.core.atomic_file import atomic_write, check_output_folder
 from sonar_gl.core.errors import Error
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.files import output_folder, save_npz, save_png
@@ -37,7 +37,7 @@ class LiveOutput:
     Raises
     ------
     Error
-        if there is no such job file.
+        if there is no such job file, or nothing can be written into the folder.
     """
 
     def __init__(
@@ -48,6 +48,7 @@ class LiveOutput:
         job: str | Path | None = None,
     ):
         self._session, self._folder, self._source = session, Path(folder), source
+        check_output_folder(self._folder)
         self._job = None if job is None else Path(job)
         if self._job is not None:
             read_toml(self._job, "the job file")  # so that a wrong path is known at the start

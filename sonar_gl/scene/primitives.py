@@ -28,7 +28,8 @@ class Triangles(NamedTuple):
         """Return a trimesh.Trimesh with the same vertices and faces."""
         import trimesh  # takes half a second and 45 MB, and no ping needs it
 
-        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+        # copies, since a trimesh may be changed in place
+        return trimesh.Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
 
 
 class Shape(NamedTuple):

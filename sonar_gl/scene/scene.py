@@ -52,7 +52,7 @@ class Body:
     Parameters
     ----------
     name : unique in its scene
-    mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo. A simulator reads it when it takes
+    mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo. A simulator copies it when it takes
         the body: what is changed in it later acts on bodies that are added later
     pose : (4, 4) world_from_body; None is the identity
     reflectivity : μ, 0..1, 0.5 by default, or (F,), one value a face; or the name of a material, which also sets

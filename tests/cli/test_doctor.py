@@ -520,3 +520,24 @@ def test_the_pose_of_a_sonar_that_no_sensor_gives_is_shown(tmp_path):
     )
     status, out, _ = run("--scene", tmp_path / "m.xml")
     assert status == 0 and "pose      0 0 1.5 0 0 0" in out
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("nowhere/a.json", "cannot write 'nowhere/a.json': the folder 'nowhere' does not exist"),
+        ("folder", "cannot write 'folder': must be the name of a file (got a folder)"),
+        ("pipe", "cannot write 'pipe': must be the name of a file (got a named pipe)"),
+        ("/dev/null", "cannot write '/dev/null': must be the name of a file (got a device)"),
+        ("/proc/a.json", "cannot write '/proc/a.json': no such file or directory"),
+        ("", "--report must be a path (got an empty text; is a variable of the shell empty?)"),
+    ],
+)
+def test_a_report_that_cannot_be_written_is_told_before_the_work(tmp_path, monkeypatch, path, message):
+    """The work takes a minute; a named pipe, or /dev/null, was replaced by a file."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(doctor, "examine", lambda: pytest.fail("it works before it looks"))
+    Path("folder").mkdir()
+    os.mkfifo("pipe")
+    assert command_line.run("doctor", "--report", path) == (2, "", f"error: {message}\n")
+    assert sorted(os.listdir()) == ["folder", "pipe"]

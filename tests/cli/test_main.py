@@ -703,6 +703,24 @@ def test_output_folders_that_cannot_be():
     )
 
 
+def test_the_home_folder_is_found_where_the_shell_leaves_its_sign(folder, monkeypatch):
+    """A shell replaces the sign in `--out ~/x`, not in `--out=~/x`, which made a folder of the name ~."""
+    monkeypatch.setenv("HOME", str(folder / "home"))
+    Path("home").mkdir()
+    Path("dive.csv").rename("home/dive.csv")
+    out = render("--out=~/x", "--poses=~/dive.csv", "--format", "npz")
+    assert out.startswith(f"{folder}/home/x/tank_0000..0002.npz: ") and not Path("~").exists()
+
+
+@pytest.mark.parametrize("option", ["out", "poses", "resource-path"])
+def test_a_path_of_no_characters_is_refused(option):
+    """As of a variable of the shell that is not set; such a path was taken for the working directory."""
+    assert refused(f"--{option}", "") == (
+        f"--{option} must be a path (got an empty text; is a variable of the shell empty?)"
+    )
+    assert refused(scene="") == "SCENE must be a path (got an empty text; is a variable of the shell empty?)"
+
+
 def test_disk_full_and_permission_denied(monkeypatch):
     for number, reason in ((errno.ENOSPC, "no space left on device"), (errno.EACCES, "permission denied")):
 

@@ -1,6 +1,7 @@
 """Bodies that move, appear and disappear: a ping is that of a scene built with the same bodies."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -398,3 +399,58 @@ def test_deleting_one_sonar_does_not_affect_the_other():
     del second
     np.testing.assert_array_equal(first.ping(POSE).intensity, expected)
     first.close()
+
+
+@pytest.mark.parametrize("multipath", ["none", "coherent"])
+def test_a_mesh_that_is_changed_in_place_stays_as_it_was_when_its_body_was_taken(multipath):
+    """Also where it is read late: for the estimate of the error, reflectors, and why a ping has no echo."""
+    acoustics = replace(sg.Acoustics.ideal(), multipath=multipath)
+
+    def pings(change):
+        floor, ball = trimesh.creation.box((30, 30, 1)), trimesh.creation.icosphere(3, 0.3)
+        bodies = [sg.Body("floor", floor, sg.pose(0, 0, -2), 0.05), sg.Body("ball", ball, sg.pose(5, 0.5))]
+        more = trimesh.creation.box((0.2, 0.2, 0.2))
+        with sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=0.05) as it:
+            change(floor), change(ball)
+            found = [it.ping(POSE, labels=True)]
+            it.add(sg.Body("more", more, sg.pose(4, -0.5)))
+            change(more)
+            found += [it.ping(POSE, labels=True), *it.pings([POSE] * 3, labels=True)]
+            with pytest.warns(UserWarning, match="no echo came back") as caught:
+                it.ping(sg.pose(0, 0, 60))
+        return found, [str(one.message) for one in caught]
+
+    def change(mesh):
+        mesh.apply_scale(0.3)
+        mesh.vertices[:, 2] += 7.0
+
+    (found, texts), (expected, expected_texts) = pings(change), pings(lambda _: None)
+    for one, other in zip(found, expected, strict=True):
+        check_same(one, other)
+        assert one.error_estimate == other.error_estimate
+    assert texts == expected_texts
+
+
+def test_bodies_of_one_mesh_share_one_copy_of_it():
+    mesh = trimesh.creation.box((0.5, 0.5, 0.5))
+    with simulator([sg.Body(f"body {k}", mesh, sg.pose(5, k)) for k in range(3)]) as it:
+        it.add(sg.Body("body 3", mesh, sg.pose(6)))
+        mesh.apply_scale(2.0)
+        it.add(sg.Body("body 4", mesh, sg.pose(7)))
+        first, *others, last = [body.surface for body in it.world.scene.bodies]
+        assert all(one is first for one in others) and last is not first
+        assert np.ptp(first.vertices[:, 0]) == 0.5 and np.ptp(last.vertices[:, 0]) == 1.0
+        assert [body.mesh for body in it.scene.bodies] == [mesh] * 5  # those of the caller
+
+
+def test_the_mesh_of_a_body_from_a_file_may_be_changed_in_place():
+    """The trimesh is made when it is first read."""
+    scene = sg.load_scene("pylon")
+    with sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
+        kept = [body.surface for body in it.world.scene.bodies]
+        vertices = [surface.vertices.copy() for surface in kept]
+        for body in scene.bodies:
+            body.mesh.vertices[:] *= 0.5
+        for body, surface, before in zip(it.world.scene.bodies, kept, vertices, strict=True):
+            assert body.surface is surface
+            np.testing.assert_array_equal(surface.vertices, before)

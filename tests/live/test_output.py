@@ -352,8 +352,8 @@ def test_an_empty_recording_has_no_files(tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_is_an_error(scene, tmp_path):
-    (tmp_path / "file").write_text("")
     with LiveSession(scene, COARSE, START, folder=tmp_path / "file", source=SceneSource("pylon")) as session:
+        (tmp_path / "file").write_text("")  # one that was there before is told at the start
         for write in (
             session.output.start_recording,
             session.output.save_picture,
@@ -362,6 +362,8 @@ def test_a_folder_that_cannot_be_written_is_an_error(scene, tmp_path):
             with pytest.raises(sg.Error, match="cannot write into the folder"):
                 write()
         assert not session.output.is_recording
+    with pytest.raises(sg.Error, match="cannot write into the folder"):
+        LiveSession(scene, COARSE, START, folder=tmp_path / "file")
 
 
 def test_closing_a_session_finishes_its_recording(scene, tmp_path):

@@ -1,6 +1,7 @@
 """`sonar_gl.view` and `sonar-gl view`, before a page that stands for the real one."""
 
 import copy
+import os
 import pickle
 import sys
 import threading
@@ -68,6 +69,28 @@ def test_a_scene_of_ones_own_and_a_file_of_poses():
         assert opened.session.state().duration_s == 2.0
     with sg.view(scene, pose=sg.pose(1, 2, -4), block=False, tolerance=0.2) as opened:
         assert opened.session.pose.tolist() == sg.pose(1, 2, -4).tolist()
+
+
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [
+        ("file", "cannot write into the folder 'file': 'file' is not a folder"),
+        ("file/x/y", "cannot write into the folder 'file/x/y': 'file' is not a folder"),
+    ],
+)
+def test_a_folder_that_cannot_be_is_told_before_the_page_opens(pages, out, message):
+    """It was told after the first recording."""
+    Path("file").touch()
+    ran = run("view", "pylon", "--tolerance", "0.2", "--out", out)
+    assert ran.exit_code == 2 and f"error: {message}\n" in ran.output
+    assert pages == [] and not Path(out).is_dir()
+
+
+def test_a_folder_without_permission_is_told_before_the_page_opens(pages, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # tests may run as root, who may write anywhere
+    ran = run("view", "pylon", "--tolerance", "0.2", "--out", "new/deep")
+    assert ran.exit_code == 2 and pages == []
+    assert "error: cannot write into the folder 'new/deep': permission denied\n" in ran.output
 
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
