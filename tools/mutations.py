@@ -452,6 +452,12 @@ MUTATIONS = (
         (CHANGED_MESH,),
     ),
     Mutation(
+        "labels/faintest echoes",
+        "FAINTEST = np.float32(1e-37)",
+        "FAINTEST = np.float32(0.0)",
+        ("test_labels::test_echoes_whose_inverse_no_float32_holds_have_no_label",),
+    ),
+    Mutation(
         "labels/far side lobes",
         "self._weights.column_response if self._far is None else self._far.column_response",
         "self._weights.column_response",
