@@ -386,8 +386,8 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/gaps between beams",
-        "if len(received): near &= np",
-        "if False: near &= np",
+        "return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out",
+        "return out",
         ("test_adaptive::test_a_thin_body_between_two_beams_is_not_seen",),
     ),
     Mutation(
@@ -396,7 +396,13 @@ MUTATIONS = (
         "for row, column in [(0, 0)]",
         (CORNER,),
     ),
-    Mutation("hidden bodies/samples of its own", "| (body_id[beside] == number)", "", (HIDDEN,)),
+    Mutation("hidden bodies/samples of its own", "| is_own", "", (HIDDEN,)),
+    Mutation(
+        "hidden bodies/samples of its own beside the fan",
+        "is_own &= _in_a_beam(",
+        "_in_a_beam(",
+        ("test_adaptive::test_a_body_of_which_an_edge_reaches_into_the_fan_is_not_looked_for",),
+    ),
     Mutation(
         "visible bodies/gaps between beams",
         "if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:",
@@ -450,6 +456,12 @@ MUTATIONS = (
         "in (surface.vertices, surface.faces) if",
         "in (surface.vertices,) if",
         (CHANGED_MESH,),
+    ),
+    Mutation(
+        "labels/faintest echoes",
+        "FAINTEST = np.float32(1e-37)",
+        "FAINTEST = np.float32(0.0)",
+        ("test_labels::test_echoes_whose_inverse_no_float32_holds_have_no_label",),
     ),
     Mutation(
         "labels/far side lobes",

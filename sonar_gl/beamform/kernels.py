@@ -1080,6 +1080,8 @@ def sum_bodies(
 # one row after the other.
 TILE_BINS = 64
 TILE_ROW = MOMENTS * TILE_BINS
+# A fainter echo counts as none: a float32 holds neither its inverse nor its moments.
+FAINTEST = np.float32(1e-37)
 
 
 class Runs(NamedTuple):
@@ -1298,11 +1300,11 @@ def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
     at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
     share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
     for k in range(uint64(n)):
-        share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > nothing else nothing
+        share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > FAINTEST else nothing
     for k in range(uint64(n)):
-        strongest.body_id[b, k0 + k] = body_id[bins + k]
+        strongest.body_id[b, k0 + k] = body_id[bins + k] if best[at + k] > FAINTEST else np.int32(0)
     for k in range(uint64(TILE_BINS)):
-        best[at + k] = whole / best[at + k] if best[at + k] > nothing else np.float32(np.nan)
+        best[at + k] = whole / best[at + k] if best[at + k] > FAINTEST else np.float32(np.nan)
     for moment in range(uint64(MOMENTS - 1)):
         mine = at + (moment + uint64(1)) * uint64(TILE_BINS)
         for k in range(uint64(n)):

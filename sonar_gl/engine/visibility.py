@@ -137,32 +137,40 @@ def is_unobstructed(
     """Return whether some point of a body that few samples met, or none, lies in a beam, in front of others around it.
 
     Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
-    lie beside the fan. A point must lie in front of all nine, but for samples of the body itself: the corners of a body
-    in the place of another lie beside samples of that. `number` is that of the body in the samples.
+    lie beside the fan. A point must lie in front of all nine, but for samples of the body itself in a beam: the corners
+    of a body in the place of another lie beside samples of that. Samples of the body beside the fan show that only an
+    edge of it reaches in. `number` is that of the body in the samples.
     """
     faces = np.asarray(body.surface.faces)
     ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
     edges = (world - pose[:3, 3]) @ pose[:3, :3]
     for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
-        points = _points_within(sector, edges @ sector.rotation().T, sonar.range_max_m)
-        range_m = np.linalg.norm(points, axis=1)
-        x, y, z = points[(range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)].T
+        x, y, z = _points_within(sector, edges @ sector.rotation().T, sonar.range_max_m).T
         u, v, q = -y / x, z / x, 1 / x
-        near = sector.holds_elevation(u, v) & sector.is_received(u, v)
-        if len(received):
-            near &= np.searchsorted(received, u) % 2 == 1
-        lattice = np.linalg.inv([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
-        i, j = np.rint(lattice @ np.stack([u - sector.u[0], v - sector.v[0]])).astype(int)
-        inside = near & (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
-        q, i, j = q[inside], i[inside], j[inside]
-        in_front = np.ones(len(q), bool)
+        lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
+        origin = np.array([[sector.u[0]], [sector.v[0]]])
+        i, j = np.rint(np.linalg.inv(lattice) @ (np.stack([u, v]) - origin)).astype(int)
+        in_front = _in_a_beam(sector, u, v, q, sonar, received)
+        in_front &= (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
         for row, column in product((-1, 0, 1), repeat=2):
-            beside = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
-            in_front &= (q > plane_echo[beside][:, 0] * IN_FRONT) | (body_id[beside] == number)
+            at_j, at_i = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
+            there = plane_echo[at_j, at_i, 0].astype(np.float64)
+            is_own = body_id[at_j, at_i] == number
+            is_own &= _in_a_beam(sector, *(origin + lattice @ np.stack([at_i, at_j])), there, sonar, received)
+            in_front &= (q > there * IN_FRONT) | is_own
         if in_front.any():
             return True
     return False
+
+
+def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
+    """Return whether points, seen at (u, v) with 1/x = q, lie in the fan, the range and some beam."""
+    range_m = np.sqrt(1 + u * u + v * v) / np.maximum(q, 1e-30)
+    out = (range_m > sonar.range_min_m) & (range_m < sonar.range_max_m)
+    out &= sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
+    out &= sector.is_received(u, v)
+    return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
 
 
 def _points_within(sector: Sector, edges, range_max_m: float) -> np.ndarray:

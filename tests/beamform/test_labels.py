@@ -110,6 +110,30 @@ def test_sums_of_bodies_outlast_other_sums():
         np.testing.assert_array_equal(of_name, getattr(expected, name))
 
 
+@pytest.mark.parametrize("scale", [1e-32, 1e-33, 1e-34])
+def test_echoes_whose_inverse_no_float32_holds_have_no_label(scale):
+    """Weak bins by far side lobes had labels of infinite range: the support returned less than 1e-38 there."""
+    fan, samples = fan_and_samples("footprint", n_bodies=5)
+    beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
+    gain = np.ones(fan.sonar.n_bins, np.float32)
+    found = []
+    for factor in (1, scale):
+        faint = [one._replace(plane_echo=one.plane_echo * np.float32([1, 1, 1, factor])) for one in samples]
+        echo, bodies = beamformer.sum_bodies(ViewSamples(tuple(faint)), gain)
+        found.append((echo.intensity, beamformer.find_labels(bodies, gain, 5)))
+    (intensity, plain), (_, labelled) = found
+    strongest = intensity * plain.share * scale
+    assert (labelled.body_id[strongest < 0.99e-37] == 0).all()
+    clear = strongest > 1.01e-37
+    np.testing.assert_array_equal(labelled.body_id[clear], plain.body_id[clear])
+    for name in ("elevation_rad", "incidence_rad", "true_range_m"):
+        array = getattr(labelled, name)
+        np.testing.assert_array_equal(np.isfinite(array), labelled.body_id > 0)
+        # sums of some samples each of which may be off by half of the least float32, 1.4e-45, in less than 1e-37
+        np.testing.assert_allclose(array[clear], getattr(plain, name)[clear], atol=1e-4)
+    assert clear.sum() > 100 and (strongest[~clear] > 0).sum() > 100
+
+
 def tapered(azimuth_rad, steer_rad):
     """Return a smooth pattern of power, zero from ±0.2 rad on."""
     return np.cos(np.minimum(np.abs(np.sin((azimuth_rad - steer_rad) / 2)) * 2 / 0.2, 1.0) * math.pi / 2) ** 2

@@ -110,10 +110,10 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
 
-def is_seen_before_a_wall(sonar, body, wall_m=12.0):
-    """Return whether a body is taken for visible that no sample met: the samples are those of a wall alone."""
+def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0):
+    """Return whether a body is taken for visible; the samples are those of a wall and of what else is drawn."""
     wall = sg.Body("wall", trimesh.creation.box((0.2, 60, 60)), sg.pose(wall_m))
-    with sg.Simulator(sg.Scene([wall]), sonar, IDEAL, sg.Sampling(20, 8)) as simulator:
+    with sg.Simulator(sg.Scene([wall, *drawn]), sonar, IDEAL, sg.Sampling(20, 8)) as simulator:
         stage = simulator.run.sampler.resolution.stage
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
@@ -152,6 +152,14 @@ def test_a_thin_body_between_two_beams_is_not_seen():
     upright = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 40)), sg.pose(8))
     assert is_seen_before_a_wall(SONAR, upright)
     assert not is_seen_before_a_wall(GAPS, upright)
+
+
+@pytest.mark.parametrize("inside_m, is_seen", [(0.001, False), (0.5, True)])
+def test_a_body_of_which_an_edge_reaches_into_the_fan_is_not_looked_for(inside_m, is_seen):
+    """Samples beside the fan meet it: it does not lie between them, and ever finer ones found as little of it."""
+    edge = 8 * math.tan(SONAR.azimuth_rad.max() + math.radians(SONAR.beam_width_deg / 2))
+    sheet = sg.Body("sheet", trimesh.creation.box((1e-4, 3, 10)), sg.pose(8, edge + 1.5 - inside_m))
+    assert is_seen_before_a_wall(SONAR, sheet, sheet) == is_seen
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
