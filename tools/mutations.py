@@ -833,6 +833,7 @@ MUTATIONS = (
     Mutation(
         "surface/height of the wind", "AT_19_5_M * wind_speed_m_s", "wind_speed_m_s", ("test_sea_surface",)
     ),
+    Mutation("pulse/side lobes", '"hamming": 1.1e-4', '"hamming": 1e-3', ("test_pulse",)),
     Mutation(
         "surface/waves end the mirror",
         "max(scene.surface_roughness_m, wave_height_m)",
