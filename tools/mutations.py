@@ -351,8 +351,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "np.uint16(0) if intensity[b, k] < least else",
-        "np.uint16(0) if intensity[b, k] < 0.0 else",
+        "_clear_faint(intensity[b], least, body_id[b]",
+        "_clear_faint(intensity[b], np.float32(0.0), body_id[b]",
         LABELS,
     ),
     Mutation(

@@ -74,21 +74,20 @@ def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels
 
 
 @compiled
+def _clear_faint(intensity, least, labels, empty):
+    """Set the labels of bins below `least` to `empty`; of one beam, (K,)."""
+    for k in range(intensity.shape[0]):  # without branches, so that the compiler can vectorise it
+        labels[k] = empty if intensity[k] < least else labels[k]
+
+
+@compiled
 def _remove_faint(intensity, least, body_id, share, elevation_rad, incidence_rad, true_range_m):
     """Set the labels of bins below `least` to those of bins without echo; all arrays (B, K)."""
-    # a loop for each array, without branches, so that the compiler can vectorise them
-    nothing, unknown = np.float32(0.0), np.float32(np.nan)
     for b in range(intensity.shape[0]):
-        for k in range(intensity.shape[1]):
-            body_id[b, k] = np.uint16(0) if intensity[b, k] < least else body_id[b, k]
-        for k in range(intensity.shape[1]):
-            share[b, k] = nothing if intensity[b, k] < least else share[b, k]
-        for k in range(intensity.shape[1]):
-            elevation_rad[b, k] = unknown if intensity[b, k] < least else elevation_rad[b, k]
-        for k in range(intensity.shape[1]):
-            incidence_rad[b, k] = unknown if intensity[b, k] < least else incidence_rad[b, k]
-        for k in range(intensity.shape[1]):
-            true_range_m[b, k] = unknown if intensity[b, k] < least else true_range_m[b, k]
+        _clear_faint(intensity[b], least, body_id[b], np.uint16(0))
+        _clear_faint(intensity[b], least, share[b], np.float32(0.0))
+        for numbers in (elevation_rad, incidence_rad, true_range_m):
+            _clear_faint(intensity[b], least, numbers[b], np.float32(np.nan))
 
 
 class LabelColumns(NamedTuple):
