@@ -391,6 +391,18 @@ MUTATIONS = (
         ("test_adaptive::test_a_thin_body_between_two_beams_is_not_seen",),
     ),
     Mutation(
+        "hidden bodies/above the water",
+        "surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])",
+        "np.ones(world.shape[:2])",
+        ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
+    ),
+    Mutation(
+        "hidden bodies/sonar above the water",
+        "surface_z_m is not None and pose[2, 3] < surface_z_m\n    below_m",
+        "surface_z_m is not None\n    below_m",
+        ("test_adaptive::test_only_a_sonar_in_the_water_does_not_see_what_is_above",),
+    ),
+    Mutation(
         "hidden bodies/nine samples around",
         "for row, column in product((-1, 0, 1), repeat=2)",
         "for row, column in [(0, 0)]",

@@ -257,8 +257,8 @@ class ErrorModel:
         )
         for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
             one = bodies[body - 1], state.poses[body - 1]
-            received_u = tried.stage.beamformer.received_u
-            counts[body] = is_unobstructed(sectors, body, *one, pose, self._true_range_sonar, received_u)
+            limits = self._true_range_sonar, tried.stage.beamformer.received_u, setup.surface_z_m
+            counts[body] = is_unobstructed(sectors, body, *one, pose, *limits)
         return counts
 
     def _reception(self, tried: TriedView) -> Reception:

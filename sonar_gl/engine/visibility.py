@@ -132,21 +132,31 @@ def count_bodies(
 
 
 def is_unobstructed(
-    samples: Sequence[SectorSamples], number: int, body, body_pose, pose, sonar: Sonar, received_u
+    samples: Sequence[SectorSamples],
+    number: int,
+    body,
+    body_pose,
+    pose,
+    sonar: Sonar,
+    received_u,
+    surface_z_m: float | None = None,
 ) -> bool:
     """Return whether some point of a body that few samples met, or none, lies in a beam, in front of others around it.
 
     Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
     lie beside the fan. A point must lie in front of all nine, but for samples of the body itself in a beam: the corners
     of a body in the place of another lie beside samples of that. Samples of the body beside the fan show that only an
-    edge of it reaches in. `number` is that of the body in the samples.
+    edge of it reaches in. `number` is that of the body in the samples. What lies above the water's surface is not drawn
+    for a sonar in the water.
     """
     faces = np.asarray(body.surface.faces)
     ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
     edges = (world - pose[:3, 3]) @ pose[:3, :3]
+    has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
+    below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
     for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
-        x, y, z = _points_within(sector, edges @ sector.rotation().T, sonar.range_max_m).T
+        x, y, z = _points_within(sector, edges @ sector.rotation().T, below_m, sonar.range_max_m).T
         u, v, q = -y / x, z / x, 1 / x
         lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         origin = np.array([[sector.u[0]], [sector.v[0]]])
@@ -173,16 +183,16 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
     return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
 
 
-def _points_within(sector: Sector, edges, range_max_m: float) -> np.ndarray:
+def _points_within(sector: Sector, edges, below_m, range_max_m: float) -> np.ndarray:
     """Return (n, 3) points on the parts of edges inside the frustum about a sector, POINTS at most, even on each part.
 
-    edges : (m, 2, 3) in the frame of the sector
+    edges, below_m : (m, 2, 3) in the frame of the sector, and (m, 2) how far below the water's surface their ends lie
     """
     beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
     above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
     axes = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
     inside_m = edges @ np.transpose(axes) + [-1e-3, range_max_m, 0, 0, 0, 0]
-    begin, end = inside_m[:, 0], inside_m[:, 1]
+    begin, end = np.concatenate([inside_m, below_m[..., None]], axis=2).swapaxes(0, 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = begin / (begin - end)
     low = np.where(end > begin, crossing, 0.0).max(axis=1).clip(0.0)

@@ -110,14 +110,14 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
 
-def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0):
+def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0, surface_z_m=None):
     """Return whether a body is taken for visible; the samples are those of a wall and of what else is drawn."""
     wall = sg.Body("wall", trimesh.creation.box((0.2, 60, 60)), sg.pose(wall_m))
     with sg.Simulator(sg.Scene([wall, *drawn]), sonar, IDEAL, sg.Sampling(20, 8)) as simulator:
         stage = simulator.run.sampler.resolution.stage
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            arguments = body.pose, np.eye(4), sonar, stage.beamformer.received_u
+            arguments = body.pose, np.eye(4), sonar, stage.beamformer.received_u, surface_z_m
             return is_unobstructed(view.sectors, 2, body, *arguments)
 
 
@@ -183,6 +183,26 @@ def test_bodies_beside_the_fan_ask_for_no_samples(acoustics):
     assert samples[1] > 0
     assert not samples[2:].any()
     assert plan.level == alone.level
+
+
+@pytest.mark.parametrize("z_m, is_counted", [(0.6, False), (0.499, True)])
+def test_a_body_above_the_water_asks_for_no_samples(z_m, is_counted):
+    """A sonar in the water does not see it. The raft is 1 m high."""
+    floor = sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3.5))
+    raft, levels = sg.Body("raft", trimesh.creation.box((2, 2, 1)), sg.pose(8, 0, z_m)), []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ToleranceWarning)
+        for bodies in ([floor], [floor, raft]):
+            scene = sg.Scene(bodies, surface_z_m=0.0)
+            with sg.Simulator(scene, SONAR, sg.Acoustics.physical(), tolerance=0.05) as simulator:
+                levels.append(simulator.plan([sg.pose(0, 0, -1.0, 0, -0.1)]).level)
+    assert (levels[1] > levels[0]) == is_counted
+
+
+@pytest.mark.parametrize("surface_z_m, is_seen", [(None, True), (1.3, True), (1.0, False), (-1.0, True)])
+def test_only_a_sonar_in_the_water_does_not_see_what_is_above(surface_z_m, is_seen):
+    rod = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 0.3)), sg.pose(8, 0, 1.25))
+    assert is_seen_before_a_wall(SONAR, rod, surface_z_m=surface_z_m) == is_seen
 
 
 @pytest.mark.parametrize("tolerance, radius", [(0.05, 0.008), (0.01, 0.02)])
