@@ -950,7 +950,7 @@ MUTATIONS = (
         "live/home of a model",
         "else model_from_world @ thing.pose",
         "else thing.pose",
-        ("test_message_inputs", "test_moving_bodies"),
+        ("test_message_inputs",),
     ),
     Mutation(
         "live/model without bodies",
