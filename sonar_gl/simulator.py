@@ -139,7 +139,8 @@ class Simulator:
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes
         labels : find the body with the strongest echo in each bin, and what `Ping` has of that echo
-        bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent
+        bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent; the name of
+            a model of several links, of `Scene.models`, stands for all of them
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame, that of the housing, while sound
             travels; see `motion.shown_at`. None = it stands
@@ -206,6 +207,7 @@ class Simulator:
     def place(self, bodies: dict) -> None:
         """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away.
 
+        The name of a model of several links, of `Scene.models`, stands for all of them, and the pose is the model's.
         Pings of `pings` whose poses were taken before have the bodies where they were, see there.
         """
         with self._run.drawing():

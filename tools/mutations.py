@@ -1098,6 +1098,12 @@ MUTATIONS = (
         (("if with_geometry[link.model] == 1", "if with_geometry[link.model] >= 1"),),
     ),
     Mutation(
+        "world/model without its links' places",
+        "pose if pose is None else pose @ at for part, at",
+        "pose for part, at",
+        ("test_moving_bodies",),
+    ),
+    Mutation(
         "live/home of a model",
         "else model_from_world @ thing.pose",
         "else thing.pose",
@@ -1105,8 +1111,8 @@ MUTATIONS = (
     ),
     Mutation(
         "live/model without bodies",
-        "if inside: self._followers[model]",
-        "if True: self._followers[model]",
+        "for model in scene.models if (parts := scene.parts_of(model))",
+        "for model in scene.models if (parts := scene.parts_of(model)) is not None",
         ("test_message_inputs",),
     ),
     Mutation(

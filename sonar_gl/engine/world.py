@@ -94,7 +94,8 @@ class World:
 
         Parameters
         ----------
-        bodies : None, or names to (4, 4) world_from_body, or to None for a body that is absent
+        bodies : None, or names to (4, 4) world_from_body, or to None for a body that is absent; the name of a model of
+            the scene stands for all that is in it
         time_s : seconds, None for 0
         with_bubbles : of the scene's plumes, if there are any
         reflectivity : None, or names of bodies to μ, 0..1
@@ -136,7 +137,7 @@ class World:
             return state, self._plume_poses
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
         poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)
-        for name, pose in bodies.items():
+        for name, pose in self._of_models(bodies).items():
             if name in plume_poses:
                 plume_poses[name] = (
                     pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
@@ -147,6 +148,16 @@ class World:
             if pose is not None:
                 poses[index] = check_pose(pose, f"the pose of body {name!r}")
         return SceneState(poses, present), plume_poses
+
+    def _of_models(self, bodies: dict) -> dict:
+        """Return the poses of bodies, with those of its parts in place of a model that is no body itself."""
+        out = {}
+        for name, pose in bodies.items():
+            parts = {} if name in self._indices or name in self._plume_poses else self.scene.parts_of(name)
+            if parts and pose is not None:
+                pose = check_pose(pose, f"the pose of model {name!r}")
+            out |= {part: pose if pose is None else pose @ at for part, at in parts.items()} or {name: pose}
+        return out
 
     def _index_of(self, name, what: str, plumes=()) -> int:
         if name not in self._indices:

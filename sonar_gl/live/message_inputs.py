@@ -213,24 +213,16 @@ class BodiesInput:
     def __init__(self, topic: str, scene: Scene, world: str, refused: RefusedMessages):
         self._topic, self._world, self._refused = topic, world, refused
         # what moves with a frame: names, and (4, 4) frame_from_body
-        self._followers: dict[str, list[tuple[str, np.ndarray]]] = {
-            body.name: [
-                (other.name, np.eye(4))
+        self._followers: dict[str, dict[str, np.ndarray]] = {
+            body.name: {
+                other.name: np.eye(4)
                 for other in scene.bodies
                 if other is body
                 or (other.name.startswith(f"{body.name}::") and np.array_equal(other.pose, body.pose))
-            ]
+            }
             for body in scene.bodies
         }
-        for model, home in scene.models.items():
-            model_from_world = np.linalg.inv(home)
-            inside = [
-                (thing.name, np.eye(4) if np.array_equal(thing.pose, home) else model_from_world @ thing.pose)
-                for thing in (*scene.bodies, *scene.plumes)
-                if thing.name == model or thing.name.startswith(f"{model}::")
-            ]
-            if inside:
-                self._followers[model] = inside
+        self._followers |= {model: parts for model in scene.models if (parts := scene.parts_of(model))}
         self._moved: dict[str, np.ndarray] = {}
         self._lock = threading.Lock()
 
@@ -245,7 +237,7 @@ class BodiesInput:
                 _check_world(link.header.frame_id, self._world)
                 matrix = _matrix(link.transform.translation, link.transform.rotation)
                 with self._lock:
-                    self._moved |= {name: matrix @ place for name, place in self._followers[child]}
+                    self._moved |= {name: matrix @ at for name, at in self._followers[child].items()}
 
     def take(self) -> dict[str, np.ndarray]:
         """Return the poses that came since the last call, (4, 4) world_from_body by name."""

@@ -268,6 +268,18 @@ class Scene:
         kept = self._matching(patterns)
         return self._with([thing for thing in (*self.bodies, *self.plumes) if thing.name in kept])
 
+    def parts_of(self, model: str) -> dict[str, np.ndarray]:
+        """Return (4, 4) model_from_body of each body and plume of a model, by name; none of other names."""
+        if model not in self.models:
+            return {}
+        home = self.models[model]
+        model_from_world = np.linalg.inv(home)
+        return {
+            thing.name: np.eye(4) if np.array_equal(thing.pose, home) else model_from_world @ thing.pose
+            for thing in (*self.bodies, *self.plumes)
+            if thing.name == model or thing.name.startswith(f"{model}::")
+        }
+
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
         return self._with((*self.bodies, *self.plumes), surface_z_m)

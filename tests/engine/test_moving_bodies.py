@@ -133,6 +133,32 @@ def test_place_lasts_and_can_be_undone():
         check_same(it.ping(POSE, labels=True), before)
 
 
+def robot(at):
+    """A body, and a model of two links whose frame is at `at`."""
+    one, other = (
+        sg.Body(f"rov::{name}", BOX, at @ sg.pose(0, y, 0, yaw=y), 0.5) for name, y in (("a", -1), ("b", 1))
+    )
+    return [plain(), one, other]
+
+
+def test_links_move_with_their_model():
+    at, there = sg.pose(7, 0, 0, yaw=0.5), sg.pose(5, -0.5, 0.1)
+    scene = sg.Scene(robot(at), models={"rov": at, "plain": at, "gone": at})
+    with sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
+        ping = it.ping(POSE, labels=True, bodies={"rov": there})
+        # the poses differ by the rounding of float64, of which samples in float32 show little
+        np.testing.assert_allclose(ping.intensity, fresh(robot(there)).intensity, atol=1e-6)
+        with pytest.warns(UserWarning, match="no echo"):
+            it.ping(POSE, bodies={"rov": None, "plain": None})
+        it.place({"rov": there, "rov::b": None})
+        alone = it.ping(POSE, labels=True)
+        np.testing.assert_array_equal(alone.body_echo > 0, [False, True, True, False])
+        with pytest.raises(sg.Error, match="the pose of model 'rov' must have shape"):
+            it.place({"rov": np.zeros(3)})
+        with pytest.raises(sg.Error, match=r"bodies must be bodies of the scene \(got 'gone'"):
+            it.place({"gone": there})
+
+
 @pytest.mark.parametrize("first", ALL)
 @pytest.mark.parametrize("second", ALL)
 def test_an_added_body_acts_like_one_of_the_scene(first, second):
