@@ -45,7 +45,7 @@ class CommandGroup(click.Group):
         except OSError as why:
             if why.errno == errno.EPIPE:  # `| head` has closed the pipe
                 raise
-            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+            message, status = _describe_os_error(why), 2
         except MachineError as why:
             message, status = str(why), 4
         except Error as why:
@@ -53,6 +53,14 @@ class CommandGroup(click.Group):
         if status:
             echo(f"error: {message}", err=True)
             ctx.exit(status)
+
+
+def _describe_os_error(why: OSError) -> str:
+    """Return what is wrong with a file, or, where the error names none, with the output of the command."""
+    reason = why.strerror or str(why)
+    if why.filename is None and why.errno == errno.ENOSPC:
+        return f"the standard output must be writable (got {reason.lower()})"
+    return f"{why.filename or 'files'}: {reason}"
 
 
 def _one_line_warnings():
@@ -222,7 +230,7 @@ Ctrl-C.
 @click.option(
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
 )
-@click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
+@click.option("--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Processes.")
 @option("engine", **ENGINE)
 @click.option(
     "--device",
