@@ -649,6 +649,15 @@ def test_a_pose_beyond_all_seas_is_refused():
     )
 
 
+def test_a_working_directory_that_is_gone_is_named(folder):
+    (folder / "gone").mkdir()
+    os.chdir(folder / "gone")
+    (folder / "gone").rmdir()
+    status, out, err = run("render", "pylon", "--sonar", "mine.toml")
+    assert (status, out) == (2, "")
+    assert err == "error: the working directory must exist (it has been removed; change to another folder)\n"
+
+
 def test_an_output_that_takes_nothing_is_named():
     with open("/dev/full", "w") as full:
         ran = subprocess.run(
