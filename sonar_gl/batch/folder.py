@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -22,6 +23,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from sonar_gl.core.atomic_file import temporary_path
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import describe_kind
 
 LOCK, UNFINISHED = ".lock", ".begun"  # the latter is a folder of files that are being written
 CHECKSUM_KEY = "sha256"  # of a record: that of its other keys
@@ -99,7 +101,7 @@ class Folder:
     Raises
     ------
     Error
-        if the folder cannot be reached or created, with the reason.
+        if it is no folder, or cannot be reached or created, with the reason.
     """
 
     def __init__(self, url: str, create: bool = True):
@@ -107,6 +109,10 @@ class Folder:
             self.fs, self.root = url_to_fs(str(url))
         self.is_local = isinstance(self.fs, LocalFileSystem)
         self.url = self.root if self.is_local else str(url).rstrip("/")
+        if self.is_local and os.path.exists(self.root) and not os.path.isdir(self.root):
+            mode = os.stat(self.root).st_mode
+            got = "a file" if stat.S_ISREG(mode) else describe_kind(mode)
+            raise Error(f"{self.root}: the place of a batch must be a folder (got {got})")
         if create:
             self.create()
 

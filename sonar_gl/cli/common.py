@@ -124,6 +124,12 @@ def check_duration(options) -> None:
         check_number("--duration", options.duration, 0.0, 1e9, "seconds")
 
 
+def check_address(option: str, text: str) -> None:
+    """Raise an Error for an address of no characters, which would be that of all networks."""
+    if not text:
+        raise Error(f"{option} must be an address (got an empty text; is a variable of the shell empty?)")
+
+
 def progress(numbers):
     """Return a context manager that yields `numbers`: with a progress bar on a terminal, else without."""
     if sys.stderr.isatty():

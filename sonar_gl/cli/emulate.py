@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from
+from sonar_gl.cli.common import acoustics_from, check_address, check_duration, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
@@ -25,6 +25,7 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar
 def oculus(scene_name: str, options) -> str:
     """Serve an Oculus until it is stopped; return a line about what was sent."""
     model = MODELS[options.model]
+    check_address("--status-to", options.status_to)
 
     def serve(simulation, head):
         port = DATA_PORT if options.port is None else options.port
@@ -57,6 +58,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     """Make the server of a scene, run it for --duration or until Ctrl-C, and return it."""
     load_numba()
     check_duration(options)
+    check_address("--host", options.host)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:

@@ -48,7 +48,7 @@ class CommandGroup(click.Group):
         except OSError as why:
             if why.errno == errno.EPIPE:  # `| head` has closed the pipe
                 raise
-            message, status = f"{why.filename or 'files'}: {why.strerror or why}", 2
+            message, status = _describe_os_error(why), 2
         except MachineError as why:
             message, status = str(why), 4
         except Error as why:
@@ -69,6 +69,16 @@ def _interrupted_by_sigterm():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _describe_os_error(why: OSError) -> str:
+    """Return what is wrong with a file, or, where the error names none, with the output of the command."""
+    reason = why.strerror or str(why)
+    if why.filename is None and why.errno == errno.ENOSPC:
+        return f"the standard output must be writable (got {reason.lower()})"
+    if why.filename is None and why.errno == errno.ENOENT:  # of `os.getcwd`
+        return "the working directory must exist (it has been removed; change to another folder)"
+    return f"{why.filename or 'files'}: {reason}"
 
 
 def _one_line_warnings():
@@ -238,7 +248,7 @@ Ctrl-C.
 @click.option(
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
 )
-@click.option("--workers", type=click.IntRange(min=1), show_default="one for each core", help="Processes.")
+@click.option("--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Processes.")
 @option("engine", **ENGINE)
 @click.option(
     "--device",

@@ -90,9 +90,13 @@ def _settings(options, file: Ros2File) -> PublisherSettings:
         wanted = options.topics.replace(",", " ").split()
         if unknown := [word for word in wanted if word not in TOPICS]:
             raise Error(f"--topics must be some of {','.join(TOPICS)} (got {shown(unknown[0])})")
+        if not wanted:
+            raise Error(f"--topics must name one or more of {','.join(TOPICS)} (got none)")
         topics |= dict.fromkeys(set(TOPICS) - set(wanted))
     if options.clock != "own":
         topics["clock"] = None
+        if all(kind in topics and topics[kind] is None for kind in TOPICS):
+            raise Error("some topic must be published (got none; /clock is sent with --clock own alone)")
     changes = {
         "world_frame": file.world_frame,
         "vehicle_frame": file.vehicle_frame,

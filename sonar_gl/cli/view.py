@@ -6,7 +6,15 @@ from urllib.parse import urlsplit
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from, sonar_from, water_from
+from sonar_gl.cli.common import (
+    acoustics_from,
+    check_address,
+    check_duration,
+    poses_from,
+    scene_from,
+    sonar_from,
+    water_from,
+)
 from sonar_gl.cli.output import echo
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.command_line import SceneSource
@@ -25,6 +33,7 @@ def view(scene_name: str, options) -> None:
     """Show the page for --duration, or until Ctrl-C."""
     load_numba()
     check_duration(options)
+    check_address("--host", options.host)
     session = session_from(scene_name, options)
     warn_of_host(options.host)
     with LiveView(session, options.host, options.port) as opened:

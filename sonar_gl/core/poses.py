@@ -21,6 +21,9 @@ POSE_HINT = "sonar_gl.pose makes one from x y z roll pitch yaw"
 MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
 
 
+MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
+
+
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
     """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid."""
     out = frozen_array(matrix, np.float64, (4, 4), what, POSE_HINT)
@@ -36,6 +39,11 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
         )
     if out[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise Error(f"{what} must have the last row 0 0 0 1 (got {out[3].tolist()})")
+    x, y, z = out[:3, 3].tolist()
+    if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
+        raise Error(
+            f"{what} must lie within {MAX_POSITION_M:g} m of the origin (got x y z = {x:g} {y:g} {z:g}; give metres)"
+        )
     return out
 
 

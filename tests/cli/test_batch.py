@@ -1,10 +1,14 @@
 """The command `batch` without a terminal: its progress is lines of a log."""
 
 import io
+import os
+from pathlib import Path
 
+import pytest
 from tqdm import tqdm
 
 from sonar_gl.cli.batch import Lines
+from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
 
 
 def test_a_bar_without_a_terminal_writes_lines():
@@ -19,3 +23,28 @@ def test_a_bar_without_a_terminal_writes_lines():
     bars = [line for line in lines if line != "a report"]
     assert all("%|" in line and line == line.strip() for line in bars)
     assert bars[0].startswith("0%|") and bars[-1].startswith("100%")
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (("--check", "file"), "file"),
+        (("job.toml", "--out", "file"), "file"),
+        (("job.toml", "--out", "file", "--resume"), "file"),
+        (("job.toml", "--out", "pipe"), "pipe"),
+    ],
+)
+def test_a_file_in_the_place_of_the_folder_of_a_batch_is_called_so(tmp_path, monkeypatch, words, where):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("mine")
+    os.mkfifo("pipe")
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{BOX}{SENSOR}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")
+    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
+    Path("job.toml").write_text(job)
+    status, out, err = run("batch", *words)
+    got = {"file": "a file", "pipe": "a named pipe"}[where]
+    assert (status, out) == (2, "")
+    assert err == f"error: {tmp_path}/{where}: the place of a batch must be a folder (got {got})\n"
+    assert Path("file").read_text() == "mine"

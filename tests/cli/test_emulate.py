@@ -129,3 +129,13 @@ def test_a_status_that_cannot_be_sent_is_said_once(monkeypatch, caplog):
     assert threads and threading.main_thread() not in threads
     assert len(caplog.messages) == 1
     assert caplog.messages[0].startswith("no status reaches no.such.host.invalid:52102: ")
+
+
+@pytest.mark.parametrize(
+    ("device", "option"), [("oculus", "--host"), ("ping360", "--host"), ("oculus", "--status-to")]
+)
+def test_an_address_of_no_characters_is_refused(device, option):
+    """Such a host is that of all networks for asyncio."""
+    status, _, errors = run("emulate", device, *PYLON, "--port", "0", option, "", "--duration", "0.1")
+    message = f"{option} must be an address (got an empty text; is a variable of the shell empty?)"
+    assert (status, errors) == (2, f"error: {message}\n")

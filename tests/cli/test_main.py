@@ -645,6 +645,37 @@ def test_resource_path_that_is_none():
     )
 
 
+def test_a_pose_beyond_all_seas_is_refused():
+    """Its squares overflowed, with warnings of NumPy."""
+    assert refused("--pose", "1e300 0 0 0 0 0") == (
+        "pose must lie within 1e+09 m of the origin (got x y z = 1e+300 0 0; give metres)"
+    )
+
+
+def test_a_working_directory_that_is_gone_is_named(folder):
+    (folder / "gone").mkdir()
+    os.chdir(folder / "gone")
+    (folder / "gone").rmdir()
+    status, out, err = run("render", "pylon", "--sonar", "mine.toml")
+    assert (status, out) == (2, "")
+    assert err == "error: the working directory must exist (it has been removed; change to another folder)\n"
+
+
+def test_an_output_that_takes_nothing_is_named():
+    with open("/dev/full", "w") as full:
+        ran = subprocess.run(
+            [sys.executable, "-m", "sonar_gl", "sonars"],
+            env={**os.environ, "PYTHONPATH": str(Path(sg.__file__).parent.parent)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    message = "error: the standard output must be writable (got no space left on device)\n"
+    assert (ran.returncode, ran.stderr) == (2, message)
+
+
 def test_poses_that_make_no_sense():
     six = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
     assert refused("--pose", "1 2 3") == f"{six} (got 3: '1 2 3')"
@@ -914,7 +945,9 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch, capsys):
         patch.setattr(sys, "stderr", terminal)
         cli.main(arguments, standalone_mode=False)
     assert capsys.readouterr().out.startswith("tank_0000..0002.npz: ")
-    assert b"100%" in os.read(ours, 10000)  # elsewhere stderr stays empty, as every `render` above sees
+    shown = b""
+    while b"100%" not in shown:  # it comes in parts; reading fails at the end, as the terminal is closed
+        shown += os.read(ours, 10000)  # elsewhere stderr stays empty, as every `render` above sees
     os.close(ours)
 
 

@@ -318,3 +318,25 @@ def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
     )
     place = links[0].transform.translation
     np.testing.assert_array_equal([place.x, place.y, place.z], at[:3, 3])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--seed", "-1"), "seed must be a whole number, 0 or more (got -1)"),
+        (("--tolerance", "nan"), "tolerance must be a number in 0.001..0.5 (got nan; 0.01 is one per cent)"),
+        (
+            ("--topics", ""),
+            "--topics must name one or more of projected_image,raw_image,image,points,tf,clock (got none)",
+        ),
+        (
+            ("--topics", "clock", "--clock", "ros"),
+            "some topic must be published (got none; /clock is sent with --clock own alone)",
+        ),
+    ],
+)
+def test_what_makes_no_ping_is_told_before_a_transport_opens(transports, words, message):
+    """A wrong seed was told by the first ping, after the topics were announced."""
+    found = run("pylon", *FAST, *words, "--duration", "0.1")
+    assert (found.exit_code, found.output.splitlines()[-1]) == (2, f"error: {message}")
+    assert not transports
