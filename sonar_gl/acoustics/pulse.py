@@ -220,11 +220,19 @@ def _read_only_float32(kernel: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _convolve(rows, weights, out):
-    """Convolve rows (R, K + n − 1) with n weights into out (R, K); n is a multiple of 4."""
-    last = uint64(out.shape[1])
+def _convolve(rows, before, weights, out):
+    """Convolve rows (R, L), with `before` zeros before each and zeros behind, with n weights into out (R, K).
+
+    n is a multiple of 4.
+    """
+    last, length = uint64(out.shape[1]), uint64(rows.shape[1])
+    row = np.zeros(
+        max(last, length + uint64(before)) + uint64(len(weights)), np.float32
+    )  # stays in the cache
     for r in range(uint64(len(rows))):
-        row, to = rows[r], out[r]
+        to, from_ = out[r], rows[r]
+        for k in range(length):
+            row[uint64(before) + k] = from_[k]
         for k in range(last):
             to[k] = 0
         for j in range(
@@ -236,23 +244,22 @@ def _convolve(rows, weights, out):
                 to[k] += a * one[k] + b * two[k] + c * three[k] + d * four[k]
 
 
-def convolve(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def convolve(rows: np.ndarray, weights: np.ndarray, before: int = 0, after: int = 0) -> np.ndarray:
     """Return rows convolved with weights, without the ends.
 
     Parameters
     ----------
-    rows : (R, K + n − 1) float32
+    rows : (R, L) float32
     weights : (n,) float32, symmetric
+    before, after : zeros that are thought before and behind each row
 
     Returns
     -------
-    (R, K) float32
+    (R, before + L + after − n + 1) float32
     """
-    n, padding = len(weights), -len(weights) % 4
-    out = np.empty((len(rows), rows.shape[1] - n + 1), np.float32)
-    padded = np.zeros((len(rows), rows.shape[1] + padding), np.float32)
-    padded[:, : rows.shape[1]] = rows
-    _convolve(padded, np.concatenate([weights, np.zeros(padding, np.float32)]), out)
+    n = len(weights)
+    out = np.empty((len(rows), before + rows.shape[1] + after - n + 1), np.float32)
+    _convolve(rows, before, np.concatenate([weights, np.zeros(-n % 4, np.float32)]), out)
     return out
 
 
@@ -271,9 +278,7 @@ def matched_filter(intensity: np.ndarray, weights: np.ndarray) -> np.ndarray:
     >>> matched_filter(np.float32([[0, 0, 4, 0]]), np.float32([0.25, 0.5, 0.25])).tolist()
     [[0.0, 1.0, 2.0, 1.0]]
     """
-    B, K = intensity.shape
-    half_length = min(len(weights) // 2, K - 1)
+    half_length = min(len(weights) // 2, intensity.shape[1] - 1)
     centre = len(weights) // 2
-    padded = np.zeros((B, K + 2 * half_length), np.float32)
-    padded[:, half_length : half_length + K] = intensity
-    return convolve(padded, weights[centre - half_length : centre + half_length + 1])
+    weights = weights[centre - half_length : centre + half_length + 1]
+    return convolve(intensity, weights, before=half_length, after=half_length)
