@@ -1279,6 +1279,36 @@ MUTATIONS = (
         ("test_oculus",),
     ),
     Mutation(
+        "misuse/pipe that nobody writes to",
+        "if pipe and is_open_pipe:",
+        "if pipe and is_pipe:",
+        ("test_special_files",),
+    ),
+    Mutation(
+        "misuse/output in the place of a device",
+        "if path.exists() and not path.is_file():",
+        "if path.is_dir():",
+        ("test_doctor",),
+    ),
+    Mutation(
+        "misuse/mesh changed in place",
+        """object.__setattr__(kept, "surface", self._copy(body.surface))""",
+        "pass",
+        ("test_moving_bodies",),
+    ),
+    Mutation(
+        "misuse/copy of a mesh that has changed since",
+        "if before is not None and _is_same(mesh, before):",
+        "if before is not None:",
+        ("test_moving_bodies",),
+    ),
+    Mutation(
+        "misuse/bodies placed late",
+        "if world.n_changes != n_changes and n_ahead and not has_warned:",
+        "if world.n_changes != n_changes and not has_warned:",
+        ("test_sequence",),
+    ),
+    Mutation(
         "live/first ping of an emulator",
         "simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()",
         "",

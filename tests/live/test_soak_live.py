@@ -111,7 +111,7 @@ def broken(message):
             0,
         ),
     ],
-    ids=["sound", "lost", "damaged", "twice", "late", "of another program"],
+    ids=["sound", "lost", "damaged", "twice", "late", "unknown"],
 )
 def test_each_fault_is_counted(connect, deliver, lost, damaged, disordered):
     connect(deliver)
