@@ -313,6 +313,7 @@ FLOOR_DB, AFTER_DB = 6.0, 25.0
 WATER = 0.5, 0.75  # of the height: behind the ring of the pulse, before the first echo of the bottom
 LAGS = 1, 2, 3  # beams
 AHEAD, ASIDE = 1 / 3, 26 / 30  # of the fan's half-width: ahead is within, aside beyond
+THIRD, THIRDS = 1 / 3, ("ahead", "aside")  # of the fan's half-width
 
 # greatest |ours − real| by the kind of a measure
 BOUNDS = {"mean/std": 0.03, "skewness": 0.1, "correlation": 0.05, "dB": 3.0, "divergence": 0.07}
@@ -394,6 +395,11 @@ def measure(pictures: list[np.ndarray], setup: Setup, parts: Regions) -> Figures
         if name in ("floor", "far"):
             ahead, beside = (intensity[region & part].mean() for part in (aside < AHEAD, aside > ASIDE))
             values[f"{name}: ahead over aside, dB"] = decibels(ahead / beside)
+        if name == "far":  # whether beams broaden to the sides, as those of one straight array do
+            for part, where in zip((aside < THIRD, aside > 1 - THIRD), THIRDS, strict=True):
+                values[f"{name}: correlation of beams, 1 apart, {where}"] = np.mean(
+                    [correlation(grain, grain, region & part, beams=1) for grain in grains]
+                )
         patterns[name] = np.mean([pattern_shares(one, region) for one in pictures], axis=0).tolist()
     return Figures({name: float(value) for name, value in values.items()}, patterns)
 
@@ -413,6 +419,13 @@ def theory(setup: Setup) -> dict[str, float]:
             rho = float(hamming_correlation(lag * apart))
             out[f"{name}: correlation of beams, {lag} apart"] = law_correlation(rho, LAW)
         out[f"{name}: correlation of bins, 1 apart"] = law_correlation(float(np.sinc(bins)), LAW)
+    # of beams of one width, ours; those of one straight array would correlate as ahead in both
+    azimuths_rad = np.radians(setup.beam_azimuths_deg)
+    widths = np.gradient(azimuths_rad) / math.radians(BEAM_WIDTH_DEG)
+    aside = np.abs(azimuths_rad) / azimuths_rad.max()
+    for part, where in zip((aside < THIRD, aside > 1 - THIRD), THIRDS, strict=True):
+        rho = float(hamming_correlation(aperture_width((HAMMING,)) * widths[part].mean()))
+        out[f"far: correlation of beams, 1 apart, {where}"] = law_correlation(rho, LAW)
     return out
 
 

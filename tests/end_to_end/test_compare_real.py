@@ -242,7 +242,7 @@ def test_bounds_are_those_that_the_comparison_began_with():
 def test_every_region_and_measure_is_in_the_table(table):
     kinds = {name.split(": ")[1] for name in table}
     assert {name.split(": ")[0] for name in table} == {"water", "floor", "after", "far"}
-    assert len(kinds) == 10 and len(table) == 37
+    assert len(kinds) == 12 and len(table) == 39
     assert all(math.isfinite(row.ours) for row in table.values())
 
 
