@@ -38,7 +38,8 @@ def count_image_sources(simulator, pose) -> int:
     run = simulator.run
     setup = run.set_up(PingRequest(pose))
     with run.drawing():
-        (drawn,) = draw(run, [setup], run.sampler.resolution_for(setup))
+        resolution = run.sampler.resolution_for(setup)
+        (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
     return 0 if drawn.images is None else len(drawn.images.sources)
 
 

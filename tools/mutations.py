@@ -1303,6 +1303,24 @@ MUTATIONS = (
         ("test_moving_bodies",),
     ),
     Mutation(
+        "misuse/warning of bodies that a generator places",
+        "self.n_changes += has_changed and not self._is_taking_request",
+        "self.n_changes += has_changed",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "world/own pose of a part of a model",
+        "return out | own",
+        "return own | out",
+        ("test_moving_bodies",),
+    ),
+    Mutation(
+        "visibility/sectors beside a body",
+        "if frustum.is_beside(rotation @ sphere.centre, sphere.radius_m):",
+        "if False:",
+        ("test_adaptive",),
+    ),
+    Mutation(
         "misuse/bodies placed late",
         "if world.n_changes != n_changes and n_ahead and not has_warned:",
         "if world.n_changes != n_changes and not has_warned:",

@@ -342,16 +342,18 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     per_sr = 1 / (width_rad * near.height)
     less = of_support * transmitted[columns] * per_sr[:, None]
     corrected = (near.weights * (near.width_rad / width_rad)[:, None] - less).astype(np.float32)
-    received = far * np.outer(per_sr, transmitted).astype(np.float32)
-    np.add.at(received, (np.arange(B)[:, None], columns), corrected)
+    far *= transmitted.astype(np.float32)
+    far *= per_sr.astype(np.float32)[:, None]
+    np.add.at(far, (np.arange(B)[:, None], columns), corrected)
+    # less than nothing counts as nothing, as in `kernels.add_far_lobes`
+    np.maximum(far, 0, out=far)
     return FarLobes(
         near=kernels.beam_tiles(near.first, corrected),
         condense=_condensing_tiles(means * transmitted[:, None], block),
         couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
         expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
-        # less than nothing counts as nothing, as in `kernels.add_far_lobes`
-        column_response=np.maximum(received, 0).sum(axis=0, dtype=np.float64),
+        column_response=far.sum(axis=0, dtype=np.float64),
     )
 
 

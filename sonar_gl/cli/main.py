@@ -68,7 +68,7 @@ def _interrupted_by_sigterm():
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)  # None: of a handler that Python cannot set
 
 
 def _describe_os_error(why: OSError) -> str:

@@ -185,7 +185,8 @@ class Run:
 
     def keep_workers(self, workers: Sequence) -> None:
         """Keep the workers of a sequence that is over, and no more than these, for the next one."""
-        self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
+        if not self._is_closed:  # else their stages would stay in memory
+            self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def image_choice(self) -> HalvingChoice | None:
         """Return how often samples are halved for the image sources of the next ping; None without multipath."""

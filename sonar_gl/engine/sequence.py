@@ -147,7 +147,9 @@ class _Upcoming:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
         while len(self._setups) < count and not self._is_over:
             try:
-                self._setups.append(self._run.set_up(next(self._requests)))
+                with self._run.world.taking_request():
+                    request = next(self._requests)
+                self._setups.append(self._run.set_up(request))
                 self.n_taken += 1
             except StopIteration:
                 self._is_over = True

@@ -18,7 +18,7 @@ from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
 POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
-MAX_CLIPPED_FACES = 4096  # of larger meshes about so many: their edges are short
+MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 IN_FRONT = 1.01  # 1/x over that of the sample there: a point at the foot of a body is as near as the floor
 
@@ -155,21 +155,31 @@ def is_unobstructed(
     edges = (world - pose[:3, 3]) @ pose[:3, :3]
     has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
     below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
+    sphere = _sphere_about(edges.reshape(-1, 3))
     for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
-        x, y, z = _points_within(sector, edges @ sector.rotation().T, below_m, sonar.range_max_m).T
+        frustum, rotation = _frustum(sector, sonar.range_max_m), sector.rotation()
+        if frustum.is_beside(rotation @ sphere.centre, sphere.radius_m):
+            continue
+        x, y, z = points_within(frustum, edges @ rotation.T, below_m).T
         u, v, q = -y / x, z / x, 1 / x
         lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         origin = np.array([[sector.u[0]], [sector.v[0]]])
         i, j = np.rint(np.linalg.inv(lattice) @ (np.stack([u, v]) - origin)).astype(int)
         in_front = _in_a_beam(sector, u, v, q, sonar, received)
         in_front &= (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
+        i, j, q = i[in_front], j[in_front], q[in_front]
         for row, column in product((-1, 0, 1), repeat=2):
+            if not len(q):  # soon, of most bodies: they are hidden
+                break
             at_j, at_i = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
             there = plane_echo[at_j, at_i, 0].astype(np.float64)
             is_own = body_id[at_j, at_i] == number
-            is_own &= _in_a_beam(sector, *(origin + lattice @ np.stack([at_i, at_j])), there, sonar, received)
-            in_front &= (q > there * IN_FRONT) | is_own
-        if in_front.any():
+            if is_own.any():
+                at = origin + lattice @ np.stack([at_i, at_j])
+                is_own &= _in_a_beam(sector, *at, there, sonar, received)
+            in_front = (q > there * IN_FRONT) | is_own
+            i, j, q = i[in_front], j[in_front], q[in_front]
+        if len(q):
             return True
     return False
 
@@ -183,15 +193,34 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
     return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
 
 
-def _points_within(sector: Sector, edges, below_m, range_max_m: float) -> np.ndarray:
-    """Return (n, 3) points on the parts of edges inside the frustum about a sector, POINTS at most, even on each part.
+class _Frustum(NamedTuple):
+    """What a sector sees, and a little more: the points, in its frame, at which normals @ point + offsets_m > 0.
+
+    normals : (6, 3), of any length; offsets_m : (6,)
+    """
+
+    normals: np.ndarray
+    offsets_m: np.ndarray
+
+    def is_beside(self, centre, radius_m: float) -> bool:
+        """Return whether a sphere lies outside one of the planes."""
+        reach_m = np.linalg.norm(self.normals, axis=1) * radius_m
+        return bool((self.normals @ centre + self.offsets_m <= -reach_m).any())
+
+
+def _frustum(sector: Sector, range_max_m: float) -> _Frustum:
+    beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
+    above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
+    normals = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
+    return _Frustum(np.array(normals, np.float64), np.array([-1e-3, range_max_m, 0, 0, 0, 0]))
+
+
+def points_within(frustum: _Frustum, edges, below_m) -> np.ndarray:
+    """Return (n, 3) points on the parts of edges inside a frustum, POINTS at most, even on each part.
 
     edges, below_m : (m, 2, 3) in the frame of the sector, and (m, 2) how far below the water's surface their ends lie
     """
-    beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
-    above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
-    axes = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
-    inside_m = edges @ np.transpose(axes) + [-1e-3, range_max_m, 0, 0, 0, 0]
+    inside_m = edges @ frustum.normals.T + frustum.offsets_m
     begin, end = np.concatenate([inside_m, below_m[..., None]], axis=2).swapaxes(0, 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = begin / (begin - end)
@@ -215,19 +244,23 @@ def _greatest(values, first, last) -> np.ndarray:
 
 
 class _Sphere(NamedTuple):
-    """A sphere about a surface, in the frame of its body."""
+    """A sphere about some points, in their frame."""
 
     centre: np.ndarray
     radius_m: float
 
 
-def _sphere_about(surface) -> _Sphere:
-    """Return a sphere about the vertices that faces use, around the middle of their box."""
+def _sphere_about(points) -> _Sphere:
+    """Return a sphere about (n, 3) points, around the middle of their box."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return _Sphere(centre, float(np.linalg.norm(points - centre, axis=1).max()))
+
+
+def _used_vertices(surface) -> np.ndarray:
+    """Return the vertices that faces use, (n, 3) float64."""
     used = np.zeros(len(surface.vertices), bool)
     used[np.asarray(surface.faces)] = True
-    vertices = np.asarray(surface.vertices, np.float64)[used]
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    return _Sphere(centre, float(np.linalg.norm(vertices - centre, axis=1).max()))
+    return np.asarray(surface.vertices, np.float64)[used]
 
 
 def _area_m2(surface) -> float:
@@ -247,7 +280,7 @@ class BodyExtents:
     def __init__(self, bodies, specular: bool = False):
         self.n_bodies = len(bodies)
         surfaces = [body.surface for body in bodies]
-        spheres = [_sphere_about(surface) for surface in surfaces]
+        spheres = [_sphere_about(_used_vertices(surface)) for surface in surfaces]
         self._centres = np.array([sphere.centre for sphere in spheres]).reshape(-1, 3)
         self._radii_m = np.array([sphere.radius_m for sphere in spheres])
         lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]

@@ -40,7 +40,7 @@ class World:
     engine : RasterEngine, with their meshes; None once it is given back
     thread : SecondThread, which all simulators share
     gl_info : names and limits of what draws
-    n_changes : how often bodies were placed or added
+    n_changes : how often bodies were placed elsewhere or added, but while a sequence takes its requests
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class World:
         self._kept_meshes = KeptMeshes()
         self.given_scene, self.scene = scene, self._kept_meshes.scene(scene)
         self._users, self.thread = set(), SecondThread()
-        self.n_changes = 0
+        self.n_changes, self._is_taking_request = 0, False
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
@@ -128,8 +128,25 @@ class World:
 
     def place(self, bodies) -> None:
         """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
+        before, plumes = self.engine.meshes.state, self._plume_poses
         self.engine.meshes.state, self._plume_poses = self._moved(bodies)
-        self.n_changes += bool(bodies)
+        state = self.engine.meshes.state
+        is_moved = not (
+            np.array_equal(state.poses, before.poses) and np.array_equal(state.present, before.present)
+        )
+        self._count_change(is_moved or any(self._plume_poses[name] is not plumes[name] for name in plumes))
+
+    @contextmanager
+    def taking_request(self):
+        """Not count what changes for the time of the block: a generator of poses has placed bodies in time."""
+        self._is_taking_request = True
+        try:
+            yield
+        finally:
+            self._is_taking_request = False
+
+    def _count_change(self, has_changed: bool) -> None:
+        self.n_changes += has_changed and not self._is_taking_request
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
         state = self.engine.meshes.state
@@ -150,18 +167,25 @@ class World:
         return SceneState(poses, present), plume_poses
 
     def _of_models(self, bodies: dict) -> dict:
-        """Return the poses of bodies, with those of its parts in place of a model that is no body itself."""
-        out = {}
-        for name, pose in bodies.items():
-            parts = {} if name in self._indices or name in self._plume_poses else self.scene.parts_of(name)
-            if parts and pose is not None:
+        """Return the poses of bodies, with those of all that is in it in place of a model.
+
+        A part that is named itself has the pose that is given for it, whatever the order.
+        """
+        out, own = {}, {}
+        for name in sorted(bodies, key=lambda name: str(name).count("::")):  # outer models before inner ones
+            pose, parts = bodies[name], self.scene.parts_of(name)
+            if not parts:
+                own[name] = pose
+                continue
+            if pose is not None:
                 pose = check_pose(pose, f"the pose of model {name!r}")
-            out |= {part: pose if pose is None else pose @ at for part, at in parts.items()} or {name: pose}
-        return out
+            out |= {part: pose if pose is None else pose @ at for part, at in parts.items()}
+        return out | own
 
     def _index_of(self, name, what: str, plumes=()) -> int:
         if name not in self._indices:
-            known = ", ".join(map(repr, [*self._indices, *plumes])) or "none"
+            models = self.scene.models if what == "bodies" else ()
+            known = ", ".join(map(repr, dict.fromkeys([*self._indices, *plumes, *models]))) or "none"
             raise Error(f"{what} must be bodies of the scene (got {name!r}; there are: {known[:200]})")
         return self._indices[name]
 
@@ -190,7 +214,7 @@ class World:
         self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
             contents, given_scene, scene, plume_poses, indices
         )  # fmt: skip
-        self.n_changes += bool(bodies)
+        self._count_change(bool(bodies))
 
     def join(self, user: int) -> None:
         """Count one user more, by its id."""

@@ -275,7 +275,9 @@ class Scene:
         home = self.models[model]
         model_from_world = np.linalg.inv(home)
         return {
-            thing.name: np.eye(4) if np.array_equal(thing.pose, home) else model_from_world @ thing.pose
+            thing.name: np.eye(4)
+            if thing.name == model or np.array_equal(thing.pose, home)
+            else model_from_world @ thing.pose
             for thing in (*self.bodies, *self.plumes)
             if thing.name == model or thing.name.startswith(f"{model}::")
         }

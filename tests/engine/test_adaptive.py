@@ -11,7 +11,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.engine import error_model
+from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
@@ -152,6 +152,17 @@ def test_a_thin_body_between_two_beams_is_not_seen():
     upright = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 40)), sg.pose(8))
     assert is_seen_before_a_wall(SONAR, upright)
     assert not is_seen_before_a_wall(GAPS, upright)
+
+
+@pytest.mark.parametrize("azimuth_deg", [-150, 30, 90])
+def test_edges_are_cut_for_the_sector_that_holds_the_body_alone(azimuth_deg, monkeypatch):
+    """A fan of six sectors, and a body in the middle of one: to cut a thousand bodies for all took seconds."""
+    round_about = replace(SONAR, n_beams=360, azimuth_fov_deg=359.0, beam_width_deg=1.0)
+    cut, cut_edges = [], visibility.points_within
+    monkeypatch.setattr(visibility, "points_within", lambda *args: cut.append(1) or cut_edges(*args))
+    place = sg.pose(yaw=math.radians(azimuth_deg)) @ sg.pose(8)
+    is_seen_before_a_wall(round_about, sg.Body("ball", trimesh.creation.icosphere(2, 0.6), place))
+    assert len(cut) == 1
 
 
 @pytest.mark.parametrize("inside_m, is_seen", [(0.001, False), (0.5, True)])

@@ -159,6 +159,27 @@ def test_links_move_with_their_model():
             it.place({"gone": there})
 
 
+def test_what_is_in_a_model_moves_with_the_body_of_its_name():
+    """A part that is named itself goes where its own pose says, whatever the order."""
+    at, there, aside = sg.pose(7, 0, 0, yaw=0.5), sg.pose(5, -0.5, 0.1), sg.pose(6, 1.5)
+    hull = sg.Body("rov", BOX, at, 0.5)
+
+    def bodies(place, of_a):
+        return [replace(body, pose=of_a if body.name == "rov::a" else body.pose) for body in place]
+
+    scene = sg.Scene([hull, *robot(at)[1:]], models={"rov": at, "rov::a": at @ sg.pose(0, -1, yaw=-1)})
+    with sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
+        moved = [replace(hull, pose=there), *robot(there)[1:]]
+        np.testing.assert_allclose(
+            it.ping(POSE, bodies={"rov": there}).intensity, fresh(moved).intensity, atol=1e-6
+        )
+        expected = fresh(bodies(moved, aside)).intensity
+        for order in ({"rov": there, "rov::a": aside}, {"rov::a": aside, "rov": there}):
+            np.testing.assert_allclose(it.ping(POSE, bodies=order).intensity, expected, atol=1e-6)
+        with pytest.warns(UserWarning, match="no echo"):
+            it.ping(POSE, bodies={"rov": None})
+
+
 @pytest.mark.parametrize("first", ALL)
 @pytest.mark.parametrize("second", ALL)
 def test_an_added_body_acts_like_one_of_the_scene(first, second):

@@ -356,7 +356,7 @@ def test_bodies_that_change_between_two_pings_are_warned_of_once(it, change):
         warnings.simplefilter("always")
         for number, _ in enumerate(it.pings(POSES)):
             if change == "place":
-                it.place({"box": sg.pose(6, 2 - 0.3 * number)})
+                it.place({"box": sg.pose(6, 1.7 - 0.3 * number)})
             else:
                 it.add(sg.Body(f"ball {number}", BALL, sg.pose(8, 0.3 * number)))
             lines.append(len(caught))
@@ -382,8 +382,25 @@ def test_bodies_that_change_where_no_ping_was_made_ahead_are_not_warned_of(it):
         for pose in POSES[:2]:
             it.place({"box": sg.pose(6, 2)})
             it.ping(pose)
+        where = it.scene.bodies[0].pose
+        it.place({it.scene.bodies[0].name: where})
         for _ in it.pings(POSES):  # nothing changes
             it.place({})
+            it.place({it.scene.bodies[0].name: where})
+
+
+def test_bodies_that_generators_place_are_not_warned_of(it):
+    """Two sequences of one world in turns: each generator places the bodies of its next pings while the other waits."""
+
+    def poses(y_m):
+        for number, pose in enumerate(POSES):
+            it.place({"box": sg.pose(6, y_m - 0.3 * number)})
+            yield pose
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in zip(it.pings(poses(2)), it.pings(poses(1)), strict=True):
+            pass
 
 
 def test_a_call_in_the_middle_of_a_ping_raises_an_error(it):

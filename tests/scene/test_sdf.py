@@ -995,6 +995,12 @@ def test_a_merged_include_becomes_a_part_of_the_model(tmp_path, read, inside, x,
     }
 
 
+def test_a_model_that_is_merged_twice_is_refused(tmp_path, read):
+    add_model(tmp_path, "arms", model(MERGED, "arms"))
+    with pytest.raises(sg.Error, match=r"model 'arms' must be merged once \(got it twice"):
+        read(model(2 * MERGE.format(""), "rov"))
+
+
 def test_what_a_merged_include_names_lies_beside_it(tmp_path, read):
     """Files are found in the folder of the included model; a single link makes the body of the outer one."""
     add_model(tmp_path / "far", "arms", model(link(shape=shape(RETRO, geometry=MESH)), "arms"))

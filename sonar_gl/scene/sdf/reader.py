@@ -308,6 +308,11 @@ class TreeReader:
     def _merge_model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, location: str):
         """Add a model whose frames, links and models are those of the scope that includes it."""
         own_name = f"_merged__{name}__model__"  # Gazebo's, too
+        if scope.holds(own_name):
+            raise Error(
+                f"{location}: model {name!r} must be merged once (got it twice, so that links would have the same "
+                'names; leave merge="true" out of one <include>)'
+            )
         self._add_model(scope, own_name, frame, element, stack, location)
         if scope.is_world and (names := frame.scope.link_names()):
             raise Error(
