@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from dataclasses import replace
 
@@ -45,9 +46,14 @@ def sonar_from(options, scene: Scene) -> Sonar:
         echo(f"sonar: {describe_sonar(scene)}", err=True)
         sonar = scene.sonar or load_sonar(DEFAULT_SONAR)
     else:
-        sonar = load_sonar(options.sonar)
+        sonar = named_sonar(options.sonar)
     sonar = sonar if options.range is None else sonar.with_range(options.range)
     return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
+
+
+def named_sonar(text: str) -> Sonar:
+    """Return the sonar of --sonar, in which ~ is the home folder."""
+    return load_sonar(os.path.expanduser(text))
 
 
 def describe_sonar(scene: Scene) -> str:

@@ -10,6 +10,7 @@ from sonar_gl.cli.common import (
     acoustics_from,
     check_address,
     check_duration,
+    named_sonar,
     poses_from,
     scene_from,
     sonar_from,
@@ -49,7 +50,7 @@ def session_from(scene_name: str, options) -> LiveSession:
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
     sonar = sonar_from(options, scene)
-    named = None if options.sonar is None else load_sonar(options.sonar)
+    named = None if options.sonar is None else named_sonar(options.sonar)
     source = SceneSource(
         scene_name,
         resource_paths=tuple(options.resource_path),

@@ -52,6 +52,10 @@ def _writing(path: Path):
     if not path.parent.is_dir():
         what = "is not a folder" if path.parent.exists() else "does not exist"
         raise Error(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} {what}")
+    if _leads_to_open_file(path):  # as /dev/stdout does: renaming would replace the link
+        raise Error(
+            f"cannot write {str(path)!r}: must be the name of a file (got that of an output of the process)"
+        )
     if path.exists() and not path.is_file():  # renaming would replace a pipe, or /dev/null
         got = describe_kind(path.stat().st_mode)
         raise Error(f"cannot write {str(path)!r}: must be the name of a file (got {got})")
@@ -59,6 +63,17 @@ def _writing(path: Path):
         yield
     except OSError as why:
         raise Error(f"cannot write {str(path)!r}: {describe_os_error(why, path.parent)}") from None
+
+
+def _leads_to_open_file(path: Path) -> bool:
+    """Return whether a path is a link to what a process has open, in /proc."""
+    for _ in range(40):  # links to links, as many as Linux follows
+        if not os.path.islink(path):
+            return False
+        path = Path(os.path.join(path.parent, os.readlink(path)))
+        if path.parts[:2] == ("/", "proc"):
+            return True
+    return False
 
 
 @contextmanager

@@ -529,6 +529,10 @@ def test_the_pose_of_a_sonar_that_no_sensor_gives_is_shown(tmp_path):
         ("folder", "cannot write 'folder': must be the name of a file (got a folder)"),
         ("pipe", "cannot write 'pipe': must be the name of a file (got a named pipe)"),
         ("/dev/null", "cannot write '/dev/null': must be the name of a file (got a device)"),
+        (
+            "output",
+            "cannot write 'output': must be the name of a file (got that of an output of the process)",
+        ),
         ("/proc/a.json", "cannot write '/proc/a.json': no such file or directory"),
         ("", "--report must be a path (got an empty text; is a variable of the shell empty?)"),
     ],
@@ -539,5 +543,8 @@ def test_a_report_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
     monkeypatch.setattr(doctor, "examine", lambda: pytest.fail("it works before it looks"))
     Path("folder").mkdir()
     os.mkfifo("pipe")
-    assert command_line.run("doctor", "--report", path) == (2, "", f"error: {message}\n")
-    assert sorted(os.listdir()) == ["folder", "pipe"]
+    Path("open.txt").write_text("open")
+    with open("open.txt") as file:  # as /dev/stdout is where the output goes to a file
+        os.symlink(f"/proc/self/fd/{file.fileno()}", "output")
+        assert command_line.run("doctor", "--report", path) == (2, "", f"error: {message}\n")
+    assert sorted(os.listdir()) == ["folder", "open.txt", "output", "pipe"]

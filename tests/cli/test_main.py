@@ -742,7 +742,8 @@ def test_the_home_folder_is_found_where_the_shell_leaves_its_sign(folder, monkey
     monkeypatch.setenv("HOME", str(folder / "home"))
     Path("home").mkdir()
     Path("dive.csv").rename("home/dive.csv")
-    out = render("--out=~/x", "--poses=~/dive.csv", "--format", "npz")
+    Path("small.toml").rename("home/small.toml")
+    out = render("--out=~/x", "--poses=~/dive.csv", "--sonar=~/small.toml", "--format", "npz")
     assert out.startswith(f"{folder}/home/x/tank_0000..0002.npz: ") and not Path("~").exists()
 
 
