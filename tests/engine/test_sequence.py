@@ -403,6 +403,16 @@ def test_bodies_that_generators_place_are_not_warned_of(it):
             pass
 
 
+def test_a_sequence_that_ends_after_its_simulator_keeps_no_workers():
+    """Their stages would stay in memory as long as the simulator is held."""
+    it = simulator()
+    run, pings = it.run, it.pings(POSES)
+    next(pings)
+    it.close()
+    pings.close()
+    assert run.take_workers(1, lambda: "new") == ["new"]
+
+
 def test_a_call_in_the_middle_of_a_ping_raises_an_error(it):
     """A signal handler, for example; the naive way waits for ever for the lock that its own thread holds."""
     expected = it.ping(POSES[0]).intensity
