@@ -209,6 +209,7 @@ class _Frustum(NamedTuple):
 
 
 def _frustum(sector: Sector, range_max_m: float) -> _Frustum:
+    """Return the frustum of a sector: its sides, between them its lowest and highest elevation, and the range ahead."""
     beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
     above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
     normals = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]

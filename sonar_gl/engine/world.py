@@ -139,11 +139,14 @@ class World:
     @contextmanager
     def taking_request(self):
         """Not count what changes for the time of the block: a generator of poses has placed bodies in time."""
-        self._is_taking_request = True
+        before, self._is_taking_request = (
+            self._is_taking_request,
+            True,
+        )  # a generator may take from a sequence itself
         try:
             yield
         finally:
-            self._is_taking_request = False
+            self._is_taking_request = before
 
     def _count_change(self, has_changed: bool) -> None:
         self.n_changes += has_changed and not self._is_taking_request
