@@ -237,7 +237,8 @@ def _labelled_ping() -> Ping:
 
 
 def _scene() -> Scene:
-    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles and bubbles."""
+    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles, a hidden
+    body and bubbles."""
     box, ball = trimesh.creation.box((0.5, 0.5, 0.5)), trimesh.creation.icosphere(4, 0.4)
     return Scene(
         [
@@ -246,6 +247,7 @@ def _scene() -> Scene:
             Body(
                 "ball", ball, pose(5.0, -0.6, -1.5), 0.5, ball.vertex_normals, specular=0.3, roughness_rad=0.1
             ),
+            Body("buried", box, pose(4.0, 0.0, -2.4)),  # no sample meets it
             Bubbles("bubbles", pose(6.0, 0.0, -2.0)),
         ],
         surface_z_m=0.0,
