@@ -216,6 +216,7 @@ def add_interference(
     for _ in range(generator.poisson(mean_count)):
         first, share = int(generator.integers(1 - length, K)), generator.random()
         offset = azimuth - (azimuth[0] + share * (azimuth[-1] - azimuth[0]))
+        offset = np.where(np.abs(offset) > np.pi, 2 * np.pi - np.abs(offset), offset)  # the other way round
         pattern = aperture_field(aperture_width(taper) * offset / width, taper) ** 2
         bins = slice(max(0, first), first + length)
         intensity[:, bins] += np.outer(np.maximum(pattern, SIDE_LOBES), power[bins]).astype(np.float32)
