@@ -149,6 +149,14 @@ def test_neighbouring_beams_correlate_as_their_fields_where_there_are_some():
     check_mean(found[:, :-1] * found[:, 1:], expected)
 
 
+def test_the_ends_of_a_full_circle_share_scatterers_as_neighbours_do():
+    ping = ping_of_water(density_m3=100.0, n_beams=720, spacing_deg=0.5)
+    found = noisy(ping, pings=20)
+    ends, within = (correlation(found[:, a], found[:, b]) for a, b in ((0, -1), (360, 359)))
+    assert within > 0.6 and ends == pytest.approx(within, abs=0.2)  # heavy tails: 0.05 from seed to seed
+    check_mean(found, 1.0)
+
+
 def test_bins_from_where_there_are_many_in_a_cell_have_a_gaussian_field():
     ping = ping_of_water(density_m3=2e4)
     series = FieldCorrelation(tuple(ping.azimuth_rad), BEAM_WIDTH_RAD)
