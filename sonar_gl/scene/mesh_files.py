@@ -15,7 +15,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.collada_files import read_collada
-from sonar_gl.scene.gltf_accessors import check_accessors
+from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
@@ -26,7 +26,10 @@ Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0
 
 
 class MeshPart(NamedTuple):
-    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres."""
+    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres.
+
+    Nodes of several parts, in glTF, have one name.
+    """
 
     node: str
     geometry: str
@@ -89,6 +92,7 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
             scene = _load_collada(path)
         elif path.suffix.lower() in BUFFER_SUFFIXES:
             check_accessors(path)
+            check_positions(path)
             scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
         else:
             scene = _load(path, resolver=NoFiles(path))
@@ -158,12 +162,20 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
         units = str(mesh.metadata.get("units", "")).split(" * ")
         scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
         shape = make_shape(mesh.vertices, mesh.faces, normals)
-        parts.append(MeshPart(node, key, transform(shape, scale @ matrix)))
+        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, scale @ matrix)))
     if not parts:
         raise Error(
             f"{path}: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
         )
     return parts
+
+
+def _name_in_file(scene, node: str, mesh) -> str:
+    """Return the name of a node in its file: trimesh adds random letters where a node of a glTF has several parts."""
+    if not mesh.metadata.get("from_gltf_primitive"):
+        return node
+    parent = str(scene.graph.transforms.parents.get(node))
+    return parent if re.fullmatch(rf"{re.escape(parent)}_[0-9a-f]{{6}}", node) else node
 
 
 def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Collection[Path] = ()) -> Shape:
