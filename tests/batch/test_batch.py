@@ -243,6 +243,28 @@ def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(sm
     assert min(shifts) >= -0.5 and max(shifts) <= 0.5
 
 
+def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
+    """As a whole, also where it changes nothing: "*" moves, and `floor` after it stays."""
+    path = write_job(tmp_path, 40, "")
+    tables = [
+        {"names": ["*"], "apart": True, "x_m": [1.0, 2.0], "reflectivity": 0.9},
+        {"names": ["floor"]},
+        {"names": ["box_1"], "there": 0.5},
+        {"names": ["wall"], "reflectivity": 0.1},
+    ]
+    job = Job(**read_job(path).plain | {"vary": {"bodies": tables}})
+    requests = BatchRequests(job)
+    wall = {body.name: body.pose for body in requests.scene(0).bodies}["wall"]
+    boxes = []
+    for request in requests:
+        assert request.reflectivity == {"wall": 0.1}
+        assert set(request.bodies) - {"box_1"} == {"wall"}
+        np.testing.assert_array_equal(request.bodies["wall"], wall)
+        boxes.append(request.bodies.get("box_1", "unmoved"))
+    assert {box is None for box in boxes} == {True, False}
+    assert all(box is None or box == "unmoved" for box in boxes)
+
+
 def test_varied_looks_are_whole_numbers_within_their_bounds(small):
     vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
     requests = BatchRequests(read_job(small / "job.toml").model_copy(update={"vary": vary}))
