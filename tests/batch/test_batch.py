@@ -444,6 +444,26 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
 
 
+def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tmp_path):
+    """Only these differ, and images and masks do not."""
+    path = write_job(tmp_path, 2, LABELS + "[coco]\nheight = 100\nmin_area = 40\n")
+    make_all(path, tmp_path / "out")
+    of_all, left_out = [], 0
+    for sonar in ("level", "upright"):
+        folder = Path("coco") / sonar
+        every, large = (COCO(str(at / "out" / folder / "instances.json")) for at in (small, tmp_path))
+        for number in range(2):
+            found = every.loadAnns(every.getAnnIds(number))
+            of_all += found
+            assert large.loadAnns(large.getAnnIds(number)) == [one for one in found if one["area"] >= 40]
+            left_out += sum(one["area"] < 40 for one in found)
+            (image,) = large.loadImgs(number)
+            for kind in ("images", "masks"):
+                name = folder / kind / image["file_name"]
+                assert (tmp_path / "out" / name).read_bytes() == (small / "out" / name).read_bytes()
+    assert 0 < left_out < len(of_all)
+
+
 def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):
     """Layers, boxes and masks are those of pings with this level; by default they are what the display shows."""
     level_db = -25.0
