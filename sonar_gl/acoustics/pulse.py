@@ -226,9 +226,8 @@ def _convolve(rows, before, weights, out):
     n is a multiple of 4.
     """
     last, length = uint64(out.shape[1]), uint64(rows.shape[1])
-    row = np.zeros(
-        max(last, length + uint64(before)) + uint64(len(weights)), np.float32
-    )  # stays in the cache
+    # one row stays in the cache
+    row = np.zeros(max(last, length + uint64(before)) + uint64(len(weights)), np.float32)
     for r in range(uint64(len(rows))):
         to, from_ = out[r], rows[r]
         for k in range(length):

@@ -165,9 +165,8 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
             v[2] - v[1] * step,
         )
         bottom_row = max(int((v_low - low_v) / rise) - 2, 0)
-        n = max(
-            min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0
-        )  # 0: the window lies above or below
+        # 0: the window lies above or below
+        n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
         else:

@@ -19,9 +19,8 @@ from numba import uint64
 from sonar_gl.core.compiled import compiled, inlined
 
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
-FEW = (
-    16  # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
-)
+# samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
+FEW = 16
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
@@ -41,8 +40,10 @@ class PatchFaces(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Vertices of all patches: (W, 3) float32 positions; (W, 3) normals and (W,) reflectivity, or of no
-    length.
+    """Vertices of all patches.
+
+    points : (W, 3) float32 positions
+    normals, reflectivity : (W, 3) and (W,), or of no length
     """
 
     points: np.ndarray
@@ -399,9 +400,8 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                     continue
             along_u = q_column * inverse[0, 0] + q_row * inverse[1, 0]
             along_v = q_column * inverse[0, 1] + q_row * inverse[1, 1]
-            ahead = (
-                q0 - along_u * u0 - along_v * v0
-            )  # of the plane p · x = 1, whose other parts are the slopes
+            # of the plane p · x = 1, whose other parts are the slopes
+            ahead = q0 - along_u * u0 - along_v * v0
             planes[n, 0], planes[n, 1] = along_u, along_v
             planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
             planes[n, 3] = body_rows[body, 12]
