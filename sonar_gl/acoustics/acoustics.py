@@ -55,17 +55,7 @@ CHOICES = {  # field: allowed names
     "elevation_pattern": ("box", "line_array", "gaussian"),
     "multipath": ("none", "incoherent", "coherent"),
 }
-SWITCHES = (
-    "conical_beams",
-    "far_side_lobes",
-    "transmit_beam",
-    "pulse",
-    "specular",
-    "bubbles",
-    "volume_reverberation",
-    "surface_reverberation",
-    "cross_talk",
-)
+SWITCHES = tuple(name for name, value in BARE.items() if isinstance(value, bool))
 BOUNDS = (  # field, least and greatest value, hint for messages
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
