@@ -351,8 +351,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "_clear_faint(intensity[b], least, body_id[b]",
-        "_clear_faint(intensity[b], np.float32(0.0), body_id[b]",
+        "_clear_faint(intensity, np.float32(least)",
+        "_clear_faint(intensity, np.float32(0.0)",
         LABELS,
     ),
     Mutation(
