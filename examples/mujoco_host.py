@@ -14,9 +14,8 @@ os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = "egl"
 
 from OpenGL import EGL
 
-if not hasattr(
-    EGL, "EGLDeviceEXT"
-):  # MuJoCo's EGL needs it, and PyOpenGL 3.1.0, which pyrender pins, has none
+# MuJoCo's EGL needs it, and PyOpenGL 3.1.0, which pyrender pins, has none
+if not hasattr(EGL, "EGLDeviceEXT"):
     EGL.EGLDeviceEXT = c_void_p
 import mujoco
 import numpy as np

@@ -146,10 +146,8 @@ PRESET = "oculus-m1200d-hf"
 # The preset has 0.4 degrees. One straight array with that width, whose beams are even in sine, has neighbours that
 # overlap as much as beams of 0.42 degrees do over this fan; our noise takes one width for all beams.
 BEAM_WIDTH_DEG = 0.42
-FLOOR = (
-    0.75,
-    0.8,
-)  # length ahead and width of the floor over the greatest range: more than the beams' main lobes see
+# Length ahead and width of the floor over the greatest range: more than the beams' main lobes see.
+FLOOR = (0.75, 0.8)
 FLOOR_CELLS = 270, 145  # along them: 6 x 11 mm for a range of 2 m
 # Standard deviations of the blur that makes its patches, cells, and of their reflectivity: by the correlations and the
 # contrast of the real floor, whose patches are longer across than ahead.

@@ -558,6 +558,12 @@ TERMS = {
     "other absorption": {"water": sg.Water(absorption_formula="ainslie_mccolm"), "tvg_absorption_db_m": 0.3},
     "TVG": {"tvg_k": 40.0, "tvg_absorption_db_m": 0.2},
     "set speed": {"water": sg.Water(sound_speed_m_s=1450.0), "sonar_sound_speed_m_s": 1500.0},
+    "sine spacing": {"beam_spacing": "sine"},
+    "element errors": {"element_error_db": -36.0},
+    "cross-talk": {"cross_talk_db": -20.0, "cross_talk_beams": 4},
+    "tilt": {"tilt_deg": 12.0},
+    "volume reverberation": {"water": sg.Water(volume_backscatter_db=-60.0)},
+    "surface reverberation": {"water": sg.Water(wind_speed_m_s=7.0)},
     "no lobes": {"specular": False},
     "elevation box": {"elevation_pattern": "box"},
     "no pulse": {"pulse": False},
@@ -574,6 +580,7 @@ NOISES = {
     "ambient": sg.Noise(speckle=True, self_noise=True, ambient_db=-70.0),
     "interference": sg.Noise(interference_lines=6.0),
     "locked": sg.Noise(speckle=True, follow_motion=True),
+    "dropped beams": sg.Noise(dropped_beams=0.1),
     "all": sg.Noise(
         speckle=True,
         gaussian=0.01,
@@ -670,6 +677,14 @@ def cases() -> Iterator[tuple[str, Callable]]:
         yield f"noise/{name}, patchy", partial(one, "patchy", sampling=FIXED, noise=NOISES[name], seed=7)
     for name, noise in NOISES.items():
         yield f"noise/{name}", partial(one, sampling=FIXED, noise=noise, seed=7, ping_number=3)
+    ringing = dataclasses.replace(
+        SONAR, ring_down_db=-20.0, common_noise_db=-70.0, source_level_db=210.0, bandwidth_hz=20e3
+    )
+    receiver = sg.Noise(self_noise=True, thermal_noise=True)
+    yield "noise/receiver", partial(one, sonar=ringing, sampling=FIXED, noise=receiver)
+    few = sg.Acoustics.physical(water=sg.Water(volume_backscatter_db=-60.0, scatterer_density_m3=20.0))
+    for name in ("speckle", "locked"):
+        yield f"noise/{name}, few scatterers", partial(one, acoustics=few, sampling=FIXED, noise=NOISES[name])
     circle = FANS["360 degrees"]
     straight = {"bandwidth_hz": 20e3, "pulse_taper": "uniform", "steered": "straight"}
     straight, pulse = described(SONAR, pulse=True, **straight)

@@ -351,8 +351,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "_clear_faint(intensity[b], least, body_id[b]",
-        "_clear_faint(intensity[b], np.float32(0.0), body_id[b]",
+        "_clear_faint(intensity, np.float32(least)",
+        "_clear_faint(intensity, np.float32(0.0)",
         LABELS,
     ),
     Mutation(
@@ -627,14 +627,14 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/near plane",
-        "1.0 / near_m - q0, -q_column, -q_row",
-        "q0 - 1.0 / near_m, q_column, q_row",
+        "1.0 / near_m - form[0], -form[1], -form[2]",
+        "form[0] - 1.0 / near_m, form[1], form[2]",
         TRIANGLES,
     ),
     Mutation(
         "triangles/water's surface",
-        "above[2] * v0 + plane[3] * q0",
-        "above[2] * v0 - plane[3] * q0",
+        "up * lattice_v[0] + plane[3] * q0",
+        "up * lattice_v[0] - plane[3] * q0",
         TRIANGLES,
     ),
     Mutation(

@@ -55,17 +55,7 @@ CHOICES = {  # field: allowed names
     "elevation_pattern": ("box", "line_array", "gaussian"),
     "multipath": ("none", "incoherent", "coherent"),
 }
-SWITCHES = (
-    "conical_beams",
-    "far_side_lobes",
-    "transmit_beam",
-    "pulse",
-    "specular",
-    "bubbles",
-    "volume_reverberation",
-    "surface_reverberation",
-    "cross_talk",
-)
+SWITCHES = tuple(name for name, value in BARE.items() if isinstance(value, bool))
 BOUNDS = (  # field, least and greatest value, hint for messages
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
@@ -86,9 +76,8 @@ MOVED_TO_WATER = tuple(field.name for field in fields(Water))
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
 SKIRTS_LEVEL = 0.1  # two-way power in elevation below which the main lobe is sampled coarsely
-ELEVATION_SUPPORT_LEVEL = (
-    1e-3  # two-way power in elevation down to which samples are as fine as on the boresight
-)
+# Two-way power in elevation down to which samples are as fine as on the boresight.
+ELEVATION_SUPPORT_LEVEL = 1e-3
 MAX_ELEVATION_DEG = 85.0  # above the boresight: a perspective view cannot cover much more
 # Two-way power in elevation below which nothing is received: the first bottom return comes from so near that a level
 # sonar shows it 20 dB above its side lobe, and images show 60 dB.

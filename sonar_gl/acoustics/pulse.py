@@ -226,18 +226,16 @@ def _convolve(rows, before, weights, out):
     n is a multiple of 4.
     """
     last, length = uint64(out.shape[1]), uint64(rows.shape[1])
-    row = np.zeros(
-        max(last, length + uint64(before)) + uint64(len(weights)), np.float32
-    )  # stays in the cache
+    # one row stays in the cache
+    row = np.zeros(max(last, length + uint64(before)) + uint64(len(weights)), np.float32)
     for r in range(uint64(len(rows))):
         to, from_ = out[r], rows[r]
         for k in range(length):
             row[uint64(before) + k] = from_[k]
         for k in range(last):
             to[k] = 0
-        for j in range(
-            0, uint64(len(weights)), 4
-        ):  # four at a time, since out is then read and written less often
+        # four at a time, since out is then read and written less often
+        for j in range(0, uint64(len(weights)), 4):
             a, b, c, d = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
             one, two, three, four = row[j:], row[j + 1 :], row[j + 2 :], row[j + 3 :]
             for k in range(last):

@@ -13,9 +13,8 @@ from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.key_values import parse_fields
 
-LATITUDE_DEG = (
-    45.0  # for pressure from depth; at 1 km the speed at the poles or the equator differs by 0.05 m/s
-)
+# For pressure from depth; at 1 km the speed at the poles or the equator differs by 0.05 m/s.
+LATITUDE_DEG = 45.0
 
 
 def absorption_francois_garrison(frequency_hz, temperature_c, salinity_psu, depth_m, ph):

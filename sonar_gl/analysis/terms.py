@@ -111,6 +111,12 @@ TERMS = (
         off={"far_side_lobes": False},
     ),
     Term(
+        "transmit beam",
+        on=_field_on("transmit_beam", True, off=False),
+        off={"transmit_beam": False},
+        acts_with=lambda acoustics, sonar: sonar.transmit_width_deg is not None,
+    ),
+    Term(
         "elevation pattern",
         on=_field_on("elevation_pattern", "line_array", off="box"),
         off={"elevation_pattern": "box"},

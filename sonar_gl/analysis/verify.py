@@ -23,9 +23,8 @@ from sonar_gl.sonar.sampling import WORST_BODY, Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 N_TIMED = 9  # pings whose median time is reported
-FIRST_ERROR = (
-    0.05  # the first reference is refined to judge this error, the next one to judge the error found
-)
+# The first reference is refined to judge this error, the next one to judge the error found.
+FIRST_ERROR = 0.05
 MARGIN = 0.8  # of an error that holds some of the reference's own
 MAX_ROUNDS = 3  # of refining the reference
 COLOUR_PERCENTILE = 99  # of the errors of bins: from there on the picture has full colour

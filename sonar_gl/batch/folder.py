@@ -136,9 +136,8 @@ class Folder:
             return
         with Path(self.path(LOCK)).open("w") as file:
             try:
-                fcntl.flock(
-                    file, fcntl.LOCK_EX | fcntl.LOCK_NB
-                )  # released when the process ends, however it does
+                # released when the process ends, however it does
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise Error(
                     f"{self.root}: must have one batch at a time (another is running in it)"

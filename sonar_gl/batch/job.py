@@ -53,9 +53,8 @@ def _check_counts(value):
     if not isinstance(value, dict):
         raise ValueError('should be a table, such as { law = "db", low_db = -50 }')
     try:
-        DEFAULT_COUNTS.changed(
-            {"law": "db", **value}
-        )  # which fields go together depends on the sonar's own law
+        # which fields go together depends on the sonar's own law
+        DEFAULT_COUNTS.changed({"law": "db", **value})
     except Error as why:
         raise ValueError(str(why)) from None
     return value

@@ -274,9 +274,8 @@ class PartMaker:
         self._batch, self.folder, self._system = batch, batch.folder, None
         self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
         self._stack, self._scene, self._simulators = ExitStack(), None, {}
-        self._unmet: set[tuple[int, str]] = (
-            set()
-        )  # scene and sonar of which it was said that a tolerance is not met
+        # scene and sonar of which it was said that a tolerance is not met
+        self._unmet: set[tuple[int, str]] = set()
 
     def _simulators_of(self, scene: int) -> dict[str, Simulator]:
         """Return the simulators of a scene, one for each sonar."""

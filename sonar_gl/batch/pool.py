@@ -41,10 +41,8 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
     and at its end ("result", value), or ("error", text) for an Error, a failed write and everything else.
     """
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # the pool decides when to stop; queues signal all processes
+    # the pool decides when to stop; queues signal all processes
+    for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
     batch = None

@@ -129,8 +129,9 @@ class BatchRequests(Sequence):
         with errors_at(f"{job.where}: noise"):
             for sonar in self.sonars.values():  # those of which the noise needs more than they have
                 receiver_levels_db(self.noise, sonar, self.acoustics)
-        for output in ("pictures", "coco", "ros"):
-            self.counts(output)
+        for output, table in job:
+            if hasattr(table, "counts"):
+                self.counts(output)  # raises an Error if they do not go with the law of a sonar
         if job.ros is not None:
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))

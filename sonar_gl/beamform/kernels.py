@@ -165,9 +165,8 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
             v[2] - v[1] * step,
         )
         bottom_row = max(int((v_low - low_v) / rise) - 2, 0)
-        n = max(
-            min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0
-        )  # 0: the window lies above or below
+        # 0: the window lies above or below
+        n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
         else:
@@ -405,9 +404,8 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
     if high <= low:
         return uint64(K), uint64(0)
     scale = energy / (4 * wide * thin)
-    if (
-        s < wide + thin
-    ):  # a plane beyond its horizon: the energy of the middle is spread over the part in view
+    # a plane beyond its horizon: the energy of the middle is spread over the part in view
+    if s < wide + thin:
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
     row, first = uint64(c), uint64(int((1.0 / high - first_m) * per_metre))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
@@ -1617,9 +1615,8 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
             length = math.sqrt(1.0 + u * u + v * v)
             weight = two_way = height / length**3
-            if elevation_pattern.shape[
-                0
-            ]:  # of an echo by way of a reflector, one leg may lie on the boresight
+            # of an echo by way of a reflector, one leg may lie on the boresight
+            if elevation_pattern.shape[0]:
                 power = _elevation_power(elevation_pattern, v / length)
                 weight, two_way = weight * math.sqrt(power), weight * power
             if seen[g] > 0.0 and length / seen[g] < range_max_m:

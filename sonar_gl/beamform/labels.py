@@ -13,6 +13,7 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
+from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -27,6 +28,8 @@ COLUMNS_PER_BEAM = 4
 # Where beams overlap, all of them together receive neighbouring columns alike. Columns are joined only if what all
 # beams return of each is within this share of their mean: it bounds the error of a body's echo, whichever hold it.
 UNEVEN = 2e-3
+# labels that describe the strongest echo; the shadow of a bin does not depend on that
+ECHO_LABELS = {name: empty for name, empty in BIN_LABELS.items() if name != "shadow"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +56,8 @@ def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Lab
     other : (B, K) float32, the echo without body, likewise
     """
     weaker = labels.share * direct < other
-    labels.body_id[weaker], labels.share[weaker] = 0, 0.0
-    for numbers in (labels.elevation_rad, labels.incidence_rad, labels.true_range_m):
-        numbers[weaker] = np.nan
+    for name, empty in ECHO_LABELS.items():
+        getattr(labels, name)[weaker] = empty
     return labels
 
 
@@ -68,26 +70,18 @@ def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels
     intensity : (B, K) float32, mean echo of the ping
     least : intensity from which on bins are labelled
     """
-    numbers = labels.elevation_rad, labels.incidence_rad, labels.true_range_m
-    _remove_faint(intensity, np.float32(least), labels.body_id, labels.share, *numbers)
+    for name, empty in ECHO_LABELS.items():
+        values = getattr(labels, name)
+        _clear_faint(intensity, np.float32(least), values, values.dtype.type(empty))
     return labels
 
 
 @compiled
-def _clear_faint(intensity, least, labels, empty):
-    """Set the labels of bins below `least` to `empty`; of one beam, (K,)."""
-    for k in range(intensity.shape[0]):  # without branches, so that the compiler can vectorise it
-        labels[k] = empty if intensity[k] < least else labels[k]
-
-
-@compiled
-def _remove_faint(intensity, least, body_id, share, elevation_rad, incidence_rad, true_range_m):
-    """Set the labels of bins below `least` to those of bins without echo; all arrays (B, K)."""
+def _clear_faint(intensity, least, values, empty):
+    """Set the values of bins below `least` to `empty`; both arrays (B, K)."""
     for b in range(intensity.shape[0]):
-        _clear_faint(intensity[b], least, body_id[b], np.uint16(0))
-        _clear_faint(intensity[b], least, share[b], np.float32(0.0))
-        for numbers in (elevation_rad, incidence_rad, true_range_m):
-            _clear_faint(intensity[b], least, numbers[b], np.float32(np.nan))
+        for k in range(intensity.shape[1]):  # without branches, so that the compiler can vectorise it
+            values[b, k] = empty if intensity[b, k] < least else values[b, k]
 
 
 class LabelColumns(NamedTuple):

@@ -74,9 +74,8 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
 def _with_file(options, given: set[str], file: Ros2File) -> SimpleNamespace:
     """Return the options with those of the file that the command line does not name."""
     changes = {name: getattr(file, name) for name in OPTIONS if name not in given}
-    if "pose_from" in given or not given.isdisjoint(
-        ("pose", "poses")
-    ):  # one source of poses replaces another
+    # one source of poses replaces another
+    if not given.isdisjoint(("pose", "poses", "pose_from")):
         changes |= {name: None for name in ("pose", "poses", "pose_from") if name not in given}
     return SimpleNamespace(
         **{**vars(options), **{name: value for name, value in changes.items() if value is not None}}

@@ -153,10 +153,8 @@ class _Upcoming:
                 self.n_taken += 1
             except StopIteration:
                 self._is_over = True
-            except (
-                KeyboardInterrupt
-            ):  # at once: a caller that stops at one of the pings before would never get it
-                raise
+            except KeyboardInterrupt:
+                raise  # at once: a caller that stops at one of the pings before would never get it
             except BaseException as why:  # of this request: the pings before it come first
                 self.failure, self._is_over = why, True
         return bool(self._setups)

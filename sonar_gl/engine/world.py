@@ -138,11 +138,10 @@ class World:
 
     @contextmanager
     def taking_request(self):
-        """Not count what changes for the time of the block: a generator of poses has placed bodies in time."""
-        before, self._is_taking_request = (
-            self._is_taking_request,
-            True,
-        )  # a generator may take from a sequence itself
+        """Count no changes for the time of the block: a generator of poses has placed bodies in time."""
+        # a generator may take from a sequence itself: the inner block must not end the outer one
+        before = self._is_taking_request
+        self._is_taking_request = True
         try:
             yield
         finally:

@@ -29,9 +29,8 @@ NO_EGL = (
     "engine 'cpu'; on Debian or Ubuntu install it with 'apt-get install libegl1 libgl1', in a container with a GPU let "
     "the driver's EGL library in"
 )
-SOFTWARE_VARIABLE = (
-    "SONAR_GL_SOFTWARE"  # 0 or 1 in place of what the driver's name says, to test the other path
-)
+# 0 or 1 in place of what the driver's name says, to test the other path
+SOFTWARE_VARIABLE = "SONAR_GL_SOFTWARE"
 SOFTWARE = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNORECASE)
 
 

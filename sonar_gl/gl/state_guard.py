@@ -118,18 +118,11 @@ SWITCHES = [  # all are off by default, except for MULTISAMPLE and DITHER
     Switches((0x8D69,), "ARB_ES3_compatibility"),  # PRIMITIVE_RESTART_FIXED_INDEX
     Switches((0x8890,), "EXT_depth_bounds_test"),  # DEPTH_BOUNDS_TEST
 ]
-# Contexts of the compatibility profile have these, too.
-COMPATIBILITY_VALUES = [
-    Value(0x891B, "glClampColor", (0x891B,), 0)
-]  # CLAMP_FRAGMENT_COLOR: clear values, too
+# Contexts of the compatibility profile have these, too; CLAMP_FRAGMENT_COLOR clamps clear values, too.
+COMPATIBILITY_VALUES = [Value(0x891B, "glClampColor", (0x891B,), 0)]
 COMPATIBILITY_SWITCHES = Switches((0x0BC0, 0x0B42))  # ALPHA_TEST, POLYGON_STIPPLE
-SCALES = (
-    0x0D14,
-    0x0D18,
-    0x0D1A,
-    0x0D1C,
-    0x0D1E,
-)  # RED_SCALE, GREEN_, BLUE_, ALPHA_, DEPTH_; each + 1 is the bias
+# RED_SCALE, GREEN_, BLUE_, ALPHA_, DEPTH_; each + 1 is the bias
+SCALES = (0x0D14, 0x0D18, 0x0D1A, 0x0D1C, 0x0D1E)
 # glPixelTransfer: MAP_COLOR, MAP_STENCIL, INDEX_SHIFT, INDEX_OFFSET, scales, biases
 PIXEL_TRANSFERS = [0x0D10, 0x0D11, 0x0D12, 0x0D13, *SCALES, *(scale + 1 for scale in SCALES)]
 

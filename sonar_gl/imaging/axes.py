@@ -13,10 +13,8 @@ from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX
-STROKES = (
-    (0, 2, 0.2),
-    (255, 1, 0.45),
-)  # gray level, width, opacity: a dark rim shows light lines on bright echo
+# gray level, width, opacity: a dark rim shows light lines on bright echo
+STROKES = ((0, 2, 0.2), (255, 1, 0.45))
 SPOKE_STEPS_DEG = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)
 ARC_STEPS_M = tuple(n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5))
 LABEL_SIZE = np.array([65, 24])  # pixels across and down that a label takes, at font size 1

@@ -20,9 +20,8 @@ logger = logging.getLogger(__name__)
 
 PORT = 8765  # that viewers propose
 ENCODING, SCHEMA_ENCODING = "cdr", "ros2msg"
-WRONG_REQUESTS = (
-    "foxglove.websocket.connected_client"  # logger of the SDK: an error for each wrong request of a viewer
-)
+# logger of the SDK: an error for each wrong request of a viewer
+WRONG_REQUESTS = "foxglove.websocket.connected_client"
 MAX_BACKLOG = 64  # messages for a viewer that is too slow; it misses the oldest
 CLOSE_S = 5.0  # for the server to give its port back
 
@@ -63,9 +62,8 @@ class FoxgloveTransport(Transport):
         self._channels, self._last = {}, {}  # latched topics have a last message and its time
         self._readers: list[tuple[Topic, Inbox]] = []
         self._dropped = 0  # of subscriptions that have ended
-        logging.getLogger(WRONG_REQUESTS).setLevel(
-            logging.CRITICAL
-        )  # viewers are told; nobody else can fill a log
+        # viewers are told; nobody else can fill a log
+        logging.getLogger(WRONG_REQUESTS).setLevel(logging.CRITICAL)
         if not is_local(host):
             warn_caller(f"any machine that reaches {host} can see these topics, and publish poses")
         try:

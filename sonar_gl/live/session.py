@@ -265,9 +265,8 @@ class LiveSession:
         """
         with self._lock:
             if not self._thread.listeners:
-                self._rate_from_s = (
-                    time.monotonic()
-                )  # there were no pings before, or some that were asked for one by one
+                # there were no pings before, or some that were asked for one by one
+                self._rate_from_s = time.monotonic()
             return self._thread.listen(on_frame, waiting)
 
     def next_frame(self) -> LiveFrame:

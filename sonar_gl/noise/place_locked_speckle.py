@@ -25,9 +25,8 @@ CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
 # of the Kaiser window, and how many for each beam are worth it.
 OVERSAMPLING, TAPS, KAISER, MOST_NODES = 2.0, 8, 5.3, 0.8
-MIN_WAVES = (
-    64  # least number of waves in an aperture; the outermost count in part, so that it slides smoothly
-)
+# least number of waves in an aperture; the outermost count in part, so that it slides smoothly
+MIN_WAVES = 64
 
 
 class Cell(NamedTuple):
@@ -202,9 +201,8 @@ class WaveCache:
 
     def __init__(self, max_bytes: int):
         self._max_bytes, self._lock = max_bytes, Lock()
-        self._cells: OrderedDict[Hashable, tuple[int, Waves]] = (
-            OrderedDict()
-        )  # with the number of their last use
+        # with the number of their last use
+        self._cells: OrderedDict[Hashable, tuple[int, Waves]] = OrderedDict()
         self._n_uses = 0
 
     def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:

@@ -14,16 +14,8 @@ from sonar_gl.core.input_files import check_is_file
 # A height map has two triangles for each pixel, and a reflectivity map takes about 50 bytes a pixel to look at. A small
 # file may claim many more: a PNG of 8 MB can hold 900 million pixels.
 MAX_PIXELS = 20_000_000
-FORMATS = (
-    "PNG",
-    "JPEG",
-    "JPEG2000",
-    "BMP",
-    "PPM",
-    "SUN",
-    "WEBP",
-    "GIF",
-)  # that OpenCV reads, too, but for TIFF
+# that OpenCV reads, too, but for TIFF
+FORMATS = ("PNG", "JPEG", "JPEG2000", "BMP", "PPM", "SUN", "WEBP", "GIF")
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 TIFF_COLUMNS, TIFF_ROWS = 256, 257  # numbers of the tags
 

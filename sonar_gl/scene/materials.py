@@ -15,9 +15,8 @@ from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.toml import read_toml
 
 MATERIALS = Path(__file__).with_name("materials.toml")
-WAVENUMBER_RAD_M = (
-    2 * math.pi * 900e3 / 1500
-)  # at which fine roughness divides |R|² into lobe and diffuse part
+# at which fine roughness divides |R|² into lobe and diffuse part
+WAVENUMBER_RAD_M = 2 * math.pi * 900e3 / 1500
 
 
 @dataclass(frozen=True)

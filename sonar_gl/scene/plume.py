@@ -14,9 +14,8 @@ from sonar_gl.core.poses import check_pose
 MAX_BUBBLES = 200_000  # of a plume at one time
 MIN_SPEED_RATIO, MAX_SPEED_RATIO = 0.8, 1.2  # a bubble's own speed of rise over the plume's
 NUMBERS_PER_BUBBLE = 8  # random numbers: two steps of Philox's counter
-COUNTER_AT_0_S = (
-    2**64
-)  # counter of the bubble released at time 0; bubbles released earlier have smaller counters
+# counter of the bubble released at time 0; bubbles released earlier have smaller counters
+COUNTER_AT_0_S = 2**64
 BOUNDS = (
     ("rate_hz", 1e-3, 1e5, "give bubbles a second"),
     ("radius_m", 5e-4, 0.1, "give metres, 0.005 for 5 mm; smaller ones resonate, which is not modelled"),

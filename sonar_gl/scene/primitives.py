@@ -10,12 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 SAGITTA_M = 5e-4  # largest distance from a chord to its arc: a fifth of the finest range bins in use
-MAX_CLOSED_FACES = (
-    50_000  # testing whether a larger mesh is closed costs more than culling its back faces saves
-)
-INFINITE_PLANE_M = (
-    2000.0  # side of the square that represents an infinite plane: beyond imaging sonars' range
-)
+# testing whether a larger mesh is closed costs more than culling its back faces saves
+MAX_CLOSED_FACES = 50_000
+# side of the square that represents an infinite plane: beyond imaging sonars' range
+INFINITE_PLANE_M = 2000.0
 
 
 class Triangles(NamedTuple):

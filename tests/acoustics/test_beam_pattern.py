@@ -210,9 +210,8 @@ def test_pings_with_patterns_agree_with_the_reference(settings):
 def test_a_sphere_about_the_sonar_reads_its_reflectivity_with_every_elevation_pattern(settings):
     ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)
-    np.testing.assert_allclose(
-        totals, 0.3, rtol=2e-3
-    )  # facets of 2 degrees deviate from the sphere by 1 degree
+    # facets of 2 degrees deviate from the sphere by 1 degree
+    np.testing.assert_allclose(totals, 0.3, rtol=2e-3)
     truth = sg.reference_ping(sg.Scene([ball]), SONAR, np.eye(4), sg.Acoustics.physical(**settings), 0.1)
     np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.3, rtol=2e-3)
 

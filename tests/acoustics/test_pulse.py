@@ -53,9 +53,8 @@ def test_bin_weights_are_integrals_of_the_response(taper, bin_size_m):
     r = (np.arange(len(weights) * per_bin) + 0.5) / per_bin * bin_size_m - half_length * bin_size_m
     energy = power(r / NULL_M, taper).reshape(-1, per_bin).mean(1) * bin_size_m
     assert (1 - NEGLECTED_ENERGY[taper]) * total <= energy.sum() <= total * (1 + 1e-6)
-    np.testing.assert_allclose(
-        weights / level, energy / energy.sum(), rtol=0, atol=2e-5
-    )  # error of the midpoint rule
+    # 2e-5 is the error of the midpoint rule
+    np.testing.assert_allclose(weights / level, energy / energy.sum(), rtol=0, atol=2e-5)
 
 
 def test_coarse_bins_contain_nearly_the_whole_pulse():
@@ -114,9 +113,8 @@ def test_the_level_of_a_floor_and_of_a_ball_is_that_of_the_cell():
             levels_db[pulse, parts] = 10 * np.log10(levels)
     for parts in (2, 4, 8):
         apart = levels_db[True, parts] - levels_db[True, 1]
-        assert (
-            abs(apart[0]) < 0.01 and abs(apart[1]) < 0.1
-        )  # of the ball, the largest bin: where bins lie matters
+        # the second is of the ball, the largest bin: where bins lie matters
+        assert abs(apart[0]) < 0.01 and abs(apart[1]) < 0.1
         naive = levels_db[False, parts] - levels_db[False, 1]
         assert naive[0] == pytest.approx(-10 * np.log10(parts), abs=0.1)
 

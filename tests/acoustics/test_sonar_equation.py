@@ -10,13 +10,8 @@ import sonar_gl as sg
 from tools import sonar_equation
 
 WITHIN_DB = 0.1
-SLOW_CASES = (
-    "no TVG, 900 kHz",
-    "20 log r + 2αr",
-    "30 log r + 2αr",
-    "40 log r + 2αr",
-    "line array, no TVG",
-)  # others have their settings
+# others have their settings
+SLOW_CASES = ("no TVG, 900 kHz", "20 log r + 2αr", "30 log r + 2αr", "40 log r + 2αr", "line array, no TVG")
 
 
 @pytest.mark.parametrize(

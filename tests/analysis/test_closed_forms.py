@@ -54,10 +54,8 @@ def samples(it, sample_deg, rows=102):
     return sg.Sampling(spacing_deg / min(sample_deg, it.beam_width_deg / 3), rows)
 
 
-FINE = (
-    0.08,
-    102,
-)  # degrees, rows: for the bounds of single beams, since a tolerance holds for the whole ping
+# degrees, rows: for the bounds of single beams, since a tolerance holds for the whole ping
+FINE = (0.08, 102)
 
 
 def beam_errors(measured, exact, at_least=1e-3):

@@ -155,9 +155,10 @@ def test_cylinder():
 def test_plate_and_its_shadow():
     it = sonar()
     plate = sg.Body("plate", trimesh.creation.box((0.002, 400, 1.0)), sg.pose(10.001, 0, -2.5), 1.0)
+    # the echo is the same at all azimuths
     exact = box_beams(
         it, lambda azimuth: plate_on_floor_echo(3.0, 1.0, 10.0, azimuth, ELEVATION, it.bin_edges_m), 20
-    )  # which is the same at all azimuths
+    )
     ping = truth([plate, plane_body((0, 0, -1), 3.0)], it)
     assert share_in_wrong_bins(ping, exact) < EXACT
     assert ping.intensity[:, (it.range_m > 10.5) & (it.range_m < 14.5)].max() == 0
@@ -178,9 +179,8 @@ def test_a_sphere_about_the_sonar_returns_its_reflectivity_in_every_beam(beams, 
     it = sonar(beams, 360.0, width_deg, bins=30)
     ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = truth([ball], it, sg.Acoustics(profile), error=0.1).intensity.sum(axis=1)
-    np.testing.assert_allclose(
-        totals, 0.3, rtol=1e-3
-    )  # facets of 2 degrees are tilted by up to 1 degree: 1.5e-4
+    # facets of 2 degrees are tilted by up to 1 degree: 1.5e-4
+    np.testing.assert_allclose(totals, 0.3, rtol=1e-3)
 
 
 # --- structure inside beams and fans
@@ -235,9 +235,8 @@ def test_body_echo_is_each_bodys_part_of_the_intensity():
     assert ping.body_echo[3] == pytest.approx(alone, rel=2e-3)
     with sg.Simulator(sg.Scene([floor, hidden, ball]), it, acoustics) as simulator:
         fast = simulator.ping(np.eye(4), labels=True).body_echo
-    np.testing.assert_allclose(
-        fast, ping.body_echo, rtol=0.02, atol=1e-9
-    )  # the promised 1 %, and sampling error
+    # the promised 1 %, and sampling error
+    np.testing.assert_allclose(fast, ping.body_echo, rtol=0.02, atol=1e-9)
 
 
 def test_reflectivity_per_face():
@@ -289,9 +288,8 @@ def test_faces_nearer_than_a_millimetre_are_transparent_and_inner_faces_echo():
     skin = sg.Body("skin", trimesh.creation.icosphere(2, 0.0009), reflectivity=1.0)
     alone, within = (truth(bodies, it).intensity for bodies in ([room], [skin, room]))
     np.testing.assert_array_equal(alone, within)
-    assert alone.sum(axis=1) == pytest.approx(
-        0.5, rel=2e-3
-    )  # facets of an icosphere are tilted by up to 2 degrees
+    # facets of an icosphere are tilted by up to 2 degrees
+    assert alone.sum(axis=1) == pytest.approx(0.5, rel=2e-3)
     shell = sg.Body("shell", trimesh.creation.icosphere(4, 0.0012), reflectivity=1.0)
     assert truth([shell, room], it).intensity[:, 0] == pytest.approx(1.0, rel=2e-3)
 

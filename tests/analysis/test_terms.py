@@ -83,10 +83,10 @@ def test_every_switch_switches_its_term_off_and_on_again():
     bare = without(*full, TERMS)
     assert bare[1] == sg.Noise.none()
     # then the settings are those of "ideal", except for the range law, of which only absorption is a term
-    ideal = {key: getattr(sg.Acoustics.ideal(), key) for key in ("beam_pattern", "specular", "bubbles")}
-    assert {key: getattr(bare[0], key) for key in ideal} == ideal
-    assert bare[0].multipath == "none" and not bare[0].pulse and bare[0].elevation_pattern == "box"
-    assert bare[0].water.absorption(900e3) == 0
+    clear = sg.Water(absorption_db_m=0.0)
+    assert bare[0] == replace(
+        sg.Acoustics.ideal(), profile="physical", range_law="sonar_equation", water=clear
+    )
 
 
 def test_settings_of_terms_that_are_on_stay():
@@ -187,6 +187,15 @@ def test_the_pricing_asks_before_each_ping_and_ends_where_that_raises(monkeypatc
     with pytest.raises(KeyError, match="enough"):
         price(room(), SONAR, 0.1, before_ping=stop)
     assert events.count("ping") == 3
+
+
+def test_the_transmit_beam_of_a_sonar_that_has_one_is_priced():
+    """The two-way beam of a fan of 40 degrees is down by 12 dB and more at its edges."""
+    narrow = replace(SONAR, transmit_width_deg=20.0)
+    found = {one.name: one for one in price(room(), narrow, 0.05)}["transmit beam"]
+    assert found.changes > 0.1 and found.on
+    assert needed_acoustics(room(), narrow, 0.05).transmit_beam
+    assert not needed_acoustics(room(), SONAR, 0.05).transmit_beam
 
 
 @pytest.mark.slow

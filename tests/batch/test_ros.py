@@ -282,9 +282,8 @@ def test_a_bag_of_two_parts(tmp_path):
         (name, t) for path in (first, second) for name, t, _ in by_mcap(path)
     ]
     with Reader(folder) as reader:
-        assert (
-            reader.start_time == 100_000_000 and reader.duration == 2_000_000_001
-        )  # rosbags' end is after the last message
+        # rosbags' end is after the last message
+        assert reader.start_time == 100_000_000 and reader.duration == 2_000_000_001
         assert reader.message_count == len(messages)
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
         assert counts["/left/projected_image"] == counts["/right/projected_image"] == 5
@@ -359,10 +358,8 @@ def test_a_part_includes_the_metadata_of_a_bag(tmp_path):
     inside = metadata.metadata["serialized_metadata"].splitlines()
     names = beside.index("  relative_file_paths:")
     assert inside[: names - 1] == [line[2:] for line in beside[1:names]]
-    assert inside[names - 1 : names + 1] == [
-        "relative_file_paths: []",
-        "files: []",
-    ]  # only the folder has them
+    # only the folder has them
+    assert inside[names - 1 : names + 1] == ["relative_file_paths: []", "files: []"]
 
 
 def test_the_same_records_give_the_same_bytes(tmp_path):

@@ -115,9 +115,8 @@ def test_far_side_lobes_of_the_presets_keep_the_tolerance_and_cost_less_than_a_p
     ends = sonar.azimuth_rad[0] - support, sonar.azimuth_rad[-1] + support
     blocks = make_lobe_blocks(pattern, sonar.azimuth_rad, ends)
     assert blocks.error <= TOLERANCE
-    if (
-        sonar.beam_width_deg > 2 * sonar.azimuth_fov_deg / sonar.n_beams
-    ):  # others are too few beams for blocks
+    # others are too few beams for blocks
+    if sonar.beam_width_deg > 2 * sonar.azimuth_fov_deg / sonar.n_beams:
         columns = 2 * sonar.n_beams * (ends[1] - ends[0]) / math.radians(sonar.azimuth_fov_deg)  # at least
         products = blocks.coupling.size + blocks.expansion.size + blocks.rank * columns
         assert products < 0.8 * sonar.n_beams * columns

@@ -239,9 +239,8 @@ def test_the_echo_is_the_sum_over_bodies():
     fan, samples = fan_and_samples()
     weights = beam_weights(fan, None, math.radians(1.5))
     beamformer = Beamformer(fan, weights, thread=SecondThread())
-    assert (
-        sum(len(one.sector.strips.middle) * len(one.plane_echo) for one in samples) > FEW_ROWS
-    )  # two threads
+    # enough for two threads
+    assert sum(len(one.sector.strips.middle) * len(one.plane_echo) for one in samples) > FEW_ROWS
     whole = beamformer.sum_footprints(samples).intensity
     parts = [beamformer.sum_footprints(only(body, samples)).intensity for body in (1, 2)]
     assert all(part.any() for part in parts)

@@ -124,9 +124,8 @@ def test_the_law_of_each_bin_is_exact_where_the_backscatter_has_a_primitive():
     expected = np.zeros(5)
     expected[2:] = 2 * np.pi * a * np.diff(sines)[2:] / np.diff(sines**2)[2:]
     found = over_lambert(edges, height_m, lambda g: a * np.sin(g))
-    np.testing.assert_allclose(
-        found, expected, rtol=1e-9, atol=1e-15
-    )  # smooth: eight nodes are exact to rounding
+    # the integrand is smooth: eight nodes are exact to rounding
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
 
 
 def test_a_body_hides_the_surface_behind_it():

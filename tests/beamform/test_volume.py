@@ -106,11 +106,8 @@ def test_it_ends_at_the_surface_of_the_water(roll, pitch, beam, elevation_patter
     two_way = acoustics.two_way_elevation_pattern(SONAR)
     weight = np.ones_like(sines) if two_way is None else two_way(sines)
     azimuth, cosines = SONAR.azimuth_rad[beam], np.sqrt(1 - sines**2)
-    rise = pose[2, :3] @ [
-        cosines * math.cos(azimuth),
-        cosines * math.sin(azimuth),
-        sines,
-    ]  # per metre of range
+    # per metre of range
+    rise = pose[2, :3] @ [cosines * math.cos(azimuth), cosines * math.sin(azimuth), sines]
     r = SONAR.range_m
     share = ((rise * r[:, None] < height_m) * weight).sum(1) / weight.sum()
     assert share.min() < 0.7

@@ -37,9 +37,8 @@ MAX_FILM_BYTES = 1_500_000
 BATCHES = ROOT / "docs" / "batch.md"  # whose blocks build on one another
 ROS2 = ROOT / "docs" / "ros2.md"  # whose XML and TOML are no scenes and sonars
 POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
-CLIENTS = re.compile(
-    r"^import (rclpy|brping)$", re.MULTILINE
-)  # of blocks that tests/live/test_clients.py runs
+# of blocks that tests/live/test_clients.py runs
+CLIENTS = re.compile(r"^import (rclpy|brping)$", re.MULTILINE)
 
 
 @cache
@@ -62,13 +61,14 @@ def blocks(language, pages=None):
             yield pytest.param(match[1], id=f"{page.name}:{line}")
 
 
+# that the pages show, and their commands read
 FILES = {POSES_FILE: next(blocks("csv")).values[0]} | dict(
     zip(
         ("rov.toml", "gazebo.toml", "stonefish.toml"),
         [block.values[0] for block in blocks("toml", [ROS2])],
         strict=True,
     )
-)  # that the pages show, and their commands read
+)
 
 
 def shell_lines():

@@ -84,9 +84,10 @@ def test_the_lattice_keeps_rods_that_a_plain_grid_loses(diameter, range_m, along
     assert spread(ours) < spread(plain) / 3
 
 
+# the fast ones are of all kinds, ranges, diameters and widths
 @pytest.mark.parametrize(
     "diameter, range_m, beam_width, kind", fast_ones(CASES, [CASES[k] for k in (0, 2, 5, 7)])
-)  # all kinds, ranges, diameters and widths
+)
 def test_rods_keep_their_echo_at_fixed_samples(diameter, range_m, beam_width, kind):
     """Rods of 2 m and more, with some ten samples on each, appear in all of 100 shifts of 2 mm."""
     rng, sonar = rng_of(diameter, range_m, beam_width), rod_sonar(beam_width)

@@ -179,10 +179,8 @@ def test_bodies_beside_the_fan_ask_for_no_samples(acoustics):
     half_width = math.radians(SONAR.azimuth_fov_deg / 2) + acoustics.receive_support_rad(SONAR)
     far = sg.Body("far", trimesh.creation.box((1, 60, 30)), sg.pose(18))
     beside = []
-    for side in (
-        -1,
-        1,
-    ):  # a wall along the edge of the fan, 5 cm outside, which reaches from edge to edge of the aperture
+    # walls along the edges of the fan, 5 cm outside, which reach from edge to edge of the aperture
+    for side in (-1, 1):
         wall = trimesh.creation.box((12, 0.1, 30))
         place = sg.pose(0, 0, 0, 0, 0, side * half_width) @ sg.pose(8, side * 0.1, 0)
         beside.append(sg.Body(f"beside {side}", wall, place))

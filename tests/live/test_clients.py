@@ -35,9 +35,8 @@ WAIT_S = 200.0  # a machine that tests run on may be slow, and compile kernels f
 BALL, RADIUS_M = (6.0, 2.0), 0.3  # where its middle is, x and y in metres
 NEAREST_M, BEARING_DEG = math.hypot(*BALL) - RADIUS_M, math.degrees(math.atan2(BALL[1], BALL[0]))
 RANGE_ERROR_M = 0.06  # bins of 5 cm, and printed to the centimetre
-BEARING_ERROR_DEG = (
-    1.5  # automatic gain brings beams about the middle of the ball, half of its 5.4°, to full scale
-)
+# automatic gain brings beams about the middle of the ball, half of its 5.4°, to full scale
+BEARING_ERROR_DEG = 1.5
 FAST = "--profile", "ideal", "--noise", "none", "--tolerance", "0.1"
 SCENE = f"""<sdf version="1.9"><world name="ball">
   <model name="sonar"><pose>0 0 -3 0 0 0</pose>

@@ -244,9 +244,8 @@ def test_second_version_has_attitude_and_its_own_offsets(connection):
     assert np.abs(gains - relative * gains[-1]).max() <= 1  # rounded
     assert counts.max() == 65535  # automatic gain brings the strongest echoes to full scale
     starboard, port = counts[:, n_beams // 2 :], counts[:, : n_beams // 2]
-    near = slice(
-        0, int(1.9 / bin_size_m)
-    )  # before the wall: the ball, to starboard, where bearings are positive
+    # before the wall: the ball, to starboard, where bearings are positive
+    near = slice(0, int(1.9 / bin_size_m))
     assert starboard[near].max() > 20_000 > 20 * port[near].max()
 
 

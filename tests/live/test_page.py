@@ -388,9 +388,8 @@ def test_the_gizmo_drags_the_sonar(viewer, axis):
     mouse.up()
     wait_until_still(session)  # the page learns of the end of a drag later; the next test has another start
     moved = session.pose[:3, 3] - start[:3, 3]
-    assert moved - (moved @ along) * along == pytest.approx(
-        np.zeros(3), abs=1e-3
-    )  # along its axis; messages have float32
+    # along its axis; messages have float32
+    assert moved - (moved @ along) * along == pytest.approx(np.zeros(3), abs=1e-3)
 
 
 def test_files_are_written_into_the_folder(viewer):

@@ -112,11 +112,8 @@ def test_moving_ahead_by_many_bins_changes_a_single_bin():
 
 
 def test_moving_ahead_by_half_a_bin_interpolates():
-    pulse = {
-        "pulse": True,
-        "bandwidth_hz": SOUND_SPEED_M_S / (4 * BIN_M),
-        "pulse_taper": "hamming",
-    }  # c/2B is 2 bins
+    # c/2B is 2 bins
+    pulse = {"pulse": True, "bandwidth_hz": SOUND_SPEED_M_S / (4 * BIN_M), "pulse_taper": "hamming"}
     forward = BIN_M / 2 * AHEAD
     before = np.array([moved(seed, **pulse)[BORESIGHT] for seed in range(30)])
     after = np.array([moved(seed, *forward, **pulse)[BORESIGHT] for seed in range(30)])

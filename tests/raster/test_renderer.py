@@ -445,9 +445,8 @@ def test_samples_that_are_read_later_are_the_same(monkeypatch):
         sg.Body("wall", trimesh.creation.box((0.2, 60, 3)), sg.pose(9)),
         sg.Body("box", BOX, sg.pose(5, 1, 0.3, yaw=0.4)),
     ]
-    poses = [
-        sg.pose(x, yaw=0.05 * x) for x in (-8.0, 0.0, 1.0, -3.0, 2.0, 3.0)
-    ]  # of windows that grow and shrink
+    # of windows that grow and shrink
+    poses = [sg.pose(x, yaw=0.05 * x) for x in (-8.0, 0.0, 1.0, -3.0, 2.0, 3.0)]
     found = []
     for asynchronous in (False, True):
         with monkeypatch.context() as patch, simulate(bodies) as simulator:

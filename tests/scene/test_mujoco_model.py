@@ -166,9 +166,8 @@ def test_further_sonars_are_named():
     np.testing.assert_array_equal(sg.mujoco_sonar_pose(data, "sonar"), sg.mujoco_sonar_pose(data))
     aft = sg.mujoco_sonar_pose(data, "aft")  # the site, not the camera
     np.testing.assert_allclose(aft, body @ pose(-1, 0, 0, 0, 0, 0.5), atol=ROUNDING)
-    down = sg.mujoco_sonar_pose(
-        data, "down"
-    )  # a camera without a rotation looks down, its picture's top to +y
+    # a camera without a rotation looks down, its picture's top to +y
+    down = sg.mujoco_sonar_pose(data, "down")
     np.testing.assert_allclose(down[:3, 0], -body[:3, 2], atol=ROUNDING)
     np.testing.assert_allclose(down[:3, 2], body[:3, 1], atol=ROUNDING)
     with pytest.raises(Error, match=r"name must be .* \(got 'aftt'; did you mean 'aft'"):

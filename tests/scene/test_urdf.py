@@ -161,9 +161,8 @@ def test_meshes_of_packages_are_found_in_the_files_own_package_and_below_resourc
     workspace, monkeypatch
 ):
     own = write(workspace / "src/own/urdf/a.urdf", mesh_robot("package://own/meshes/box.stl"))
-    np.testing.assert_allclose(
-        boxes_of(load(own)[0])["l"], [[-1, -0.5, -0.5], [1, 0.5, 0.5]], atol=1e-6
-    )  # float32
+    # STL has float32
+    np.testing.assert_allclose(boxes_of(load(own)[0])["l"], [[-1, -0.5, -0.5], [1, 0.5, 0.5]], atol=1e-6)
     other = write(workspace / "src/own/urdf/b.urdf", mesh_robot("package://parts/meshes/box.stl"))
     message = error_message(other)
     assert "give the folder that holds the ROS package 'parts' as resource path" in message

@@ -11,10 +11,8 @@ from sonar_gl.core.errors import Error
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 
-UNSTATED = (
-    "no <laser_retro>",
-    "no material of a known name",
-)  # of reflectivity, which few of these scenes state
+# of reflectivity, which few of these scenes state
+UNSTATED = ("no <laser_retro>", "no material of a known name")
 
 
 def load(what, *arguments, **settings) -> tuple[Scene, list[str]]:

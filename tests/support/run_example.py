@@ -15,12 +15,8 @@ import sonar_gl as sg
 from tests.support.main_lobe import receive_main_lobe
 
 ROOT = Path(__file__).resolve().parents[2]
-PINGS = (
-    "ping",
-    "drawn_ping",
-    "texture_ping",
-    "depth_ping",
-)  # by embedding modes 1 to 4, as an example's main names them
+# by embedding modes 1 to 4, as an example's main names them
+PINGS = ("ping", "drawn_ping", "texture_ping", "depth_ping")
 
 
 def main(name, folder, *options):

@@ -65,12 +65,8 @@ def aim_met(scene: str, method: str, ratios) -> str:
     ratios : of `ratio_at`, at JUDGED
     """
     aims = AIMS.get(method, {}).get(scene, ())
-    return ", ".join(
-        f"{_passes(*ratio, aim)} at {100 * error:g} %"
-        for aim, ratio, error in zip(
-            aims, ratios, JUDGED, strict=False
-        )  # some have no aim at the second error
-    )
+    judged = zip(aims, ratios, JUDGED, strict=False)  # some have no aim at the second error
+    return ", ".join(f"{_passes(*ratio, aim)} at {100 * error:g} %" for aim, ratio, error in judged)
 
 
 def _passes(ratio: float, mark: str, aim: float) -> str:

@@ -37,9 +37,8 @@ GRAZING_DEG = (5, 10, 20, 30, 45, 60, 75, 85)
 SEDIMENTS = {"medium_sand": (0.004446, 0.002), "medium_silt": (0.000518, 0.001), "clay": (0.000518, 0.001)}
 SPECTRAL_EXPONENT = 3.25  # of the roughness of all sediments
 KIRCHHOFF_ENDS_DB = 15.0  # below its largest value, where small roughness takes over
-GREATEST_INCIDENCE_RAD = math.radians(
-    88.0
-)  # of means that labels have: nearer to grazing Lambert's law goes to zero
+# of means that labels have: nearer to grazing Lambert's law goes to zero
+GREATEST_INCIDENCE_RAD = math.radians(88.0)
 RAYS = 2_000_000
 
 

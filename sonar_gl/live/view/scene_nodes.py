@@ -34,12 +34,10 @@ SONAR_COLOR = (255, 140, 0)
 WATER_TOP, WATER_BOTTOM = (38, 88, 116), (4, 18, 32)
 WATER_LIGHT = (205, 222, 232)  # what the water scatters: without it, walls would be black
 GIZMO_PIXELS = 90.0  # of the screen: length of an arrow
-PLANE_HEIGHT = (
-    320  # pixels of the picture in the scene up to the last range; PNGs, which are clear outside the fan
-)
-SONAR_FROM_CAMERA = np.array(
-    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
-)  # x right, y down, z ahead
+# pixels of the picture in the scene up to the last range; PNGs, which are clear outside the fan
+PLANE_HEIGHT = 320
+# of a camera: x right, y down, z ahead
+SONAR_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def pose_of(wxyz, position) -> np.ndarray:

@@ -19,9 +19,8 @@ from numba import uint64
 from sonar_gl.core.compiled import compiled, inlined
 
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
-FEW = (
-    16  # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
-)
+# samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
+FEW = 16
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
@@ -41,8 +40,10 @@ class PatchFaces(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Vertices of all patches: (W, 3) float32 positions; (W, 3) normals and (W,) reflectivity, or of no
-    length.
+    """Vertices of all patches.
+
+    points : (W, 3) float32 positions
+    normals, reflectivity : (W, 3) and (W,), or of no length
     """
 
     points: np.ndarray
@@ -107,6 +108,23 @@ class Scratch(NamedTuple):
 
 
 @inlined
+def _make_scratch(chosen, n_vertices):
+    """Return room for the vertices of each of the chosen patches."""
+    size = 0
+    for k in range(chosen.shape[0]):
+        size = max(size, n_vertices[chosen[k, 0]])
+    return Scratch(
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, np.int32),
+        np.empty(size, np.int32),
+    )
+
+
+@inlined
 def _project(points, start, count, p, scratch):
     """Project a patch's vertices to columns, rows and 1/x; return the least and the greatest x.
 
@@ -151,14 +169,14 @@ def _select_faces(faces, first, count, column_steps, row_steps, window, found):
 
 
 @compiled
-def _fill_rows(cuts, n_cuts, window, bottom, top, q0, q_column, q_row, t, depth, triangle, ends):
+def _fill_rows(cuts, n_cuts, window, bottom, top, form, t, depth, triangle, ends):
     """Draw what lies within half-planes g0 + g1 column + g2 row >= 0; return how many samples were tried.
 
-    cuts : (n_cuts, 3) of g; q0, q_column, q_row : 1/x likewise; t : row of `Triangles`
+    cuts : (n_cuts, 3) of g; form : (3,) of 1/x likewise; t : row of `Triangles`
     window : first and last column, first and last row of the buffer, in the sector; bottom, top : rows of it
     ends : (8, 3) float64, overwritten
     """
-    tried, (i0, i1, j0, _) = 0, window
+    tried, (i0, i1, j0, _), (q0, q_column, q_row) = 0, window, form
     for k in range(n_cuts):
         g0, g1, g2 = cuts[k, 0], cuts[k, 1], cuts[k, 2]
         if g1 > 0.0:  # where rows begin
@@ -222,6 +240,128 @@ def _is_outside(box, p, window):
     return outside
 
 
+@inlined
+def _half_planes(ax, ay, bx, by, cx, cy, area):
+    """Return (e, f, g): a sample lies inside a triangle where all of e[0] + e[1] column + e[2] row are positive."""
+    side = 1.0 if area > 0.0 else -1.0
+    e1, e2 = -side * (by - ay), side * (bx - ax)
+    f1, f2 = -side * (cy - by), side * (cx - bx)
+    g1, g2 = -side * (ay - cy), side * (ax - cx)
+    return (-e1 * ax - e2 * ay, e1, e2), (-f1 * bx - f2 * by, f1, f2), (-g1 * cx - g2 * cy, g1, g2)
+
+
+@inlined
+def _find_samples_inside(half_planes, left, right, bottom, top, in_column, in_row):
+    """Find the samples of a box inside a triangle, without branches; return how many."""
+    (e0, e1, e2), (f0, f1, f2), (g0, g1, g2) = half_planes
+    n = 0
+    for j in range(bottom, top + 1):
+        y = float(j)
+        ey, fy, gy = e0 + e2 * y, f0 + f2 * y, g0 + g2 * y
+        for i in range(left, right + 1):
+            x = float(i)
+            in_column[uint64(n)], in_row[uint64(n)] = i, j
+            n += min(ey + e1 * x, fy + f1 * x, gy + g1 * x) >= 0.0
+    return n
+
+
+@inlined
+def _fit_inverse_depth(columns, rows, inverses, a, b, c):
+    """Return (q0, q_column, q_row) of a triangle's 1/x, from corners before rounding, and whether it is too thin.
+
+    The numbers of a triangle that is too thin mean nothing.
+    """
+    qa, qb, qc = inverses[a], inverses[b], inverses[c]
+    ai, aj = columns[a], rows[a]
+    bi, bj, ci, cj = columns[b] - ai, rows[b] - aj, columns[c] - ai, rows[c] - aj
+    determinant = bi * cj - bj * ci
+    longest2 = max(bi * bi + bj * bj, ci * ci + cj * cj, (ci - bi) ** 2 + (cj - bj) ** 2)
+    is_thin = determinant * determinant <= THINNEST * THINNEST * longest2
+    q_column = ((qb - qa) * cj - (qc - qa) * bj) / determinant
+    q_row = (bi * (qc - qa) - ci * (qb - qa)) / determinant
+    return (qa - q_column * ai - q_row * aj, q_column, q_row), is_thin
+
+
+@inlined
+def _draw_samples(in_column, in_row, count, window, form, t, depth, triangle):
+    """Draw some samples of a triangle, row `t` of `Triangles`; return how many are nearest."""
+    n_nearest, (q0, q_column, q_row) = 0, form
+    for o in range(uint64(count)):
+        i, j = uint64(in_column[o] - window[0]), uint64(in_row[o] - window[2])
+        q = np.float32(q0 + q_column * float(in_column[o]) + q_row * float(in_row[o]))
+        if q > depth[j, i]:
+            depth[j, i], triangle[j, i] = q, t
+            n_nearest += 1
+    return n_nearest
+
+
+@inlined
+def _find_corners(points, at, p, near_m, corners):
+    """Fill corners, (3, 3), with column x, row x and x of a triangle's vertices; return how many are too near."""
+    n_behind = 0
+    for o in range(3):
+        w = at[o]
+        x, y, z = points[w, 0], points[w, 1], points[w, 2]
+        for i in range(3):
+            corners[o, i] = p[i, 0] * x + p[i, 1] * y + p[i, 2] * z + p[i, 3]
+        n_behind += corners[o, 2] < near_m
+    return n_behind
+
+
+@inlined
+def _cut_by_corners(corners, cuts):
+    """Fill three of `cuts` with a triangle's half-planes, whatever lies behind the sonar.
+
+    Returns
+    -------
+    determinant : its sign tells the side that is seen; 0 of a triangle that is seen edge on
+    form : (q0, q_column, q_row) of 1/x
+    """
+    determinant = 0.0
+    for o in range(3):  # the plane through the sonar and an edge
+        r, s = (o + 1) % 3, (o + 2) % 3
+        cuts[o, 1] = corners[r, 1] * corners[s, 2] - corners[r, 2] * corners[s, 1]
+        cuts[o, 2] = corners[r, 2] * corners[s, 0] - corners[r, 0] * corners[s, 2]
+        cuts[o, 0] = corners[r, 0] * corners[s, 1] - corners[r, 1] * corners[s, 0]
+    for i in range(3):
+        determinant += corners[0, i] * cuts[0, (i + 1) % 3]
+    q0 = (cuts[0, 0] + cuts[1, 0] + cuts[2, 0]) / determinant
+    q_column = (cuts[0, 1] + cuts[1, 1] + cuts[2, 1]) / determinant
+    q_row = (cuts[0, 2] + cuts[1, 2] + cuts[2, 2]) / determinant
+    if determinant < 0.0:
+        for o in range(3):
+            for i in range(3):
+                cuts[o, i] = -cuts[o, i]
+    return determinant, (q0, q_column, q_row)
+
+
+@inlined
+def _cut_by_clip_plane(plane, view, form, cuts, n):
+    """Fill row n of `cuts` with the half-plane in front of the clip plane: a · (1, -u, v) + a_3 / x >= 0."""
+    sector, lattice_u, lattice_v, (q0, q_column, q_row) = view[0], view[5], view[6], form
+    ahead = sector[0, 0] * plane[0] + sector[0, 1] * plane[1] + sector[0, 2] * plane[2]
+    port = sector[1, 0] * plane[0] + sector[1, 1] * plane[1] + sector[1, 2] * plane[2]
+    up = sector[2, 0] * plane[0] + sector[2, 1] * plane[1] + sector[2, 2] * plane[2]
+    cuts[n, 0] = ahead - port * lattice_u[0] + up * lattice_v[0] + plane[3] * q0
+    cuts[n, 1] = -port * lattice_u[1] + up * lattice_v[1] + plane[3] * q_column
+    cuts[n, 2] = -port * lattice_u[2] + up * lattice_v[2] + plane[3] * q_row
+
+
+@inlined
+def _write_plane(inverse, u0, v0, form, planes, n):
+    """Write the slopes of 1/x and the distance of a triangle's plane into row n of `Triangles.planes`.
+
+    u0, v0 : of the sample in column 0 and row 0; form : (q0, q_column, q_row) of 1/x
+    """
+    q0, q_column, q_row = form
+    along_u = q_column * inverse[0, 0] + q_row * inverse[1, 0]
+    along_v = q_column * inverse[0, 1] + q_row * inverse[1, 1]
+    # of the plane p · x = 1, whose other parts are the slopes
+    ahead = q0 - along_u * u0 - along_v * v0
+    planes[n, 0], planes[n, 1] = along_u, along_v
+    planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
+
+
 @compiled
 def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, triangles):
     """Draw the triangles of some patches into a visibility buffer.
@@ -251,23 +391,11 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
         for i in range(uint64(depth.shape[1])):
             depth[j, i] = 0.0
     m, p = np.empty((3, 4)), np.empty((3, 4))
-    size = 0
-    for k in range(chosen.shape[0]):
-        size = max(size, n_vertices[chosen[k, 0]])
-    scratch = Scratch(
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size, np.int32),
-        np.empty(size, np.int32),
-    )
+    scratch = _make_scratch(chosen, n_vertices)
     columns, rows, inverses, rounded_columns, rounded_rows, column_steps, row_steps = scratch
     selected = np.empty(0, np.int64)
     cuts, corners, ends = np.empty((8, 3)), np.empty((3, 3)), np.empty((8, 3))
     in_column, in_row = np.empty(FEW + 1, np.int64), np.empty(FEW + 1, np.int64)
-    above = np.zeros(3)
     n, last = 0, -1
     for k in range(chosen.shape[0]):
         patch, body = chosen[k, 0], chosen[k, 1]
@@ -306,116 +434,62 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 top = math.floor(min(max(ay, by, cy), float(j1)))
                 if left > right or bottom > top:
                     continue
-                # a sample lies inside where all of e0 + e1 column + e2 row are positive
-                side = 1.0 if area > 0.0 else -1.0
-                e1, e2 = -side * (by - ay), side * (bx - ax)
-                f1, f2 = -side * (cy - by), side * (cx - bx)
-                g1, g2 = -side * (ay - cy), side * (ax - cx)
-                e0, f0, g0 = -e1 * ax - e2 * ay, -f1 * bx - f2 * by, -g1 * cx - g2 * cy
+                half_planes = _half_planes(ax, ay, bx, by, cx, cy, area)
                 is_small = plain and (right - left + 1) * (top - bottom + 1) <= FEW
                 n_inside = 0
-                if is_small:  # without branches
-                    for j in range(bottom, top + 1):
-                        y = float(j)
-                        ey, fy, gy = e0 + e2 * y, f0 + f2 * y, g0 + g2 * y
-                        for i in range(left, right + 1):
-                            x = float(i)
-                            in_column[uint64(n_inside)], in_row[uint64(n_inside)] = i, j
-                            n_inside += min(ey + e1 * x, fy + f1 * x, gy + g1 * x) >= 0.0
+                if is_small:
+                    n_inside = _find_samples_inside(half_planes, left, right, bottom, top, in_column, in_row)
                     if n_inside == 0:
                         continue
-                # 1/x from the corners as they are, before rounding
-                ai, aj = columns[a], rows[a]
-                bi, bj, ci, cj = columns[b] - ai, rows[b] - aj, columns[c] - ai, rows[c] - aj
-                determinant = bi * cj - bj * ci
-                longest2 = max(bi * bi + bj * bj, ci * ci + cj * cj, (ci - bi) ** 2 + (cj - bj) ** 2)
-                if determinant * determinant <= THINNEST * THINNEST * longest2:
+                form, is_thin = _fit_inverse_depth(columns, rows, inverses, a, b, c)
+                if is_thin:
                     continue
-                q_column = ((qb - qa) * cj - (qc - qa) * bj) / determinant
-                q_row = (bi * (qc - qa) - ci * (qb - qa)) / determinant
-                q0 = qa - q_column * ai - q_row * aj
                 if is_small:
-                    n_nearest = 0
-                    for o in range(uint64(n_inside)):
-                        i, j = uint64(in_column[o] - i0), uint64(in_row[o] - j0)
-                        q = np.float32(q0 + q_column * float(in_column[o]) + q_row * float(in_row[o]))
-                        if q > depth[j, i]:
-                            depth[j, i], triangle[j, i] = q, n
-                            n_nearest += 1
-                    if n_nearest == 0:
+                    if _draw_samples(in_column, in_row, n_inside, window, form, n, depth, triangle) == 0:
                         continue
                 else:
-                    cuts[0, 0], cuts[0, 1], cuts[0, 2] = e0, e1, e2
-                    cuts[1, 0], cuts[1, 1], cuts[1, 2] = f0, f1, f2
-                    cuts[2, 0], cuts[2, 1], cuts[2, 2] = g0, g1, g2
+                    for o in range(3):
+                        cuts[o, 0], cuts[o, 1], cuts[o, 2] = half_planes[o]
                     n_cuts = 3
             else:  # a corner lies before the near plane, or behind the sonar
-                n_behind = 0
-                for o in range(3):
-                    w = uint64(start) + (a if o == 0 else (b if o == 1 else c))
-                    x, y, z = points[w, 0], points[w, 1], points[w, 2]
-                    for i in range(3):
-                        corners[o, i] = p[i, 0] * x + p[i, 1] * y + p[i, 2] * z + p[i, 3]
-                    n_behind += corners[o, 2] < near_m
-                if n_behind == 3:
+                at = uint64(start) + a, uint64(start) + b, uint64(start) + c
+                if _find_corners(points, at, p, near_m, corners) == 3:
                     continue
-                determinant = 0.0
-                for o in range(3):  # the plane through the sonar and an edge
-                    r, s = (o + 1) % 3, (o + 2) % 3
-                    cuts[o, 1] = corners[r, 1] * corners[s, 2] - corners[r, 2] * corners[s, 1]
-                    cuts[o, 2] = corners[r, 2] * corners[s, 0] - corners[r, 0] * corners[s, 2]
-                    cuts[o, 0] = corners[r, 0] * corners[s, 1] - corners[r, 1] * corners[s, 0]
-                for i in range(3):
-                    determinant += corners[0, i] * cuts[0, (i + 1) % 3]
+                determinant, form = _cut_by_corners(corners, cuts)
                 if determinant == 0.0 or (turned and determinant < 0.0):
                     continue
-                q0 = (cuts[0, 0] + cuts[1, 0] + cuts[2, 0]) / determinant
-                q_column = (cuts[0, 1] + cuts[1, 1] + cuts[2, 1]) / determinant
-                q_row = (cuts[0, 2] + cuts[1, 2] + cuts[2, 2]) / determinant
-                if determinant < 0.0:
-                    for o in range(3):
-                        for i in range(3):
-                            cuts[o, i] = -cuts[o, i]
-                cuts[3, 0], cuts[3, 1], cuts[3, 2] = 1.0 / near_m - q0, -q_column, -q_row
+                cuts[3, 0], cuts[3, 1], cuts[3, 2] = 1.0 / near_m - form[0], -form[1], -form[2]
                 n_cuts = 4
                 bottom, top = j0, j1
             if n_cuts:
                 if not plain:
-                    cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = q0 - 1.0 / far_m, q_column, q_row
+                    cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = (
+                        form[0] - 1.0 / far_m,
+                        form[1],
+                        form[2],
+                    )
                     n_cuts += 1
-                if cut:  # a · (1, -u, v) + a_3 / x >= 0
-                    for o in range(3):
-                        above[o] = 0.0
-                        for i in range(3):
-                            above[o] += sector[o, i] * plane[i]
-                    cuts[n_cuts, 0] = above[0] - above[1] * u0 + above[2] * v0 + plane[3] * q0
-                    cuts[n_cuts, 1] = -above[1] * lattice_u[1] + above[2] * lattice_v[1] + plane[3] * q_column
-                    cuts[n_cuts, 2] = -above[1] * lattice_u[2] + above[2] * lattice_v[2] + plane[3] * q_row
+                if cut:
+                    _cut_by_clip_plane(plane, view, form, cuts, n_cuts)
                     n_cuts += 1
                 n_tried = _fill_rows(
-                    cuts, n_cuts, window, bottom, top, q0, q_column, q_row, np.int32(n), depth, triangle, ends
+                    cuts, n_cuts, window, bottom, top, form, np.int32(n), depth, triangle, ends
                 )
                 if n_tried == 0:
                     continue
-            along_u = q_column * inverse[0, 0] + q_row * inverse[1, 0]
-            along_v = q_column * inverse[0, 1] + q_row * inverse[1, 1]
-            ahead = (
-                q0 - along_u * u0 - along_v * v0
-            )  # of the plane p · x = 1, whose other parts are the slopes
-            planes[n, 0], planes[n, 1] = along_u, along_v
-            planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
+            _write_plane(inverse, u0, v0, form, planes, n)
             planes[n, 3] = body_rows[body, 12]
             if reflectivity.shape[0]:
                 planes[n, 3] *= reflectivity[uint64(start) + a]
             bodies[n, 0], bodies[n, 1] = body, -1
             if smooth:
                 bodies[n, 1] = n
-                _fit_normals(normals, start, f, faces, points, m, p, q0, q_column, q_row, normal_forms[n])
+                _fit_normals(normals, start, f, faces, points, m, p, normal_forms[n])
             n += 1
 
 
 @inlined
-def _fit_normals(normals, start, f, faces, points, m, p, q0, q_column, q_row, out):
+def _fit_normals(normals, start, f, faces, points, m, p, out):
     """Fill out, (9,), with the normal over x, turned to the sector's frame, as a linear form of column and row.
 
     A normal over x is linear over the image, as 1/x is: barycentric coordinates of a point are linear in the point's

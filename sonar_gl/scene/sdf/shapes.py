@@ -273,9 +273,8 @@ def _read_polylines(elements, location: str, height_m: float) -> Shape:
     rings = []
     for element in elements:
         points = [read_numbers(point, f"{location}/point", 2) for point in element.findall("point")]
-        ring = [
-            point for k, point in enumerate(points) if np.any(point != points[k - 1])
-        ]  # the last may be the first
+        # the last may be the first
+        ring = [point for k, point in enumerate(points) if np.any(point != points[k - 1])]
         if len(ring) < 3:
             raise Error(f"{location}: must have three different points or more (got {len(ring)})")
         rings.append(np.array(ring))
