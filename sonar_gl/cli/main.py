@@ -101,7 +101,7 @@ def _one_line_warnings():
 )
 @click.version_option(__version__, prog_name="sonar-gl")
 def main():
-    """Simulate a 2D imaging sonar, with OpenGL and without a display."""
+    """Simulate a 2D imaging sonar (forward-looking sonar), by OpenGL or on the CPU, without a display."""
 
 
 RENDER_EXAMPLES = """\b
