@@ -204,7 +204,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
 
-    The same is done for half the tolerance and for twice of it. Errors are estimates that pings make of themselves,
+    The same is done for half and for twice the tolerance. Errors are estimates that pings make of themselves,
     without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses about two dozen are tried,
     as by `sonar-gl render`.
 
