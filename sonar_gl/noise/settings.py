@@ -10,6 +10,7 @@ import numpy as np
 from sonar_gl.core.checks import check_number, check_whole_number, is_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.signatures import shown_by_fields
 from sonar_gl.sonar.sonar import LEVEL
 
 BOUNDS = (  # field, least, most, hint
@@ -28,6 +29,7 @@ MOVED = {
 }  # field: the switch in its place, its name in `Sonar`
 
 
+@shown_by_fields
 @dataclass(frozen=True)
 class Noise:
     """Amounts of noise.
