@@ -367,7 +367,7 @@ def doctor(ctx, report_path, scene, **options):
     """
     if scene is not None:
         if report_path is not None:
-            raise Error("--report needs a doctor without --scene (it says how the driver does)")
+            raise Error("--report and --scene exclude each other (a report is of the driver; leave one out)")
         echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
         return
     for name in options:
