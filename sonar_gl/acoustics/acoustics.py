@@ -587,7 +587,7 @@ class Acoustics:
     # ---- pulse --------------------------------------------------------------------------------------------
 
     def pulse_weights(self, sonar) -> np.ndarray | None:
-        """Return the kernel of the matched filter over bins, `pulse.bin_weights`; None without a pulse.
+        """Return the kernel of the matched filter over bins, by `sonar_gl.acoustics.pulse.bin_weights`; None without.
 
         Returns
         -------

@@ -112,7 +112,7 @@ class Noise:
 
     @property
     def acts_on_field(self) -> bool:
-        """Whether a term acts on the complex echo field of a ping (`field.FieldNoise`)."""
+        """Whether a term acts on the complex echo field of a ping (`sonar_gl.noise.field.FieldNoise`)."""
         return bool(self.speckle or self.has_receiver_noise or self.interference_lines)
 
     @property
