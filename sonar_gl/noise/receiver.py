@@ -45,7 +45,7 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
 
     Returns
     -------
-    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m
 
     Notes
     -----
@@ -75,7 +75,7 @@ class AbsoluteLevels(NamedTuple):
     bandwidth_hz : B of the matched filter
     directivity_index_db : DI = 10 log10(4π/Ω), where the beam of solid angle Ω counts as a box: `beam_width_deg`
         wide and `elevation_fov_deg` high
-    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert surface that surrounds the sonar at
+    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert sphere about the sonar, at
         1 m, to which levels of `Noise` and an intensity of 1 before the TVG refer. At range r it is lower by 20 log10 r
         + 2αr: the two-way transmission loss 40 log10 r + 2αr, less 20 log10 r, by which the insonified area grows
     thermal_noise_level_db : dB re 1 µPa, NL + 10 log10 B of `thermal_noise_db`, in all directions
@@ -146,7 +146,7 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
 
     Returns
     -------
-    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m
 
     Raises
     ------

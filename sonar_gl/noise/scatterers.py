@@ -119,7 +119,7 @@ def add_scatterers(
     The number of scatterers in a volume is Poisson-distributed. A scatterer at ψ in bin k adds √p e^iφ A(ψ_b − ψ) w_k
     to beam b, with the amplitude response A of the beam and w of the pulse. By Campbell's theorem [1]_ the mean of the
     sum's square is the rate times ∫A² ∫w², which `power` is divided by. So |field|² has the mean `power`, and the
-    mean square 2 + κ times its square, where κ falls as one over the number in a cell.
+    mean square 2 + η times its square, where η falls as one over the number in a cell.
 
     References
     ----------
