@@ -248,7 +248,9 @@ Ctrl-C.
 @click.option(
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
 )
-@click.option("--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Processes.")
+@click.option(
+    "--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Number of processes."
+)
 @option("engine", **ENGINE)
 @click.option(
     "--device",
