@@ -595,7 +595,8 @@ class Acoustics:
         speed_m_s = float(self.sonar_sound_speed_m_s or self.water.sound_speed())  # bins lie at shown ranges
         # the resolution cell is inversely proportional to the bandwidth
         as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m
-        return PulseResponse(float(sonar.bandwidth_hz or as_a_bin_hz), sonar.pulse_taper, speed_m_s)
+        bandwidth_hz = sonar.bandwidth_hz or min(as_a_bin_hz, sonar.frequency_hz)  # no pulse has a wider band
+        return PulseResponse(float(bandwidth_hz), sonar.pulse_taper, speed_m_s)
 
 
 def check_moved(what: str, names) -> None:

@@ -84,7 +84,7 @@ class Sonar:
     transmit_width_deg : −3 dB width in azimuth of the transmit beam about the boresight, degrees; None: the fan is
         insonified evenly. `beam_width_deg` stays the width of the receive beams
     bandwidth_hz : bandwidth of the pulse, hertz; None: not known, taken so that the
-        resolution cell is as long as a bin
+        resolution cell is as long as a bin, but not above frequency_hz
     pulse_taper : "uniform" or "hamming", weights of the spectrum in the matched filter
     source : reference for the numbers
     cross_talk_db : level of cross-talk, dB: what a beam receives of the echo in each other beam of its set; None: none

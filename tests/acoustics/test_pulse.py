@@ -93,6 +93,18 @@ def test_levels_do_not_depend_on_the_size_of_bins_that_are_shorter_than_the_cell
             assert weights.max() == pytest.approx(1, abs=1.5e-2)  # the mean of the response over a bin
 
 
+def test_a_bandwidth_that_follows_from_the_bins_is_no_wider_than_the_frequency():
+    """As `Sonar.bandwidth_hz` must not be: bins far shorter than a wavelength then have the level of the cell."""
+    sonar = sg.Sonar(
+        "short", 750e3, 1, 1000, 2.0, 25.0, 2.0, 1.0, 1.1
+    )  # bins of 0.1 mm, a 20th of the wavelength
+    pulse = sg.Acoustics.physical().pulse_response(sonar)
+    assert pulse.bandwidth_hz == 750e3
+    cell_m = resolution_cell_m(*pulse)
+    weights = sg.Acoustics.physical().pulse_weights(sonar)
+    assert weights.sum() == pytest.approx(cell_m / sonar.bin_size_m, rel=1e-6) and cell_m > 1e-3
+
+
 def test_the_level_of_a_floor_and_of_a_ball_is_that_of_the_cell():
     """In bins of 1, 1/2, 1/4 and 1/8 of it, within 0.1 dB; without a pulse it falls by 3 dB each time."""
     corners = np.array([[5.0, -9, -1], [5, 9, -1], [15, 9, -1], [15, -9, -1]])
