@@ -564,6 +564,26 @@ def test_wrong_arguments_of_a_step_change_nothing(scene, loopback):
     assert not loopback.is_closed
 
 
+@pytest.mark.parametrize("time_ns", [-1, 0.5, 2**31 * 10**9, None])
+def test_times_in_nanoseconds_are_whole_numbers(scene, loopback, time_ns):
+    with publisher_of(scene, loopback) as publisher:
+        with pytest.raises(Error, match="time_ns must be a whole number in 0"):
+            publisher.step_at(time_ns)
+        assert not loopback.sent and publisher.step_at(5).has_pinged
+
+
+@pytest.mark.parametrize(
+    ("transports", "why"),
+    [
+        (LoopbackTransport(), r"must be several, as in \[DdsTransport\(\)\] \(got LoopbackTransport\)"),
+        (["dds"], "each of transports must be a Transport"),
+    ],
+)
+def test_transports_are_several(scene, transports, why):
+    with pytest.raises(Error, match=why):
+        Publisher(scene, SONAR, transports)
+
+
 def test_the_followed_clock_is_not_published(scene, loopback):
     with (
         publisher_of(scene, loopback) as one,
