@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +14,14 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.batch.ros_messages import BEAMS, MAX_TIME_S, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.core.checks import check_kind, check_whole_number, shown
-from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error, nearest_names
+from sonar_gl.core.errors import (
+    Error,
+    MachineError,
+    closed_error,
+    copied_error,
+    nearest_names,
+    other_process_error,
+)
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
@@ -144,7 +152,7 @@ class Publisher:
         settings: PublisherSettings | None = None,
         in_background: bool = False,
     ):
-        self._executor, self._withdrawals = None, []
+        self._executor, self._withdrawals, self._process = None, [], os.getpid()
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
@@ -276,6 +284,8 @@ class Publisher:
 
     def step_at(self, time_ns: int, pose=None, bodies: dict | None = None) -> StepResult:
         """Do what `step` does, at a time in nanoseconds, a whole number."""
+        if os.getpid() != self._process:  # a forked process lacks the thread of the simulation
+            raise other_process_error("Publisher")
         if self._executor is None:
             raise closed_error("Publisher")
         time_ns = check_whole_number(
@@ -467,7 +477,7 @@ class Publisher:
     def close(self) -> None:
         """Finish the ping that is made, and give back what it holds; `counts` stays. May be called twice."""
         executor, self._executor = self._executor, None
-        if executor is None:
+        if executor is None or os.getpid() != self._process:  # of a fork: all is the parent's
             return
         for withdraw in self._withdrawals:
             withdraw()

@@ -23,6 +23,7 @@ from sonar_gl.live import PoseSource, Publisher, PublisherSettings
 from sonar_gl.live.publisher import CLOCK_NS, StepResult
 from sonar_gl.live.publisher_settings import TOPICS
 from sonar_gl.sonar.sonar import Sonar
+from tests.support.forks import in_fork
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry, pose_stamped, transforms
 
@@ -541,6 +542,16 @@ def test_a_closed_publisher_receives_nothing(scene, loopback):
     for name in ("/tf", "/tf_static", "/bodies", "/clock"):
         loopback.inject(name, b"nonsense")
     assert publisher.counts.refused == 4 and clock.wait(0.0) is None
+
+
+def test_a_forked_process_leaves_its_parents_publisher_alone(scene, loopback):
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        publisher.step(0.0)
+        assert in_fork(lambda: publisher.step(0.1), publisher.close) == [
+            "a Publisher must be used in the process that made it; make one in each process",
+            "done",
+        ]
+        assert publisher.step(0.1).has_pinged
 
 
 # ---- mistakes --------------------------------------------------------------------------------------
