@@ -50,6 +50,12 @@ def check_kind(name: str, value, kind, cure: str):
         raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
 
 
+def check_function(name: str, value, argument: str):
+    """Raise an `Error` unless `value` can be called; `argument` says with what."""
+    if not callable(value):
+        raise Error(f"{name} must be a function of {argument} (got {shown(value)})")
+
+
 def is_number(value) -> bool:
     """Return whether `value` is a real number of Python or NumPy; True and False are not, NaN is.
 
@@ -81,10 +87,12 @@ def is_finite(value) -> bool:
 
 
 def shown(value) -> str:
-    """Return a value as text for a message, at most 80 characters.
+    """Return a value as text for a message, one line of at most 80 characters.
 
     >>> shown("1"), shown(10**400)
     ("'1'", 'a whole number of more than 300 digits')
+    >>> shown(np.eye(2))
+    'array([[1., 0.], [0., 1.]])'
     """
     if is_whole_number(value) and abs(value) >= 10**300:
         return "a whole number of more than 300 digits"
@@ -92,6 +100,8 @@ def shown(value) -> str:
         text = repr(value)
     except ValueError:  # Python refuses to print numbers of more than 4300 digits
         text = f"a {type(value).__name__} with very long numbers"
+    if "\n" in text:  # as of an array
+        text = " ".join(text.split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 

@@ -99,9 +99,11 @@ def nearest_names(name: str, known: Iterable[str]) -> str:
     "did you mean 'hamming'?"
     >>> nearest_names("x", ("uniform", "hamming"))
     'known are hamming, uniform'
+    >>> nearest_names(1, ("uniform", "hamming"))
+    'known are hamming, uniform'
     """
     known = sorted(known)
-    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5) if isinstance(name, str) else []
     if similar:
         return "did you mean " + " or ".join(repr(n) for n in similar) + "?"
     return "known are " + ", ".join(known)

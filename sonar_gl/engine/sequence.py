@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
@@ -73,7 +74,7 @@ def several_poses(poses) -> Iterable:
 def _per_ping(values, name: str, poses) -> Iterable:
     """Return one value per ping, or None for each; an Error if it is one value alone, or of another number."""
     if not isinstance(values, Iterable | None) or isinstance(values, (dict, str)):
-        raise Error(f"{name} must be several, one a pose (got {values!r})")
+        raise Error(f"{name} must be several, one a pose (got {shown(values)})")
     counted = values is not None and hasattr(values, "__len__") and hasattr(poses, "__len__")
     if counted and len(values) != len(poses):
         raise Error(f"{name} must be as many as poses (got {len(values)} for {len(poses)} poses)")

@@ -152,9 +152,11 @@ class World:
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
         state = self.engine.meshes.state
-        if not bodies:
+        if bodies is None:
             return state, self._plume_poses
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
+        if not bodies:
+            return state, self._plume_poses
         poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)
         for name, pose in self._of_models(bodies).items():
             if name in plume_poses:

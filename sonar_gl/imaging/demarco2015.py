@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.checks import check_choice, check_number, check_whole_number
+from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.settings import Noise
 
@@ -64,7 +64,12 @@ def demarco_image(
     Error
         if a setting is out of bounds or unknown.
     """
+    check_kind("noise", noise, Noise | None, "such as sonar_gl.Noise.demarco2015()")
     noise = Noise.demarco2015() if noise is None else noise
+    if not hasattr(simulator, "point_cloud"):  # its class is of a layer above
+        raise Error(
+            f"simulator must be a Simulator (got {type(simulator).__name__}; such as sonar_gl.Simulator(scene, sonar))"
+        )
     sonar = simulator.sonar
     settings = PictureSettings(
         azimuth_fov_rad=math.radians(sonar.azimuth_fov_deg),

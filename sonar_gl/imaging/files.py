@@ -131,6 +131,7 @@ def load_npz(path) -> Ping:
     Raises Error if the file holds no ping, or a small file claims arrays of more than 1 GB. Warns if `meta`
     describes a sonar or acoustics that cannot be made: the ping then has None in their place.
     """
+    check_kind("path", path, str | os.PathLike, "the name of a file that save_npz wrote")
     path = Path(path)
     if os.path.exists(path):
         check_is_file(path)

@@ -39,7 +39,7 @@ class BodyPoses:
 
     def move(self, name: str, pose: np.ndarray | None) -> None:
         """Put one elsewhere, or None to take it away; raise Error if there is none of this name."""
-        if name not in self._home:
+        if not isinstance(name, str) or name not in self._home:
             hint = nearest_names(name, self._home) if self._home else "there are none"
             raise Error(f"a body that is moved must be one of the scene (got {name!r}; {hint})")
         pose = None if pose is None else check_pose(pose, f"the pose of body {name!r}")

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import os
 import re
 import threading
 import time
@@ -41,7 +42,7 @@ from sonar_gl.live.ros_discovery import (
     discovery_definition,
     discovery_message,
 )
-from sonar_gl.live.transport import Topic, Transport, ros_domain
+from sonar_gl.live.transport import Topic, Transport, check_process, ros_domain
 
 logger = logging.getLogger(__name__)
 
@@ -118,7 +119,7 @@ class DdsTransport(Transport):
         node: str = "sonar_gl",
         distribution: str = "jazzy",
     ):
-        self.domain = ros_domain(domain)
+        self.domain, self._process = ros_domain(domain), os.getpid()
         RosNode(node)  # checks the name
         check_choice("distribution", distribution, DISTRIBUTIONS)
         self._node, self._distribution = node, distribution
@@ -190,6 +191,7 @@ class DdsTransport(Transport):
             as `advertise` does.
         """
         dds = self._dds
+        check_process(self._process, "DdsTransport")
         with self._lock:
             dds_topic = self._topic(topic)
             try:
@@ -205,6 +207,8 @@ class DdsTransport(Transport):
 
     def close(self) -> None:
         """Withdraw the topics and leave the domain; messages that are on their way may be lost."""
+        if os.getpid() != self._process:  # of a fork: all is the parent's
+            return
         # not under the lock, which a function that receives a message may need to end
         self._end_receiver()
         with self._lock:
@@ -239,6 +243,7 @@ class DdsTransport(Transport):
 
     def _writer(self, topic: Topic):
         dds = self._dds
+        check_process(self._process, "DdsTransport")
         with self._lock:
             writer = self._writers.get(topic)
             if writer is None:
@@ -455,7 +460,7 @@ class _Receiver:
         self._readers = {}  # by number: name of the topic, reader, condition, function
         self._numbers = count()
         self._failed = set()  # names of topics whose function has raised, and None where DDS has
-        self._is_closed = False
+        self._is_closed, self._process = False, os.getpid()
         self._thread = threading.Thread(target=self._run, name="DDS messages", daemon=True)
         self._thread.start()
 
@@ -478,6 +483,8 @@ class _Receiver:
     def close(self) -> None:
         """End the thread, and let the readers go; a function that receives messages may call this, too."""
         self._is_closed = True
+        if os.getpid() != self._process:  # of a fork, at its end, too: the thread is the parent's
+            return
         self._stop.set(True)
         if threading.current_thread() is not self._thread:
             self._thread.join(PATIENCE_S)

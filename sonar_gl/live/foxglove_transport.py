@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +15,7 @@ from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.hosts import is_local, wait_until_free
 from sonar_gl.live.inbox import Inbox
-from sonar_gl.live.transport import Topic, Transport, check_same_type
+from sonar_gl.live.transport import Topic, Transport, check_process, check_same_type
 
 logger = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class FoxgloveTransport(Transport):
         check_kind("host", host, str, "such as '127.0.0.1'")
         check_whole_number("port", port, 0, 2**16 - 1)
         self._library, self._lock, self._is_open = _library(), threading.Lock(), True
-        self._host = host
+        self._host, self._process = host, os.getpid()
         self._context = self._library.sdk.Context()
         self._topics: dict[str, Topic] = {}  # by name, as the next two
         self._channels, self._last = {}, {}  # latched topics have a last message and its time
@@ -140,6 +141,8 @@ class FoxgloveTransport(Transport):
 
     def close(self) -> None:
         """Disconnect the viewers, end the server and its threads, and give the port back; may be called twice."""
+        if os.getpid() != self._process:  # of a fork: the server is the parent's
+            return
         with self._lock:
             was_open, self._is_open = self._is_open, False
         if not was_open:
@@ -168,6 +171,7 @@ class FoxgloveTransport(Transport):
         reader[1].close()
 
     def _check_open(self) -> None:
+        check_process(self._process, "FoxgloveTransport")
         if not self._is_open:
             raise closed_error("FoxgloveTransport")
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 logger = logging.getLogger(__name__)
 
-PATIENCE_S = 5.0  # with a reader, or another function that has a message, when what calls it is closed
+PATIENCE_S = 5.0  # with a function that receives a message while its inbox or transport is closed
 
 
 class Inbox:

@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from sonar_gl.core.checks import check_number
 from sonar_gl.core.poses import check_pose, pose
 
 SPEED_M_S = 1.0
@@ -53,6 +54,9 @@ def moved(
     [3.0, 0.0, 0.0]
     """
     start = check_pose(world_from_sonar)
+    dt_s = check_number("dt_s", dt_s, 0.0, hint="give seconds")
+    speed_m_s = check_number("speed_m_s", speed_m_s)
+    turn_rate_rad_s = check_number("turn_rate_rad_s", turn_rate_rad_s)
     pressed = {key.casefold() for key in keys}
     forward, port, up, left, down = (
         sum(KEYS[key][axis] for key in pressed if key in KEYS) for axis in range(5)

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
-from sonar_gl.core.checks import check_kind, shown
-from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error, nearest_names
+from sonar_gl.batch.ros_messages import BEAMS, MAX_TIME_S, TF, TF_STATIC, message_types, nanoseconds
+from sonar_gl.core.checks import check_kind, check_whole_number, shown
+from sonar_gl.core.errors import (
+    Error,
+    MachineError,
+    closed_error,
+    copied_error,
+    nearest_names,
+    other_process_error,
+)
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
@@ -96,6 +104,16 @@ class _Order:
     is_own: bool
 
 
+def _several(transports) -> tuple[Transport, ...]:
+    """Return the transports; an Error if they are none."""
+    if not isinstance(transports, Iterable):
+        raise Error(f"transports must be several, as in [DdsTransport()] (got {type(transports).__name__})")
+    transports = tuple(transports)
+    for one in transports:
+        check_kind("each of transports", one, Transport, "such as sonar_gl.live.DdsTransport()")
+    return transports
+
+
 class Publisher:
     """Publishes pings over transports. Use it in a `with` block, or call `close()`; it does not close the transports.
 
@@ -134,7 +152,7 @@ class Publisher:
         settings: PublisherSettings | None = None,
         in_background: bool = False,
     ):
-        self._executor, self._withdrawals = None, []
+        self._executor, self._withdrawals, self._process = None, [], os.getpid()
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
@@ -142,7 +160,7 @@ class Publisher:
         check_kind("settings", settings, PublisherSettings | None, "such as PublisherSettings(rate_hz=10)")
         self.settings = PublisherSettings() if settings is None else settings
         self._types = message_types()
-        self._transports = tuple(transports)
+        self._transports = _several(transports)
         self._topics = self._make_topics()
         acoustics = Acoustics.physical() if acoustics is None else acoustics
         speed_m_s = acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed()
@@ -265,9 +283,14 @@ class Publisher:
         return self.step_at(nanoseconds(time_s), pose, bodies)
 
     def step_at(self, time_ns: int, pose=None, bodies: dict | None = None) -> StepResult:
-        """Do what `step` does, at a time in nanoseconds."""
+        """Do what `step` does, at a time in nanoseconds, a whole number."""
+        if os.getpid() != self._process:  # a forked process lacks the thread of the simulation
+            raise other_process_error("Publisher")
         if self._executor is None:
             raise closed_error("Publisher")
+        time_ns = check_whole_number(
+            "time_ns", time_ns, 0, MAX_TIME_S * 10**9 - 1, "give nanoseconds; `step` takes seconds"
+        )
         if self._work is not None and self._work.done():
             self._finish()
         if not self._is_placed:
@@ -454,7 +477,7 @@ class Publisher:
     def close(self) -> None:
         """Finish the ping that is made, and give back what it holds; `counts` stays. May be called twice."""
         executor, self._executor = self._executor, None
-        if executor is None:
+        if executor is None or os.getpid() != self._process:  # of a fork: all is the parent's
             return
         for withdraw in self._withdrawals:
             withdraw()

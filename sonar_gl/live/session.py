@@ -16,7 +16,7 @@ from threading import RLock
 import numpy as np
 
 from sonar_gl.analysis.terms import Price, price
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_function, check_kind, check_whole_number
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
@@ -261,8 +261,10 @@ class LiveSession:
         """Have a function called with each new frame, in a thread of its own, until the listener is closed.
 
         The session pings as long as anybody listens. While the function is busy, the last frames wait, as many as
-        `waiting`; it misses those before.
+        `waiting`, 1 or more; it misses those before.
         """
+        check_function("on_frame", on_frame, "a LiveFrame")
+        check_whole_number("waiting", waiting, 1)
         with self._lock:
             if not self._thread.listeners:
                 # there were no pings before, or some that were asked for one by one

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.core.checks import check_whole_number, shown
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, other_process_error
 
 MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
 
@@ -75,6 +75,12 @@ class Topic:
         """
         definition, type_hash = message_types().schema(msgtype)
         return cls(name, msgtype, type_hash, definition, **quality)
+
+
+def check_process(process: int, kind: str) -> None:
+    """Raise an Error in a fork of the process that made a transport: it lacks the threads that send."""
+    if os.getpid() != process:
+        raise other_process_error(kind)
 
 
 def check_same_type(topic: Topic, known: Topic) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonar_gl.core.checks import check_function
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.poses import read_poses
@@ -147,6 +148,8 @@ def view(
         if the extra is missing, or an argument is wrong. Exceptions of `on_ping` are raised again if `block`.
     """
     load_numba()
+    if on_ping is not None:
+        check_function("on_ping", on_ping, "a Ping")
     source = None
     if not isinstance(scene, Scene):
         source, scene = SceneSource(str(scene)), load_scene(scene)

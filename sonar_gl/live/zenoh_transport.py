@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import threading
 import time
@@ -20,7 +21,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.hosts import is_local
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, gid_of
-from sonar_gl.live.transport import Topic, Transport, check_same_type, ros_domain
+from sonar_gl.live.transport import Topic, Transport, check_process, check_same_type, ros_domain
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
@@ -88,7 +89,7 @@ class ZenohTransport(Transport):
         node: str = "sonar_gl",
         type_hashes: bool = True,
     ):
-        self._node = RosNode(node, ros_domain(domain), type_hashes)
+        self._node, self._process = RosNode(node, ros_domain(domain), type_hashes), os.getpid()
         is_local = _is_local(connect)
         self._libraries, self._lock = _libraries(), threading.Lock()
         self._session = self._opened(connect, is_local)
@@ -155,6 +156,7 @@ class ZenohTransport(Transport):
         Error
             as `advertise`.
         """
+        check_process(self._process, "ZenohTransport")
         key, zenoh, ext = self._node.key(topic), self._libraries.zenoh, self._libraries.ext
         inbox = Inbox(topic.name, receive, topic.depth)
         # without a thread of zenoh's in between, whose queue has no limit
@@ -178,6 +180,8 @@ class ZenohTransport(Transport):
 
     def close(self) -> None:
         """Withdraw the topics, and end the session and its threads; may be called twice."""
+        if os.getpid() != self._process:  # of a fork: the threads that would end are the parent's
+            return
         self._session.close()  # before the inboxes, so that no more messages come
         for inbox in list(self._subscribed):
             inbox.close()
@@ -235,6 +239,7 @@ class ZenohTransport(Transport):
 
     def _sender(self, topic: Topic) -> _Sender:
         """Return what sends the messages of a topic, declared on first use."""
+        check_process(self._process, "ZenohTransport")
         with self._lock:
             sender = self._senders.get(topic.name)
             if sender is None:

@@ -271,6 +271,7 @@ def test_invalid_bodies_raise_errors(one_body, way):
         "the pose of body 'plain' must have shape (4, 4) (got (3,); sonar_gl.pose makes one from x y z roll pitch yaw)"
     )
     assert message_of([("plain", sg.pose(5))]) == NO_DICT
+    assert message_of(sg.pose(5)) == NO_DICT.replace("list", "ndarray")
     # the scene is unchanged
     np.testing.assert_array_equal(one_body.ping(POSE).intensity, before)
 

@@ -185,6 +185,7 @@ def test_files_that_are_no_pings(tmp_path):
     )
     assert not os.listdir(tmp_path)
     assert message(load_npz, path) == f"cannot read the ping {str(path)!r}: no such file or directory"
+    assert message(load_npz, None).startswith("path must be a str (got NoneType; ")
     path.write_bytes(b"this is no archive")
     assert message(load_npz, path) == f"cannot read the ping {str(path)!r}: not an NPZ file"
     np.savez(path, intensity=np.zeros((2, 2)), other=1)

@@ -46,6 +46,11 @@ def test_demarco_style_counts_seeds():
     assert (picture == expected).all() and all(given is pose for given in poses)
 
 
+def test_the_founding_papers_picture_needs_a_simulator():
+    with pytest.raises(sg.Error, match=r"simulator must be a Simulator \(got Scene; "):
+        sg.demarco_image(sg.Scene([]), sg.pose())
+
+
 @pytest.mark.parametrize(
     ("noise", "missing"),
     [

@@ -35,6 +35,7 @@ from sonar_gl.live import dds_transport
 from sonar_gl.live.dds_transport import DdsTransport
 from sonar_gl.live.transport import Topic
 from tests.support import dds_entities, dds_types
+from tests.support.forks import in_fork
 from tests.support.ros_topics import (
     PROJECTED,
     decode,
@@ -724,6 +725,16 @@ def test_messages_have_the_layout_of_their_type(open_transport, name):
     for wrong in (b"", b"\0\1\0\0", header_bytes(0)[:-4], b"\0\1\0\0" + b"\xff" * 40):
         with pytest.raises(Error, match=f"a message of '{name}' must be a std_msgs/msg/Header in CDR"):
             transport.publish(topic, wrong, 0)
+    transport.publish(topic, header_bytes(0), 0)
+
+
+def test_a_forked_process_leaves_its_parents_transport_alone(open_transport, name):
+    transport, topic = open_transport(), topic_of(name)
+    transport.advertise(topic)
+    assert in_fork(lambda: transport.publish(topic, header_bytes(0), 0), transport.close) == [
+        "a DdsTransport must be used in the process that made it; make one in each process",
+        "done",
+    ]
     transport.publish(topic, header_bytes(0), 0)
 
 

@@ -18,6 +18,7 @@ from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.live import foxglove_transport
 from sonar_gl.live.foxglove_transport import MAX_BACKLOG, FoxgloveTransport
 from sonar_gl.live.hosts import wait_until_free
+from tests.support.forks import in_fork
 from tests.support.foxglove_client import Disconnected, FoxgloveClient
 from tests.support.listening import LOOPBACK, listening_ports
 from tests.support.live_messages import free_port, ping_message, sonar_topic, stamped, topic_of
@@ -53,6 +54,16 @@ def test_a_topic_has_one_type(transport):
     transport.advertise(pose_topic(depth=7))
     with pytest.raises(Error, match="a topic must have one type"):
         transport.publish(topic_of("/pose", "tf2_msgs/msg/TFMessage"), b"", 0)
+
+
+def test_a_forked_process_leaves_its_parents_transport_alone(transport):
+    topic = pose_topic()
+    transport.advertise(topic)
+    assert in_fork(lambda: transport.publish(topic, b"pose", 0), transport.close) == [
+        "a FoxgloveTransport must be used in the process that made it; make one in each process",
+        "done",
+    ]
+    transport.publish(topic, b"pose", 0)
 
 
 def test_a_viewer_receives_pings(transport, viewers):

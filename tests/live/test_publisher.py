@@ -23,6 +23,7 @@ from sonar_gl.live import PoseSource, Publisher, PublisherSettings
 from sonar_gl.live.publisher import CLOCK_NS, StepResult
 from sonar_gl.live.publisher_settings import TOPICS
 from sonar_gl.sonar.sonar import Sonar
+from tests.support.forks import in_fork
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry, pose_stamped, transforms
 
@@ -543,6 +544,16 @@ def test_a_closed_publisher_receives_nothing(scene, loopback):
     assert publisher.counts.refused == 4 and clock.wait(0.0) is None
 
 
+def test_a_forked_process_leaves_its_parents_publisher_alone(scene, loopback):
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        publisher.step(0.0)
+        assert in_fork(lambda: publisher.step(0.1), publisher.close) == [
+            "a Publisher must be used in the process that made it; make one in each process",
+            "done",
+        ]
+        assert publisher.step(0.1).has_pinged
+
+
 # ---- mistakes --------------------------------------------------------------------------------------
 
 
@@ -562,6 +573,26 @@ def test_wrong_arguments_of_a_step_change_nothing(scene, loopback):
     with pytest.raises(Error, match="this Publisher is closed"):
         publisher.step(0.2)
     assert not loopback.is_closed
+
+
+@pytest.mark.parametrize("time_ns", [-1, 0.5, 2**31 * 10**9, None])
+def test_times_in_nanoseconds_are_whole_numbers(scene, loopback, time_ns):
+    with publisher_of(scene, loopback) as publisher:
+        with pytest.raises(Error, match="time_ns must be a whole number in 0"):
+            publisher.step_at(time_ns)
+        assert not loopback.sent and publisher.step_at(5).has_pinged
+
+
+@pytest.mark.parametrize(
+    ("transports", "why"),
+    [
+        (LoopbackTransport(), r"must be several, as in \[DdsTransport\(\)\] \(got LoopbackTransport\)"),
+        (["dds"], "each of transports must be a Transport"),
+    ],
+)
+def test_transports_are_several(scene, transports, why):
+    with pytest.raises(Error, match=why):
+        Publisher(scene, SONAR, transports)
 
 
 def test_the_followed_clock_is_not_published(scene, loopback):

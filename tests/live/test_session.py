@@ -373,6 +373,26 @@ def test_wrong_bodies_and_poses_are_refused(session):
         session.set_pose(np.full((4, 4), np.nan))
     with pytest.raises(sg.Error, match="did you mean 'ball'"):
         session.highlight("bal")
+    for wrong in (1, None, ["ball"]):
+        with pytest.raises(sg.Error, match="a body that is moved must be one of the scene"):
+            session.move_body(wrong, np.eye(4))
+    with pytest.raises(sg.Error, match="a body must be one of the scene"):
+        session.highlight(1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda session: session.move({"w"}, None), r"dt_s must be a number \(got None\)"),
+        (lambda session: session.move({"w"}, -1.0), "dt_s must be finite and 0 or more"),
+        (lambda session: session.listen(None), r"on_frame must be a function of a LiveFrame \(got None\)"),
+        (lambda session: session.listen(print, 0), "waiting must be a whole number, 1 or more"),
+        (lambda session: session.switch(None, True), r"unknown term \(got None"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_a_sentence(session, call, message):
+    with pytest.raises(sg.Error, match=message):
+        call(session)
 
 
 # ---- listeners -----------------------------------------------------------------------------------------

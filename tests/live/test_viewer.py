@@ -127,6 +127,7 @@ def test_a_view_waits_no_longer_once_its_session_is_closed():
         ({"pose": np.zeros((4, 4))}, "pose"),
         ({"pose": "no.csv"}, "no.csv"),
         ({"tolerance": 7}, "tolerance"),
+        ({"on_ping": 7}, r"on_ping must be a function of a Ping \(got 7\)"),
         ({"no_setting": 7}, "unknown setting"),
     ],
 )

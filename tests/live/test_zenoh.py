@@ -17,6 +17,7 @@ from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, quality_text
 from sonar_gl.live.transport import Topic
 from sonar_gl.live.zenoh_transport import REMOTE_TIMEOUT_MS, ZenohTransport
+from tests.support.forks import in_fork
 from tests.support.listening import LOOPBACK, listening_ports
 from tests.support.live_messages import (
     free_port,
@@ -229,6 +230,16 @@ def test_a_topic_has_one_type(router, transports):
     transport.advertise(image_topic(depth=7))
     with pytest.raises(Error, match="a topic must have one type"):
         transport.publish(topic_of("/sonar/image", "tf2_msgs/msg/TFMessage"), b"", 0)
+
+
+def test_a_forked_process_leaves_its_parents_transport_alone(router, transports):
+    transport, topic = transports(), image_topic()
+    transport.advertise(topic)
+    assert in_fork(lambda: transport.publish(topic, b"image", 0), transport.close) == [
+        "a ZenohTransport must be used in the process that made it; make one in each process",
+        "done",
+    ]
+    transport.publish(topic, b"image", 0)
 
 
 def test_each_publisher_has_a_gid_of_its_own(peer, transports):
