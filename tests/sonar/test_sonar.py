@@ -97,6 +97,11 @@ def test_floors_of_presets_are_those_of_the_same_errors_in_as_many_elements_as_t
         assert sonar.element_error_db == (floor_db and round(floor_db)), name
 
 
+def test_the_readme_states_the_number_of_presets():
+    readme = Path(__file__).resolve().parents[2] / "README.md"
+    assert f"; {len(presets())} presets |" in readme.read_text(encoding="utf-8")
+
+
 def test_changing_the_returned_presets_changes_no_preset():
     names = list(presets())
     presets().clear()
