@@ -246,14 +246,14 @@ MUTATIONS = (
     ),
     Mutation(
         "fan/boxes within the transmit beam",
-        "_divided(edges, transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)",
-        "_divided(edges, transmit_width_rad)",
+        "_divided(edges, beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)",
+        "_divided(edges, beams.transmit_width_rad)",
         ("test_beam_pattern",),
     ),
     Mutation(
         "fan/behind a straight array",
-        'elif sonar.steered == "straight" and not box:',
-        "elif False:",
+        'if sonar.steered == "straight" and not beams.is_box:',
+        "if False:",
         CONES,
     ),
     # sums of columns and of points

@@ -17,7 +17,7 @@ from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, is_unobstructed
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 
@@ -351,7 +351,7 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
 
     Those that only fill sheared rows, beside the sector, do not.
     """
-    fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), 0.0)
+    fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), BeamShape(0.0))
     samples, expected = [], 0
     for sector in fan.sectors:
         u, v = sector.sample_coordinates()
