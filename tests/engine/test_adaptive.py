@@ -20,6 +20,7 @@ from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
+from tests.support.estimates import record_estimates
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -250,8 +251,7 @@ class TestMoving:
         """Return, for each pose, whether the error was estimated, and the number of rows."""
         out = []
         with sg.Simulator(self.scene(), SONAR, IDEAL, **settings) as simulator:
-            calls, count = [], error_model.count_bodies
-            monkeypatch.setattr(error_model, "count_bodies", lambda *a: calls.append(1) or count(*a))
+            calls = record_estimates(monkeypatch)
             for pose in poses:
                 before = len(calls)
                 ping = simulator.ping(pose)

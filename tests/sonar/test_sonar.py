@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.sonar.sonar import PRESETS, Sonar, load_sonar, presets
+from tests.support.errors import error_of
 
 KEYS = {
     "frequency_hz": 900e3,
@@ -24,13 +24,6 @@ KEYS = {
     "range_max_m": 30.0,
 }
 TEXT = "\n".join(f"{key} = {value}" for key, value in KEYS.items()) + "\n"
-
-
-def error_of(make, *args, **kwargs) -> str:
-    """Return the message of the error that a call raises."""
-    with pytest.raises(Error) as caught:
-        make(*args, **kwargs)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize("name", presets())
