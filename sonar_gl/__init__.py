@@ -1,4 +1,4 @@
-"""A 2D imaging-sonar simulator: the fan of beams is a depth + normal pass in OpenGL, headless.
+"""A simulator of 2D imaging sonars (forward-looking sonars), by OpenGL or on the CPU, without a display.
 
 import sonar_gl as sg
 

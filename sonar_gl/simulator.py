@@ -143,7 +143,7 @@ class Simulator:
             a model of several links, of `Scene.models`, stands for all of them
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame, that of the housing, while sound
-            travels; see `motion.shown_at`. None = it stands
+            travels, as docs/acoustics.md says; None = it stands
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`

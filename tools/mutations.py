@@ -1316,7 +1316,7 @@ MUTATIONS = (
     ),
     Mutation(
         "visibility/sectors beside a body",
-        "if frustum.is_beside(rotation @ sphere.centre, sphere.radius_m):",
+        "if frustum.is_beside(sphere.centre, sphere.radius_m):",
         "if False:",
         ("test_adaptive",),
     ),

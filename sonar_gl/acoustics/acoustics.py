@@ -17,6 +17,7 @@ from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.signatures import shown_by_fields
 
 BARE = {
     "beam_pattern": "box",
@@ -85,6 +86,7 @@ SIDE_LOBE_LEVEL = 1e-8
 MAX_SIDE_LOBE_DEG = 89.5  # above the boresight: a ten-thousandth of the hemisphere lies beyond
 
 
+@shown_by_fields
 @dataclass(frozen=True)
 class Acoustics:
     """The acoustic model of a ping: water, range gain, beam patterns, pulse and the terms of the echo.
@@ -574,7 +576,7 @@ class Acoustics:
     # ---- pulse --------------------------------------------------------------------------------------------
 
     def pulse_weights(self, sonar) -> np.ndarray | None:
-        """Return the kernel of the matched filter over bins, `pulse.bin_weights`; None without a pulse.
+        """Return the kernel of the matched filter over bins, by `sonar_gl.acoustics.pulse.bin_weights`; None without.
 
         Returns
         -------

@@ -325,7 +325,6 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     span = stop - start
     true_range_sonar = acoustics.true_range_sonar(sonar)
     max_sine = np.sin(np.radians(acoustics.max_elevation_deg(sonar)))
-    middles = (np.arange(1024) + 0.5) / 512 - 1  # of equal parts of -1..1
     if pattern is None:  # no box beam begins or ends between two nodes
         ends = _wrap(np.concatenate([axes - support_rad, axes + support_rad]), start)
         node_azimuths = np.unique(np.clip(np.append(ends, [start, stop]), start, stop))
@@ -333,18 +332,20 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     else:
         step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
         node_azimuths = np.linspace(start, stop, int(np.ceil(span / step)) + 1)
-        mean_pattern = pattern(axes[:, None] + support_rad * middles, axes[:, None]).mean(axis=1)
+        mean_pattern = pattern(axes[:, None] + support_rad * _middles(1024), axes[:, None]).mean(axis=1)
         if all_lobes:  # of all azimuths from which rays come, by the trapezoidal rule
             parts = np.diff(node_azimuths, prepend=start, append=stop)
             power = pattern(node_azimuths, axes[:, None]) @ ((parts[:-1] + parts[1:]) / 2)
             mean_pattern = power / (2 * support_rad)
     height, elevation = 2 * max_sine, acoustics.two_way_elevation_pattern(sonar)
+    # places within the pattern in elevation: more where its main lobe is a small part of all that is received
+    n_places = 1024 * int(np.ceil(1 / min(true_range_sonar.elevation_fov_deg, 1.0)))
     if elevation is not None:
-        height *= elevation(max_sine * middles).mean()
+        height *= elevation(max_sine * _middles(n_places)).mean()
     beam_sr = np.broadcast_to(mean_pattern * 2 * support_rad * height, len(axes))
     if are_cones:
         beam_sr = _solid_angles(
-            node_azimuths, pattern, axes, support_rad * (not all_lobes), max_sine, elevation
+            node_azimuths, pattern, axes, support_rad * (not all_lobes), max_sine, elevation, n_places
         )
 
     def make_block(low_rad: float, high_rad: float) -> _Block:
@@ -378,7 +379,14 @@ def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
     )
 
 
-def _solid_angles(shown_rad, pattern, axes_rad, support_rad, max_sine, elevation) -> np.ndarray:
+def _middles(n: int) -> np.ndarray:
+    """Return the middles of n equal parts of -1..1, (n,)."""
+    return (np.arange(n) + 0.5) / (n / 2) - 1
+
+
+def _solid_angles(
+    shown_rad, pattern, axes_rad, support_rad, max_sine, elevation, n_places: int
+) -> np.ndarray:
     """Return the solid angle of each beam that receives along cones, over its patterns, (B,).
 
     Parameters
@@ -386,11 +394,18 @@ def _solid_angles(shown_rad, pattern, axes_rad, support_rad, max_sine, elevation
     shown_rad : (N,) azimuths at which cones are shown, rising
     support_rad : of the receive pattern; 0 = without end
     elevation : of `_Fan`
+    n_places : around a cone
     """
     above = np.arcsin(np.minimum(max_sine / np.cos(shown_rad), 1))
     ends = np.minimum(above, np.arccos(np.abs(np.tan(shown_rad)) / np.tan(MAX_AZIMUTH_RAD)))
-    around = ends[:, None] * ((np.arange(1024) + 0.5) / 512 - 1)
-    power = 1.0 if elevation is None else elevation(np.cos(shown_rad)[:, None] * np.sin(around)).mean(axis=1)
+    power = 1.0
+    if elevation is not None:
+        parts = np.array_split(np.arange(len(ends)), n_places // 1024)  # in the memory of 1024 places
+        sines = (
+            np.cos(shown_rad[part])[:, None] * np.sin(ends[part][:, None] * _middles(n_places))
+            for part in parts
+        )
+        power = np.concatenate([elevation(one).mean(axis=1) for one in sines])
     per_rad = 2 * ends * np.cos(shown_rad) * power
     received = pattern(shown_rad, axes_rad[:, None]) * per_rad
     if support_rad:

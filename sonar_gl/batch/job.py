@@ -187,9 +187,13 @@ class PicturesTable(Table):
 
 
 class CocoTable(Table):
-    """Instances in gray fan images: COCO JSON and PNG masks; `counts` changes those of the sonars."""
+    """Instances in gray fan images: COCO JSON and PNG masks; `counts` changes those of the sonars.
+
+    Bodies of fewer than `min_area` pixels have no annotation; None for no such bound. Masks keep them.
+    """
 
     height: Annotated[int, Field(ge=16, le=8192)] = 512
+    min_area: Annotated[int, Field(ge=1)] = None
     counts: CountsChanges = Field({})
 
 

@@ -205,6 +205,7 @@ class CocoOutput(CountsOutput):
             scene=self.job.scenes[request.scene],
             counts=asdict(law),
         )
+        annotations = [one for one in annotations if one["area"] >= (self.table.min_area or 1)]
         self._lines[sonar].append((request.number, coco_lines(image, annotations)))
 
     def end(self):

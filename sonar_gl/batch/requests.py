@@ -199,6 +199,9 @@ class BatchRequests(Sequence):
                 shift, turn = np.split(draws, 2)
                 is_present = random.random() < table.there
                 mu = None if table.reflectivity is None else _draw(random, table.reflectivity)
+                for name in group:  # of two tables the later one counts, also where it changes nothing
+                    bodies.pop(name, None)
+                    reflectivity.pop(name, None)
                 if not group or (is_present and not draws.any() and mu is None):
                     continue
                 pivot = known[group[0]].pose

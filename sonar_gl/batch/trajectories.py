@@ -52,6 +52,7 @@ def _check_not_zero(value: float) -> float:
 
 
 METRES, RADIANS = "give metres", "give radians: degrees times π/180"
+BOUNDS_M, BOUNDS_RAD = "give [low, high] in metres", "give [low, high] in radians: degrees times π/180"
 Coordinate = _bounded(-MAX_COORDINATE_M, MAX_COORDINATE_M, METRES)
 Length = _bounded(1e-3, MAX_COORDINATE_M, METRES)
 Angle = _bounded(-4 * RIGHT_ANGLE, 4 * RIGHT_ANGLE, RADIANS)
@@ -65,14 +66,14 @@ SweepTime = _bounded(1e-3, 1e9, "give seconds from one end to the other")
 Turns = Annotated[_bounded(-1e6, 1e6, "1 is one turn, -1 one clockwise"), AfterValidator(_check_not_zero)]
 Count = Annotated[int, Field(ge=1, le=MAX_PINGS, description="give the number of pings")]
 Seed = Annotated[int, Field(ge=0, description="give a whole number, 0 or more")]
-HorizontalPosition = _several(Coordinate, 2, METRES)
-Position = _several(Coordinate, 3, METRES)
-BoxSize = _several(_bounded(0.0, MAX_COORDINATE_M, METRES), 3, METRES)
-StartAndEndAngle = _several(Angle, 2, RADIANS)
-AngleBounds = Annotated[_several(Angle, 2, RADIANS), AfterValidator(_check_rising)]
-ElevationBounds = Annotated[_several(Pitch, 2, RADIANS), AfterValidator(_check_rising)]
-LengthBounds = Annotated[_several(Length, 2, METRES), AfterValidator(_check_rising)]
-HeightBounds = Annotated[_several(Coordinate, 2, METRES), AfterValidator(_check_rising)]
+HorizontalPosition = _several(Coordinate, 2, "give [x, y] in metres")
+Position = _several(Coordinate, 3, "give [x, y, z] in metres")
+BoxSize = _several(_bounded(0.0, MAX_COORDINATE_M, METRES), 3, "give [x, y, z] in metres")
+StartAndEndAngle = _several(Angle, 2, "give [from, to] in radians: degrees times π/180")
+AngleBounds = Annotated[_several(Angle, 2, BOUNDS_RAD), AfterValidator(_check_rising)]
+ElevationBounds = Annotated[_several(Pitch, 2, BOUNDS_RAD), AfterValidator(_check_rising)]
+LengthBounds = Annotated[_several(Length, 2, BOUNDS_M), AfterValidator(_check_rising)]
+HeightBounds = Annotated[_several(Coordinate, 2, BOUNDS_M), AfterValidator(_check_rising)]
 
 # ---- trajectories -----------------------------------------------------------------------------------
 

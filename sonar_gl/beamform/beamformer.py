@@ -31,6 +31,8 @@ NO_GAIN = np.empty(0, np.float32)
 ELEVATIONS = 8193
 # Cones, and places around each, at which the elevation pattern is integrated.
 CONES, AROUND = 129, 1024
+# Where the main lobe in elevation is lower than this, the table and the places around cones are finer in proportion.
+LOW_LOBE_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,8 @@ def beam_weights(
         received = received * (power @ (node_weights / 2))
     height = 2 * fan.max_sine
     if elevation_pattern is not None:
-        height *= elevation_pattern(fan.max_sine * np.linspace(-1, 1, 2 * ELEVATIONS - 1)[1::2]).mean()
+        sines = fan.max_sine * np.linspace(-1, 1, 2 * elevations_of(fan) - 1)[1::2]
+        height *= elevation_pattern(sines).mean()
     columns_sr = np.diff(fan.column_edges_rad) * height
     of_beams = (first[:, None] - origin + np.arange(width)) % n_columns
     if fan.are_cones:
@@ -160,6 +163,16 @@ def beam_weights(
     return BeamWeights(first - origin, weights, width_rad, height, columns_sr)
 
 
+def elevations_of(fan: Fan) -> int:
+    """Return the number of even sines from -1 to 1 at which the pattern in elevation is tabulated."""
+    return (ELEVATIONS - 1) * _times_finer(fan) + 1
+
+
+def _times_finer(fan: Fan) -> int:
+    """Return how many times finer a low main lobe is tabulated, a power of 2; 1 for those of devices."""
+    return 2 ** max(math.ceil(math.log2(LOW_LOBE_DEG / fan.sonar.elevation_fov_deg)), 0)
+
+
 def _cone_heights(fan: Fan, elevation_pattern: Callable | None) -> np.ndarray:
     """Return the integral of the elevation pattern over cones, per radian across, of each column, (C,).
 
@@ -169,10 +182,14 @@ def _cone_heights(fan: Fan, elevation_pattern: Callable | None) -> np.ndarray:
     edges = fan.column_edges_rad
     shown = np.linspace(edges[0], edges[-1], CONES)
     ends = cone_end_rad(shown, fan.max_sine)
-    around = ends[:, None] * (2 * np.arange(AROUND) + 1 - AROUND) / AROUND
-    power = 1.0
+    times_finer, power = _times_finer(fan), 1.0
+    n_around = AROUND * times_finer
     if elevation_pattern is not None:
-        power = elevation_pattern(np.cos(shown)[:, None] * np.sin(around)).mean(axis=1)
+        # some cones at a time, since many places around all of them would take gigabytes
+        parts = np.array_split(np.arange(CONES), times_finer)
+        around = (2 * np.arange(n_around) + 1 - n_around) / n_around
+        sines = (np.cos(shown[part])[:, None] * np.sin(ends[part][:, None] * around) for part in parts)
+        power = np.concatenate([elevation_pattern(one).mean(axis=1) for one in sines])
     nodes, node_weights = np.polynomial.legendre.leggauss(8)  # columns of few samples are wide
     places = edges[:-1, None] + np.diff(edges)[:, None] * (nodes + 1) / 2
     return np.interp(places, shown, 2 * ends * np.cos(shown) * power) @ (node_weights / 2)
@@ -243,7 +260,7 @@ class Beamformer:
     Attributes
     ----------
     strips : kernels.StripTable of each sector, for each half of the columns
-    elevation_table : (ELEVATIONS,) two-way power pattern at even sines from -1 to 1; of no length for a box
+    elevation_table : (E,) two-way power pattern at even sines from -1 to 1, `elevations_of`; of no length for a box
     """
 
     def __init__(
@@ -260,7 +277,7 @@ class Beamformer:
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
         self._pool = self._workspace.pools.pool(shape)
-        sines = np.linspace(-1, 1, ELEVATIONS)
+        sines = np.linspace(-1, 1, elevations_of(fan))
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
         self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr

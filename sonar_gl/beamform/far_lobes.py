@@ -304,7 +304,7 @@ def _blocks(table: NodeTable, fit: Fit, axes, start: float) -> LobeBlocks:
 def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
     """Return the far side lobes over some columns, and the support's weights less their share of it.
 
-    Beams are normalised by the solid angle of all that they receive from the columns: an all-round wall has the
+    Beams are normalised by the solid angle of all that they receive from the columns: a sphere about the sonar has the
     level 1 in each.
 
     Parameters

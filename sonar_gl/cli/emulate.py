@@ -62,7 +62,10 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:
-        raise Error("--acoustics needed is for one sonar at one range; an emulated device changes both")
+        raise Error(
+            "--acoustics needed must know the sonar and its range (programs set those of an emulated device; name the "
+            "terms instead)"
+        )
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
     if not is_local(options.host):

@@ -101,7 +101,7 @@ def _one_line_warnings():
 )
 @click.version_option(__version__, prog_name="sonar-gl")
 def main():
-    """Simulate a 2D imaging sonar, with OpenGL and without a display."""
+    """Simulate a 2D imaging sonar (forward-looking sonar), by OpenGL or on the CPU, without a display."""
 
 
 RENDER_EXAMPLES = """\b
@@ -204,7 +204,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
 
-    The same is done for half the tolerance and for twice of it. Errors are estimates that pings make of themselves,
+    The same is done for half and for twice the tolerance. Errors are estimates that pings make of themselves,
     without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses about two dozen are tried,
     as by `sonar-gl render`.
 
@@ -248,7 +248,9 @@ Ctrl-C.
 @click.option(
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
 )
-@click.option("--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Processes.")
+@click.option(
+    "--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Number of processes."
+)
 @option("engine", **ENGINE)
 @click.option(
     "--device",
@@ -367,7 +369,7 @@ def doctor(ctx, report_path, scene, **options):
     """
     if scene is not None:
         if report_path is not None:
-            raise Error("--report needs a doctor without --scene (it says how the driver does)")
+            raise Error("--report and --scene exclude each other (a report is of the driver; leave one out)")
         echo(cli.scene_report.scene_report(scene, SimpleNamespace(**options)))
         return
     for name in options:

@@ -45,7 +45,7 @@ def plan(scene_name: str, options) -> dict:
 
 
 def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float) -> dict:
-    """Plan for a tolerance, for half of it and for twice of it; time their pings and price the terms."""
+    """Plan for a tolerance, for half and for twice of it; time their pings and price the terms."""
     check_tolerance(tolerance)
     simulators, plans, times_ms, has_echo = {}, {}, {}, False
     with ExitStack() as stack, warnings.catch_warnings():
@@ -122,7 +122,7 @@ def plan_text(found: dict) -> str:
 
 
 def _plans_text(found: dict) -> str:
-    """Return the table of the plans for half the tolerance, the tolerance and twice of it."""
+    """Return the table of the plans for half the tolerance, the tolerance and twice the tolerance."""
     rows = [
         (
             percent(facts["tolerance"]),

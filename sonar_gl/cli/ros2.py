@@ -41,7 +41,9 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
     check_duration(options)
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:
-        raise Error("--acoustics needed is for a single ping; name the terms instead")
+        raise Error(
+            "--acoustics needed must know the poses beforehand (live ones are not known; name the terms instead)"
+        )
     with errors_at(str(options.config)) if options.config is not None else contextlib.nullcontext():
         settings = _settings(options, file)
     if settings.pose_from is not None and (options.pose, options.poses) != (None, None):

@@ -15,8 +15,8 @@ from sonar_gl.scene.load import is_sdf
 from sonar_gl.scene.scene import Body, Scene
 
 ECHOING = (
-    "bodies are the collisions of links; visuals count where a link has no collision, or where they alone have "
-    "<laser_retro>"
+    "bodies are the collisions of links; visuals count where they alone exist, or alone have <laser_retro> or a "
+    "sonar_gl tag"
 )
 MAX_LISTED = 40  # bodies and other things in a list; a terminal shows as many
 

@@ -7,6 +7,7 @@ half of it at the same time and leaves it on disk.
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -38,8 +39,9 @@ from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import BIN_LABELS, Ping
-from sonar_gl.raster.simplify import simplify
+from sonar_gl.raster.level_of_detail import MIN_FACES_TO_SIMPLIFY, make_levels
 from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.primitives import terrain
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import Sampling
@@ -188,7 +190,7 @@ def _draw():
 
 
 def _work_without_opengl():
-    """Add every kind of noise to a ping; make images, boxes and files of it; simplify a mesh; cast rays."""
+    """Add every kind of noise to a ping; make images, boxes and files of it; make levels of detail; cast rays."""
     ping = _labelled_ping()
     for noise in NOISES:
         add_noise(replace(ping, texture_deviation=ping.intensity), noise, 0)
@@ -202,7 +204,7 @@ def _work_without_opengl():
     boxes_of(replace(ping, body_id=ping.body_id.copy()), 40)
     with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
         cli.warm_up_batch.encode_layers(ping)
-    _simplify()
+    _make_levels()
     if find_spec("embreex"):
         reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
 
@@ -235,7 +237,8 @@ def _labelled_ping() -> Ping:
 
 
 def _scene() -> Scene:
-    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles and bubbles."""
+    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles, a hidden
+    body and bubbles."""
     box, ball = trimesh.creation.box((0.5, 0.5, 0.5)), trimesh.creation.icosphere(4, 0.4)
     return Scene(
         [
@@ -244,6 +247,7 @@ def _scene() -> Scene:
             Body(
                 "ball", ball, pose(5.0, -0.6, -1.5), 0.5, ball.vertex_normals, specular=0.3, roughness_rad=0.1
             ),
+            Body("buried", box, pose(4.0, 0.0, -2.4)),  # no sample meets it
             Bubbles("bubbles", pose(6.0, 0.0, -2.0)),
         ],
         surface_z_m=0.0,
@@ -274,11 +278,11 @@ def _embed():
         sensor.ping_from_depth([depth, depth], [camera, camera], body_id=[numbers, numbers], labels=True)
 
 
-def _simplify():
-    """Simplify a sphere: meshes with levels of detail have too many faces to prepare one here."""
-    ball = trimesh.creation.icosphere(3)
-    points, faces = np.ascontiguousarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int32)
-    simplify(points, faces, np.zeros(len(points), bool), len(faces) // 2)
+def _make_levels():
+    """Make levels of detail of a flat floor, the smallest that has any."""
+    n = math.isqrt(MIN_FACES_TO_SIMPLIFY // 2) + 2
+    floor = terrain(np.zeros((n, n)), (1.0, 1.0)).mesh
+    make_levels(floor.vertices, floor.faces)
 
 
 def main():

@@ -154,10 +154,11 @@ def is_unobstructed(
     below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
     sphere = _sphere_about(edges.reshape(-1, 3))
     for (sector, plane_echo, body_id), received in zip(samples, reception.received_u, strict=True):
-        frustum, rotation = _frustum(sector, sonar.range_max_m), sector.rotation()
-        if frustum.is_beside(rotation @ sphere.centre, sphere.radius_m):
+        rotation = sector.rotation()
+        frustum = _frustum(sector, rotation, sonar.range_max_m)
+        if frustum.is_beside(sphere.centre, sphere.radius_m):
             continue
-        x, y, z = points_within(frustum, edges @ rotation.T, below_m).T
+        x, y, z = rotation @ points_within(frustum, edges, below_m).T
         u, v, q = -y / x, z / x, 1 / x
         lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         origin = np.array([[sector.u[0]], [sector.v[0]]])
@@ -191,7 +192,7 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
 
 
 class _Frustum(NamedTuple):
-    """What a sector sees, and a little more: the points, in its frame, at which normals @ point + offsets_m > 0.
+    """What a sector sees, and a little more: points of the sonar's frame at which normals @ point + offsets_m > 0.
 
     normals : (6, 3), of any length; offsets_m : (6,)
     """
@@ -205,26 +206,50 @@ class _Frustum(NamedTuple):
         return bool((self.normals @ centre + self.offsets_m <= -reach_m).any())
 
 
-def _frustum(sector: Sector, range_max_m: float) -> _Frustum:
-    """Return the frustum of a sector: its sides, between them its lowest and highest elevation, and the range ahead."""
+def _frustum(sector: Sector, rotation, range_max_m: float) -> _Frustum:
+    """Return the frustum of a sector: its sides, between them its lowest and highest elevation, and the range ahead.
+
+    rotation : (3, 3) sector_from_sonar
+    """
     beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
     above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
     normals = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
-    return _Frustum(np.array(normals, np.float64), np.array([-1e-3, range_max_m, 0, 0, 0, 0]))
+    return _Frustum(np.array(normals, np.float64) @ rotation, np.array([-1e-3, range_max_m, 0, 0, 0, 0]))
+
+
+@compiled
+def _cut_edges(normals, offsets_m, edges, below_m, low, high):
+    """Fill low and high, (m,), with where each edge, from 0 to 1, enters and leaves a frustum; low >= high if never.
+
+    normals, offsets_m : of `_Frustum`; edges, below_m : of `points_within`
+    """
+    n_planes = normals.shape[0]
+    for e in range(edges.shape[0]):
+        low[e], high[e] = 0.0, 1.0
+        for k in range(n_planes + 1):
+            begin, end = below_m[e, 0], below_m[e, 1]
+            if k < n_planes:
+                begin = end = offsets_m[k]
+                for axis in range(3):
+                    begin += normals[k, axis] * edges[e, 0, axis]
+                    end += normals[k, axis] * edges[e, 1, axis]
+            if begin <= 0.0 and end <= 0.0:
+                high[e] = -1.0
+                break
+            if begin <= 0.0:
+                low[e] = max(low[e], begin / (begin - end))
+            elif end <= 0.0:
+                high[e] = min(high[e], begin / (begin - end))
 
 
 def points_within(frustum: _Frustum, edges, below_m) -> np.ndarray:
     """Return (n, 3) points on the parts of edges inside a frustum, POINTS at most, even on each part.
 
-    edges, below_m : (m, 2, 3) in the frame of the sector, and (m, 2) how far below the water's surface their ends lie
+    edges, below_m : (m, 2, 3) in the frame of the frustum, and (m, 2) how far below the water's surface their ends lie
     """
-    inside_m = edges @ frustum.normals.T + frustum.offsets_m
-    begin, end = np.concatenate([inside_m, below_m[..., None]], axis=2).swapaxes(0, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = begin / (begin - end)
-    low = np.where(end > begin, crossing, 0.0).max(axis=1).clip(0.0)
-    high = np.where(end < begin, crossing, 1.0).min(axis=1).clip(None, 1.0)
-    held = np.flatnonzero((low < high) & (np.maximum(begin, end) > 0).all(axis=1))
+    low, high = np.empty(len(edges)), np.empty(len(edges))
+    _cut_edges(frustum.normals, frustum.offsets_m, edges, below_m, low, high)
+    held = np.flatnonzero(low < high)
     held = held[:: max(math.ceil(len(held) / POINTS), 1)]
     n = POINTS // max(len(held), 1)
     places = (np.arange(n) + (np.arange(len(held))[:, None] * STAGGER) % 1) / max(n, 1)

@@ -85,7 +85,7 @@ class _Axes:
         """Return the strip beside the fan, (height, W, 3), with the colours of 0 to full scale, from below."""
         size = self.font_size
         labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
-        if law.law == "db":  # what the ends stand for, re an all-round wall of reflectivity 1
+        if law.law == "db":  # what the ends stand for, re a sphere of reflectivity 1 about the sonar
             labels[0] += f"  {law.low_db - law.gain_db:.0f} dB"
             labels[-1] += f"  {law.high_db - law.gain_db:.0f} dB"
         widest = max(cv2.getTextSize(text, FONT, size, 1)[0][0] for text in (*labels, "counts"))

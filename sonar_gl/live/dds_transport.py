@@ -31,6 +31,7 @@ from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.live.hosts import is_local
+from sonar_gl.live.inbox import PATIENCE_S
 from sonar_gl.live.rmw_zenoh import RosNode
 from sonar_gl.live.ros_discovery import (
     DISCOVERY_TOPIC,
@@ -50,7 +51,6 @@ LOOPBACK_NAMES = "lo", "lo0"
 # own configuration for the range LOCALHOST.
 MAX_INDEX = 32
 TAKEN_AT_ONCE = 64
-PATIENCE_S = 5.0  # with a function that receives a message while its transport is closed
 PAUSE_S = 0.1  # after a failure to receive
 LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
 

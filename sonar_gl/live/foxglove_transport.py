@@ -14,7 +14,7 @@ from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.hosts import is_local, wait_until_free
 from sonar_gl.live.inbox import Inbox
-from sonar_gl.live.transport import Topic, Transport
+from sonar_gl.live.transport import Topic, Transport, check_same_type
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +58,8 @@ class FoxgloveTransport(Transport):
         self._library, self._lock, self._is_open = _library(), threading.Lock(), True
         self._host = host
         self._context = self._library.sdk.Context()
-        self._channels, self._last = {}, {}  # topic -> channel; latched topic -> message and its time
+        self._topics: dict[str, Topic] = {}  # by name, as the next two
+        self._channels, self._last = {}, {}  # latched topics have a last message and its time
         self._readers: list[tuple[Topic, Inbox]] = []
         self._dropped = 0  # of subscriptions that have ended
         # viewers are told; nobody else can fill a log
@@ -95,7 +96,13 @@ class FoxgloveTransport(Transport):
             return self._dropped + sum(inbox.dropped for _, inbox in self._readers)
 
     def advertise(self, topic: Topic) -> None:
-        """Make a topic known to viewers; an Error if the transport is closed."""
+        """Make a topic known to viewers.
+
+        Raises
+        ------
+        Error
+            if the same name has another type, or the transport is closed.
+        """
         with self._lock:
             self._channel(topic)
 
@@ -105,7 +112,7 @@ class FoxgloveTransport(Transport):
         Raises
         ------
         Error
-            if the transport is closed.
+            as `advertise`.
         """
         with self._lock:
             channel = self._channel(topic)
@@ -167,6 +174,7 @@ class FoxgloveTransport(Transport):
     def _channel(self, topic: Topic):
         """Return the channel of a topic, made on first use, or raise an Error."""
         self._check_open()
+        check_same_type(topic, self._topics.setdefault(topic.name, topic))
         if topic.name not in self._channels:
             data = topic.definition.encode()
             schema = self._library.sdk.Schema(name=topic.msgtype, encoding=SCHEMA_ENCODING, data=data)

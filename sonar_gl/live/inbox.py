@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 logger = logging.getLogger(__name__)
 
+PATIENCE_S = 5.0  # with a reader, or another function that has a message, when what calls it is closed
+
 
 class Inbox:
     """Calls a function with each message, in a thread of its own; what comes too quickly is dropped, oldest first.
@@ -39,12 +41,15 @@ class Inbox:
             self._changed.notify()
 
     def close(self) -> None:
-        """Drop what waits, and wait until the reader has returned, unless it is the reader that closes."""
+        """Drop what waits, and wait until the reader has returned, unless it is the reader that closes.
+
+        A reader that does not return, such as one that waits for room in a queue, is waited for PATIENCE_S seconds.
+        """
         with self._changed:
             self._is_open = False
             self._changed.notify()
         if threading.current_thread() is not self._thread:
-            self._thread.join()
+            self._thread.join(PATIENCE_S)
 
     def _run(self) -> None:
         while True:

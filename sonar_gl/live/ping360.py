@@ -134,7 +134,7 @@ class Ping360Server(asyncio.DatagramProtocol):
         scanning = None
         try:
             while True:
-                message, address = await self._waiting.get()
+                message, address = await self._next_message(scanning)
                 if scanning is not None:  # any message ends a scan
                     scanning.cancel()
                     scanning = None
@@ -148,6 +148,18 @@ class Ping360Server(asyncio.DatagramProtocol):
             if scanning is not None:
                 scanning.cancel()
             transport.close()
+
+    async def _next_message(self, scanning: asyncio.Task | None) -> tuple[PingMessage, object]:
+        """Return the next message and where it came from; raise what ends a scan, as a failure of the machine does."""
+        coming = asyncio.ensure_future(self._waiting.get())
+        try:
+            running = {coming} if scanning is None else {coming, scanning}
+            await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
+            if scanning is not None and scanning.done():
+                scanning.result()
+            return await coming
+        finally:
+            coming.cancel()
 
     async def _answer(self, message: PingMessage, address) -> None:
         """Answer a message."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.batch.ros_messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
-from sonar_gl.core.checks import check_kind
-from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error
+from sonar_gl.core.checks import check_kind, shown
+from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error, nearest_names
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
@@ -162,6 +162,7 @@ class Publisher:
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
         self._is_placed, self._pose, self._moved = False, None, {}
+        self._names = {thing.name for thing in (*scene.bodies, *scene.plumes)} | set(scene.models)
         self._is_own_pose, self._are_own_bodies = True, True
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")
@@ -306,16 +307,30 @@ class Publisher:
 
     def _heed(self, pose, bodies: dict | None) -> None:
         """Keep the poses of the caller, or those that came by messages."""
-        if pose is not None:
-            self._pose, self._is_own_pose = check_pose(pose), True
+        # all is checked before anything is kept
+        own, moved = None if pose is None else check_pose(pose), self._checked(bodies)
+        if own is not None:
+            self._pose, self._is_own_pose = own, True
         elif self._pose_input is not None and (came := self._pose_input.latest()) is not None:
             self._pose, self._is_own_pose = came, False
-        if bodies is not None:
-            check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
-            self._moved |= bodies
+        self._moved |= moved
         if self._bodies_input is not None and (moved := self._bodies_input.take()):
             self._moved |= moved
             self._are_own_bodies = False  # from now on, since they stay where they are
+
+    def _checked(self, bodies: dict | None) -> dict:
+        """Return copies of the poses of bodies: a ping takes them later, when a loop may have changed its arrays."""
+        if bodies is None:
+            return {}
+        check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
+        for name in bodies:
+            if name not in self._names:
+                hint = nearest_names(str(name), self._names) if self._names else "there are none"
+                raise Error(f"bodies must be bodies of the scene (got {shown(name)}; {hint})")
+        return {
+            name: None if pose is None else check_pose(pose, f"the pose of body {name!r}")
+            for name, pose in bodies.items()
+        }
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
@@ -323,7 +338,7 @@ class Publisher:
         """Make a ping and publish it."""
         settings, time_ns = self.settings, order.time_ns
         pose = order.vehicle_pose @ settings.vehicle_from_sonar
-        if order.bodies:  # of messages only those that the scene has, so what is wrong is the caller's
+        if order.bodies:
             self._simulator.place(order.bodies)
         try:
             with collected_warnings():  # a device does not say that it sees nothing

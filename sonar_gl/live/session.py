@@ -224,7 +224,7 @@ class LiveSession:
         speed_m_s: float = SPEED_M_S,
         turn_rate_rad_s: float = TURN_RATE_RAD_S,
     ) -> np.ndarray:
-        """Move the sonar as by keys that were held for a time, see `motion.moved`; return its new pose."""
+        """Move the sonar as by keys that were held for a time, see `sonar_gl.live.motion.moved`; return its pose."""
         with self._lock:
             pose = moved(self._motion.now().pose, keys, dt_s, speed_m_s, turn_rate_rad_s)
             self._motion.put(pose)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
@@ -40,6 +42,7 @@ class SimulatedHead:
         self.acoustics, self.track = acoustics, track
         self._noise, self._tolerance, self._seed = noise, tolerance, seed
         self._simulators = SimulatorPool(scene)
+        self._counts = sonar.counts
         self._renderer = self._simulators.simulator(sonar, acoustics, tolerance).gl_info["renderer"]
 
     @property
@@ -59,9 +62,13 @@ class SimulatedHead:
         """
         pose = self.track.at(time_s)
         pose = pose if turn is None else pose @ turn
-        simulator = self._simulators.simulator(sonar, acoustics, self._tolerance)
+        # another gain needs no other simulator, whose first ping takes far longer
+        simulator = self._simulators.simulator(
+            replace(sonar, counts=self._counts), acoustics, self._tolerance
+        )
         with collected_warnings():  # a device does not say that it sees nothing
-            return simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
+            ping = simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
+        return replace(ping, sonar=sonar)
 
     def close(self) -> None:
         """Give back all that it holds."""

@@ -77,6 +77,15 @@ class Topic:
         return cls(name, msgtype, type_hash, definition, **quality)
 
 
+def check_same_type(topic: Topic, known: Topic) -> None:
+    """Raise an Error if a topic has another type than one of the same name before, whose messages are laid out so."""
+    if (topic.msgtype, topic.definition) != (known.msgtype, known.definition):
+        raise Error(
+            f"a topic must have one type (got {topic.msgtype} for {topic.name!r}, which had {known.msgtype} before"
+            f"{'' if topic.msgtype != known.msgtype else ', with another definition'})"
+        )
+
+
 class Transport(ABC):
     """Carries messages in CDR, little endian, with its header of four bytes. Threads may share it."""
 

@@ -135,7 +135,7 @@ def view(
         takes another
     folder : of the files that the page writes
     block : whether to return only after Ctrl-C; a notebook says False, and closes the view that it gets
-    settings : fields of `live.settings.LiveSettings`, such as range_m=20.0, tolerance=0.02 or noise="none"
+    settings : fields of `sonar_gl.live.settings.LiveSettings`, such as range_m=20.0, tolerance=0.02 or noise="none"
 
     Returns
     -------

@@ -20,7 +20,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.hosts import is_local
 from sonar_gl.live.inbox import Inbox
 from sonar_gl.live.rmw_zenoh import PUBLISHER, SUBSCRIPTION, RosNode, attachment, gid_of
-from sonar_gl.live.transport import Topic, Transport, ros_domain
+from sonar_gl.live.transport import Topic, Transport, check_same_type, ros_domain
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ADDRESS = re.compile(r"tcp/(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII)
@@ -48,6 +48,7 @@ def _libraries() -> SimpleNamespace:
 class _Sender:
     """A publisher of zenoh, with what is attached to its messages."""
 
+    topic: Topic
     publisher: object
     gid: bytes
     number: int = 0  # of the last message
@@ -118,7 +119,7 @@ class ZenohTransport(Transport):
         Raises
         ------
         Error
-            if ROS does not allow its name or its type, or the transport is closed.
+            if ROS does not allow its name or its type, the same name has another type, or the transport is closed.
         """
         self._sender(topic)
 
@@ -235,9 +236,11 @@ class ZenohTransport(Transport):
     def _sender(self, topic: Topic) -> _Sender:
         """Return what sends the messages of a topic, declared on first use."""
         with self._lock:
-            if topic.name not in self._senders:
-                self._senders[topic.name] = self._declare_sender(topic)
-            return self._senders[topic.name]
+            sender = self._senders.get(topic.name)
+            if sender is None:
+                sender = self._senders[topic.name] = self._declare_sender(topic)
+            check_same_type(topic, sender.topic)
+            return sender
 
     def _declare_sender(self, topic: Topic) -> _Sender:
         """Return a publisher of a topic that other programs know of."""
@@ -263,7 +266,7 @@ class ZenohTransport(Transport):
         except zenoh.ZError:
             raise closed_error("ZenohTransport") from None
         self._declared.append(token)
-        return _Sender(publisher, gid_of(text))
+        return _Sender(topic, publisher, gid_of(text))
 
     def _declare_token(self, kind: str, topic: Topic):
         """Declare the token of a publisher or subscription; return its text and itself."""

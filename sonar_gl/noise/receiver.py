@@ -45,7 +45,7 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
 
     Returns
     -------
-    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m
 
     Notes
     -----
@@ -75,9 +75,9 @@ class AbsoluteLevels(NamedTuple):
     bandwidth_hz : B of the matched filter
     directivity_index_db : DI = 10 log10(4π/Ω), where the beam of solid angle Ω counts as a box: `beam_width_deg`
         wide and `elevation_fov_deg` high
-    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert surface that surrounds the sonar at
-        1 m, to which levels of `Noise` and an intensity of 1 before the TVG refer. At range r it is lower by the
-        transmission loss of the way from 1 m, less 20 log10 r, by which the insonified area grows
+    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert sphere about the sonar, at
+        1 m, to which levels of `Noise` and an intensity of 1 before the TVG refer. At range r it is lower by 20 log10 r
+        + 2αr: the two-way transmission loss 40 log10 r + 2αr, less 20 log10 r, by which the insonified area grows
     thermal_noise_level_db : dB re 1 µPa, NL + 10 log10 B of `thermal_noise_db`, in all directions
     thermal_noise_db : the part of it that the beam receives, NL + 10 log10 B − DI, dB relative to `echo_level_db`
     self_noise_level_db : dB re 1 µPa, the plane wave on the axis of the beam that is as strong as the self-noise
@@ -146,7 +146,7 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
 
     Returns
     -------
-    dB relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m
+    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m
 
     Raises
     ------
@@ -216,6 +216,7 @@ def add_interference(
     for _ in range(generator.poisson(mean_count)):
         first, share = int(generator.integers(1 - length, K)), generator.random()
         offset = azimuth - (azimuth[0] + share * (azimuth[-1] - azimuth[0]))
+        offset = np.where(np.abs(offset) > np.pi, 2 * np.pi - np.abs(offset), offset)  # the other way round
         pattern = aperture_field(aperture_width(taper) * offset / width, taper) ** 2
         bins = slice(max(0, first), first + length)
         intensity[:, bins] += np.outer(np.maximum(pattern, SIDE_LOBES), power[bins]).astype(np.float32)

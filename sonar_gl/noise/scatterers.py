@@ -63,6 +63,8 @@ def scatterers_of(
     azimuth_rad, width_rad, series, _ = correlation
     margin_rad = SUPPORT * width_rad / aperture_width(series)
     first_rad, last_rad = azimuth_rad[0] - margin_rad, azimuth_rad[-1] + margin_rad
+    if margin_rad < math.pi:  # the ends of a full circle see the same scatterers
+        last_rad = min(last_rad, first_rad + 2 * math.pi)
     top_sine = math.sin(math.radians(acoustics.elevation_support_deg(sonar)))
     two_way = acoustics.two_way_elevation_pattern(sonar)
     sines = np.linspace(-top_sine, top_sine, ELEVATIONS)
@@ -117,7 +119,7 @@ def add_scatterers(
     The number of scatterers in a volume is Poisson-distributed. A scatterer at ψ in bin k adds √p e^iφ A(ψ_b − ψ) w_k
     to beam b, with the amplitude response A of the beam and w of the pulse. By Campbell's theorem [1]_ the mean of the
     sum's square is the rate times ∫A² ∫w², which `power` is divided by. So |field|² has the mean `power`, and the
-    mean square 2 + κ times its square, where κ falls as one over the number in a cell.
+    mean square 2 + η times its square, where η falls as one over the number in a cell.
 
     References
     ----------
@@ -152,9 +154,14 @@ def _few(scatterers: Scatterers, correlation: FieldCorrelation, generator: np.ra
     echo = (amplitude * np.stack([np.cos(phase), np.sin(phase)])).astype(np.float32)
 
     scale = aperture_width(series) / width_rad  # λ/L per radian
-    azimuth = np.asarray(azimuth_rad)
-    first = np.searchsorted(azimuth, at_rad - SUPPORT / scale)
-    last = np.searchsorted(azimuth, at_rad + SUPPORT / scale)
+    azimuth, reach_rad = np.asarray(azimuth_rad), SUPPORT / scale
+    # of a full circle, those about its first beam once more, for its last ones
+    once_round = at_rad + 2 * np.pi
+    again = np.flatnonzero((once_round >= scatterers.last_rad) & (once_round < azimuth[-1] + reach_rad))
+    at_rad = np.append(at_rad, once_round[again])
+    echo, k = np.concatenate([echo, echo[:, again]], axis=1), np.append(k, k[again])
+    first = np.searchsorted(azimuth, at_rad - reach_rad)
+    last = np.searchsorted(azimuth, at_rad + reach_rad)
     out = np.zeros((len(azimuth), 2, len(number)), np.float32)
     _spread(echo, k, at_rad, first, last, azimuth, scale * POINTS, beam_response(series), out)
     return convolve(out.reshape(-1, len(number)), weights).reshape(len(azimuth), 2, few)

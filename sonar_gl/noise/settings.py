@@ -10,8 +10,9 @@ import numpy as np
 from sonar_gl.core.checks import check_number, check_whole_number, is_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.signatures import shown_by_fields
+from sonar_gl.sonar.sonar import LEVEL
 
-LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
 BOUNDS = (  # field, least, most, hint
     ("gaussian", 0, 1, "a fraction of full scale"),
     ("salt_and_pepper", 0, 1, "a fraction of the bins"),
@@ -28,6 +29,7 @@ MOVED = {
 }  # field: the switch in its place, its name in `Sonar`
 
 
+@shown_by_fields
 @dataclass(frozen=True)
 class Noise:
     """Amounts of noise.
@@ -50,16 +52,16 @@ class Noise:
         contrast becomes 1/√looks
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
         seed and pose of the sonar. A place keeps it while the sonar turns or moves along the line of sight, and loses
-        it as its aspect changes; `place_locked_speckle.place_locked_field` has the rates
+        it as its aspect changes; docs/acoustics.md has the rates
     self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar
-        that states one (`ring_down.ring_down_power`). The TVG of range law "sonar_equation" amplifies it, other
+        that states one. The TVG of range law "sonar_equation" amplifies it, other
         laws have no TVG. Fields add: |√E g + √N n|²
-    ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a surface of
-        reflectivity 1 that surrounds the sonar at 1 m, likewise; None for none
+    ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a sphere of
+        reflectivity 1 about the sonar, at 1 m; None for none
     interference_lines : mean number of pulses of another sonar in a ping
     interference_db : power of such a pulse on the axis of a beam, as `ambient_db`
     thermal_noise : the thermal noise of the water, which adds as `self_noise`. Its level follows from the sonar's
-        `source_level_db`, by `receiver.absolute_levels`
+        `source_level_db`, by `sonar_gl.noise.receiver.absolute_levels`
     dropped_beams : fraction of beams whose data is lost in a ping: they are 0 in all bins
 
     Raises
@@ -110,7 +112,7 @@ class Noise:
 
     @property
     def acts_on_field(self) -> bool:
-        """Whether a term acts on the complex echo field of a ping (`field.FieldNoise`)."""
+        """Whether a term acts on the complex echo field of a ping (`sonar_gl.noise.field.FieldNoise`)."""
         return bool(self.speckle or self.has_receiver_noise or self.interference_lines)
 
     @property
@@ -139,16 +141,16 @@ class Noise:
 
         At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB, the default of
         `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 32 dB above the
-        thermal noise of `receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such sonars, not
-        measured.
+        thermal noise of `sonar_gl.noise.receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such
+        sonars, not measured.
         """
         return cls(speckle=True, follow_motion=True, self_noise=True)
 
     @classmethod
     def parse(cls, text: str) -> Noise:
-        """Return the noise that a command line states: a profile, amounts, or a profile and amounts.
+        """Return the noise that a command line states: a preset, amounts, or a preset and amounts.
 
-        Profiles are "none", "demarco2015" and "physical".
+        Presets are "none", "demarco2015" and "physical".
 
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
@@ -156,9 +158,9 @@ class Noise:
         True
         """
         check_moved_amounts(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
-        profiles = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
-        profile, amounts = parse_fields("noise", text, cls, presets=profiles)
-        return replace(profiles[profile or "none"](), **amounts)
+        presets = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
+        preset, amounts = parse_fields("noise", text, cls, presets=presets)
+        return replace(presets[preset or "none"](), **amounts)
 
 
 def check_moved_amounts(what: str, names: Iterable[str]) -> None:

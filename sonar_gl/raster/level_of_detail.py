@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -100,6 +99,16 @@ def measure_patch(points, faces, box, cone, moment):
                 cone[3] = min(cone[3], cosine)
 
 
+@compiled
+def _longest_axis(points, part):
+    """Return the axis, 0..2, along which some of the points, (N, 3), extend furthest; the first of equal ones."""
+    low, high = np.full(3, np.inf, points.dtype), np.full(3, -np.inf, points.dtype)
+    for n in part:
+        for k in range(3):
+            low[k], high[k] = min(low[k], points[n, k]), max(high[k], points[n, k])
+    return (high - low).argmax()
+
+
 def split_faces(points, faces) -> tuple[np.ndarray, np.ndarray]:
     """Halve the faces recursively along their longest extent; return their order and the bounds of leaves in it."""
     middles = (points[faces[:, 0]] + points[faces[:, 1]] + points[faces[:, 2]]).astype(np.float32)
@@ -111,9 +120,8 @@ def split_faces(points, faces) -> tuple[np.ndarray, np.ndarray]:
         cuts = bounds[:-1:step], bounds[step // 2 :: step], bounds[step::step]
         for low, middle, high in zip(*cuts, strict=True):
             part = order[low:high]
-            centres = middles[part]
-            axis = np.ptp(centres, axis=0).argmax()
-            order[low:high] = part[np.argpartition(centres[:, axis], middle - low)]
+            along = middles[part, _longest_axis(middles, part)]
+            order[low:high] = part[np.argpartition(along, middle - low)]
     return order, bounds
 
 
@@ -148,10 +156,60 @@ class _Patch:
     children: tuple = ()
 
 
-def _patch(faces, error_m) -> _Patch:
-    """Return a patch of faces that are indices of the mesh's vertices."""
+@compiled
+def _compacted(vertices, faces):
+    """Drop the vertices that no face uses; return the (n,) others in their order, and the faces by them.
+
+    faces : (m, 3) int32 indices into `vertices`
+    """
+    number = np.full(vertices.shape[0], -1, np.int32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            number[faces[f, k]] = 0
+    used, n = np.empty(vertices.shape[0], vertices.dtype), 0
+    for v in range(vertices.shape[0]):
+        if number[v] == 0:
+            used[n], number[v] = vertices[v], n
+            n += 1
+    numbered = np.empty((faces.shape[0], 3), np.int32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            numbered[f, k] = number[faces[f, k]]
+    return used[:n].copy(), numbered
+
+
+@compiled
+def _joined(vertices, faces, more_vertices, more_faces):
+    """Join two patches; return the (n,) rising vertices of both, each once, and the (m, 3) int32 faces by them.
+
+    vertices, more_vertices : rising; faces, more_faces : int32 indices into them
+    """
+    count, more = vertices.shape[0], more_vertices.shape[0]
+    number, more_number = np.empty(count, np.int32), np.empty(more, np.int32)
+    both, n, i, j = np.empty(count + more, vertices.dtype), 0, 0, 0
+    while i < count or j < more:
+        is_one = i < count and (j >= more or vertices[i] <= more_vertices[j])
+        is_other = j < more and (i >= count or more_vertices[j] <= vertices[i])
+        if is_one:
+            both[n], number[i] = vertices[i], n
+            i += 1
+        if is_other:
+            both[n], more_number[j] = more_vertices[j], n
+            j += 1
+        n += 1
+    joined = np.empty((faces.shape[0] + more_faces.shape[0], 3), np.int32)
+    for k in range(3):
+        for f in range(faces.shape[0]):
+            joined[f, k] = number[faces[f, k]]
+        for f in range(more_faces.shape[0]):
+            joined[faces.shape[0] + f, k] = more_number[more_faces[f, k]]
+    return both[:n].copy(), joined
+
+
+def _patch(faces) -> _Patch:
+    """Return a patch of faces that are indices of the mesh's vertices, without an error."""
     vertices, local = np.unique(faces, return_inverse=True)
-    return _Patch(vertices, local.reshape(-1, 3).astype(np.int32), error_m)
+    return _Patch(vertices, local.reshape(-1, 3).astype(np.int32), 0.0)
 
 
 def make_levels(points, faces) -> Levels:
@@ -164,7 +222,7 @@ def make_levels(points, faces) -> Levels:
     """
     points, faces = np.ascontiguousarray(points, np.float64), np.asarray(faces, np.int32)
     if len(faces) <= LEAF_FACES:
-        return _flatten(points, _patch(faces, 0.0))
+        return _flatten(points, _patch(faces))
     order, bounds = split_faces(points, faces)
     is_simplified, faces = len(faces) > MIN_FACES_TO_SIMPLIFY, faces[order]
     if is_simplified:
@@ -176,27 +234,30 @@ def make_levels(points, faces) -> Levels:
         used = patch.vertices
         locked = fixed[used] | (lowest[used] < low) | (highest[used] >= high)
         fewer, error_m = simplify(points[used] - points[used[0]], patch.faces, locked, len(patch.faces) // 2)
-        remaining, fewer = np.unique(fewer, return_inverse=True)
-        fewer = fewer.reshape(-1, 3).astype(np.int32)
-        return _Patch(used[remaining], fewer, patch.error_m + error_m, children)
+        return _Patch(*_compacted(used, fewer), patch.error_m + error_m, children)
 
     def join(one, other, leaves):
         """Return the parent of two patches; it has no faces where it cannot be simplified enough."""
         if is_simplified and one.faces is not None and other.faces is not None:
-            both = np.concatenate([one.vertices[one.faces], other.vertices[other.faces]])
-            joined = coarsen(_patch(both, max(one.error_m, other.error_m)), *leaves, (one, other))
+            both = _joined(one.vertices, one.faces, other.vertices, other.faces)
+            error_m = max(one.error_m, other.error_m)
+            joined = coarsen(_Patch(*both, error_m), *leaves, (one, other))
             if len(joined.faces) <= MAX_PATCH_FACES:
                 return joined
         return _Patch(None, None, np.inf, (one, other))
 
-    patches = [_patch(faces[a:b], 0.0) for a, b in pairwise(bounds)]
-    width = 1
-    with ThreadPoolExecutor(2) as pool:
-        while len(patches) > 1:
-            ranges = [(k * width, (k + 2) * width) for k in range(0, len(patches), 2)]
-            patches = list(pool.map(join, patches[::2], patches[1::2], ranges))
-            width *= 2
-    top = patches[0]
+    def subtree(low, high):
+        """Return the patch of the leaves low..high - 1, with those below it."""
+        if high - low == 1:
+            return _patch(faces[bounds[low] : bounds[high]])
+        middle = (low + high) // 2
+        return join(subtree(low, middle), subtree(middle, high), (low, high))
+
+    n_leaves = len(bounds) - 1  # a power of 2, and at least 2
+    with ThreadPoolExecutor(1) as other_thread:
+        second_half = other_thread.submit(subtree, n_leaves // 2, n_leaves)
+        first_half = subtree(0, n_leaves // 2)
+        top = join(first_half, second_half.result(), (0, n_leaves))
     while top.faces is not None and len(top.faces) > COARSEST_FACES:
         fewer = coarsen(top, 0, len(bounds), (top,))
         if len(fewer.faces) > MAX_LEVEL_RATIO * len(top.faces):

@@ -1,16 +1,22 @@
-"""Sizes that a glTF file states, checked before trimesh makes arrays of them."""
+"""What a glTF file states of its geometry, checked before trimesh makes arrays of it: its sizes, and what trimesh would
+read wrongly without a word."""
 
 from __future__ import annotations
 
 import json
 import struct
+from importlib.util import find_spec
 from pathlib import Path
 
 from sonar_gl.core.checks import is_whole_number, shown
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, some_names
+from sonar_gl.core.warn import warn_caller
 
 MAX_ZEROS = 5_000_000  # elements that no buffer holds: trimesh takes a second for a million
 BYTES_OF_COMPONENT = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+COMPRESSIONS = "EXT_meshopt_compression", "KHR_meshopt_compression"  # of a bufferView
+DRACO = "KHR_draco_mesh_compression"
+TRIANGLE_FAN = 6  # a mode of primitives
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
@@ -45,6 +51,78 @@ def check_accessors(path: Path) -> None:
                 f"{path}: an accessor must lie in its bufferView (accessor {number} needs {shown(needed)} bytes for "
                 f"its count of {shown(count)}, and the view has {shown(available)})"
             )
+
+
+def check_positions(path: Path) -> None:
+    """Refuse a glTF file whose vertices trimesh would read wrongly; warn of what it leaves out.
+
+    A file whose header is broken in another way passes, as in `check_accessors`.
+
+    Raises
+    ------
+    Error
+        with the name of the mesh, if its positions are compressed, sparse, or normalized integers.
+    """
+    header = _read_header(path)
+    fans = []
+    for mesh in _dicts(header, "meshes"):
+        for primitive in _dicts(mesh, "primitives"):
+            form = _form_of_positions(primitive, header)
+            if form is not None:
+                raise Error(
+                    f"{path}: the positions of mesh {mesh.get('name') or ''!r} must be plain numbers (got {form}; "
+                    "import the file into Blender, and export it without compression)"
+                )
+            if primitive.get("mode") == TRIANGLE_FAN:
+                fans.append(str(mesh.get("name") or ""))
+    left_out = {
+        "the pose of bones": [node for node in _dicts(header, "nodes") if "skin" in node],
+        "morph targets": [node for node in _dicts(header, "nodes") if _is_morphed(node, header)],
+        "copies by EXT_mesh_gpu_instancing": [
+            node for node in _dicts(header, "nodes") if "EXT_mesh_gpu_instancing" in _extensions(node)
+        ],
+    }
+    said = [
+        f"{what} ({some_names([str(node.get('name') or '') for node in nodes])})"
+        for what, nodes in left_out.items()
+        if nodes
+    ]
+    said += [f"triangle fans ({some_names(fans)})"] if fans else []
+    if said:
+        warn_caller(f"{path}: read without {', and without '.join(said)}")
+
+
+def _form_of_positions(primitive: dict, header: dict) -> str | None:
+    """Return in words what the positions of a primitive are if they are no plain numbers; else None."""
+    attributes, accessors = primitive.get("attributes"), _dicts(header, "accessors")
+    number = attributes.get("POSITION") if isinstance(attributes, dict) else None
+    if not is_whole_number(number) or not 0 <= number < len(accessors):
+        return None
+    accessor = accessors[number]
+    if "sparse" in accessor:
+        return "a sparse accessor"
+    if "bufferView" not in accessor:
+        if DRACO in _extensions(primitive):
+            return (
+                None if find_spec("DracoPy") else "compression by Draco, which the package DracoPy would read"
+            )
+        return "none" if accessor.get("count") else None
+    if any(name in _extensions(_view(accessor, header)) for name in COMPRESSIONS):
+        return "compression by meshopt"
+    return "normalized integers" if accessor.get("normalized") is True else None
+
+
+def _is_morphed(node: dict, header: dict) -> bool:
+    """Return whether a node shows its mesh deformed by morph targets."""
+    number, meshes = node.get("mesh"), _dicts(header, "meshes")
+    mesh = meshes[number] if is_whole_number(number) and 0 <= number < len(meshes) else {}
+    weights = node.get("weights", mesh.get("weights"))
+    return isinstance(weights, list) and any(weights)
+
+
+def _extensions(element: dict) -> dict:
+    found = element.get("extensions")
+    return found if isinstance(found, dict) else {}
 
 
 def _read_header(path: Path) -> dict:

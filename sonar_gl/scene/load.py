@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import os
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -118,11 +119,29 @@ def _read_mesh_scene(path: Path) -> Scene:
     """Return a scene with one body for each placed geometry of a mesh file."""
     z_up = mesh_files.Z_UP_FROM_Y_UP if path.suffix.lower() in mesh_files.Y_UP_SUFFIXES else np.eye(4)
     parts = mesh_files.read_mesh_parts(path)
-    names = [part.node for part in parts] if len(parts) > 1 else [path.stem]
+    names = _numbered([part.node for part in parts]) if len(parts) > 1 else [path.stem]
     shapes = [transform(part.shape, z_up) for part in parts]
     with errors_at(str(path)):
         bodies = [Body(n, s.mesh, normals=s.normals) for n, s in zip(names, shapes, strict=True)]
         return Scene(bodies, name=path.stem)
+
+
+def _numbered(names: list[str]) -> list[str]:
+    """Return different names: of several that are the same the first stays, and the others have numbers.
+
+    >>> _numbered(["hull", "hull", "hull_1", "mast"])
+    ['hull', 'hull_2', 'hull_1', 'mast']
+    """
+    given, taken, out = set(names), set(), []
+    numbers = Counter()
+    for name in names:
+        new = name
+        while new in taken or (new != name and new in given):
+            numbers[name] += 1
+            new = f"{name}_{numbers[name]}"
+        taken.add(new)
+        out.append(new)
+    return out
 
 
 def _convert_trimesh_scene(scene) -> Scene:

@@ -13,7 +13,9 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_is_file
-from sonar_gl.scene.gltf_accessors import check_accessors
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.scene.collada_files import read_collada
+from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
@@ -24,7 +26,10 @@ Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0
 
 
 class MeshPart(NamedTuple):
-    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres."""
+    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres.
+
+    Nodes of several parts, in glTF, have one name.
+    """
 
     node: str
     geometry: str
@@ -80,26 +85,17 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
         with the name of the file, if it is missing or unreadable, has no faces (a point cloud), a vertex is not
         finite, or it names a file that may not be read.
     """
-    import trimesh
-
     path = Path(path)
     check_is_file(path)
-    has_buffers = path.suffix.lower() in BUFFER_SUFFIXES
-    resolver = MeshBuffers(path, roots or [path.parent]) if has_buffers else NoFiles(path)
     try:
         if path.suffix.lower() == ".dae":
-            _refuse_dtd(path)
-        if has_buffers:
+            scene = _load_collada(path)
+        elif path.suffix.lower() in BUFFER_SUFFIXES:
             check_accessors(path)
-        with _without_log():
-            scene = trimesh.load(
-                path,
-                resolver=resolver,
-                force="scene",
-                process=False,
-                skip_materials=True,
-                split_objects=True,
-            )
+            check_positions(path)
+            scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
+        else:
+            scene = _load(path, resolver=NoFiles(path))
         return _read_parts(scene, path)
     except Error:
         raise
@@ -111,7 +107,36 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
         ) from None
 
 
-def _first_line(why: Exception) -> str:
+def _load(source, **options):
+    """Return the trimesh.Scene of a file, without materials."""
+    import trimesh
+
+    with _without_log():
+        return trimesh.load(
+            source, force="scene", process=False, skip_materials=True, split_objects=True, **options
+        )
+
+
+def _load_collada(path: Path):
+    """Return the trimesh.Scene of a COLLADA file; warn of what is broken in it, and of bones."""
+    from collada.common import DaeError
+
+    file, n_skinned = read_collada(path)
+    options = {"file_type": "dae", "resolver": NoFiles(path)}
+    try:
+        scene = _load(file, ignore_broken=False, **options)
+    except DaeError as why:
+        file.seek(0)
+        scene = _load(file, **options)
+        warn_caller(f"{path}: read without what is broken in it ({_first_line(why.msg)})")
+    if n_skinned:
+        warn_caller(
+            f"{path}: {n_skinned} skinned mesh{'es are' if n_skinned > 1 else ' is'} read without the pose of the bones"
+        )
+    return scene
+
+
+def _first_line(why: Exception | str) -> str:
     return str(why).strip().partition("\n")[0][:200]
 
 
@@ -137,12 +162,20 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
         units = str(mesh.metadata.get("units", "")).split(" * ")
         scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
         shape = make_shape(mesh.vertices, mesh.faces, normals)
-        parts.append(MeshPart(node, key, transform(shape, scale @ matrix)))
+        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, scale @ matrix)))
     if not parts:
         raise Error(
             f"{path}: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
         )
     return parts
+
+
+def _name_in_file(scene, node: str, mesh) -> str:
+    """Return the name of a node in its file: trimesh adds random letters where a node of a glTF has several parts."""
+    if not mesh.metadata.get("from_gltf_primitive"):
+        return node
+    parent = str(scene.graph.transforms.parents.get(node))
+    return parent if re.fullmatch(rf"{re.escape(parent)}_[0-9a-f]{{6}}", node) else node
 
 
 def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Collection[Path] = ()) -> Shape:
@@ -195,16 +228,3 @@ def _without_log():
         yield
     finally:
         log.setLevel(before)
-
-
-def _refuse_dtd(path):
-    """Raise a ValueError if a COLLADA file declares a document type, through which entities could attack."""
-    from xml.parsers import expat
-
-    def refuse(*_):
-        raise ValueError("a document type declaration is refused")
-
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    with open(path, "rb") as file:
-        parser.ParseFile(file)

@@ -30,6 +30,7 @@ from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
+LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
 TAPERS = ("uniform", "hamming", "taylor", "chebyshev")  # of line arrays
 CHOICES = {  # field: allowed names
     "beam_spacing": ("angle", "sine"),
@@ -90,7 +91,7 @@ class Sonar:
     cross_talk_beams : spacing of the beams of a set, which are received together: every 8th beam, if a frame takes 8
         transmissions
     ring_down_db : power of the ringing of the transducer after the pulse, before the TVG, extrapolated to range 0, dB
-        relative to the echo of a surface of reflectivity 1 that surrounds the sonar at 1 m; None: none
+        relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m; None: none
     ring_down_decay_db_m : how fast it decays, dB per metre of range
     counts : Counts, or a table of its fields: how the device turns intensity into the whole numbers that it delivers
     tilt_deg : tilt of the head, which holds the arrays, inside the housing, degrees, positive down. Poses are those of
@@ -98,8 +99,8 @@ class Sonar:
     ping_rate_max_hz : pings per second that the device makes at most, however short the range; None: not known
     keeps_n_bins : whether the device divides any range into `n_bins`; otherwise its bins stay as long as they are
     source_level_db : level of the transmitted pulse on the projector's axis, dB re 1 µPa at 1 m; None: not known
-    self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a surface of
-        reflectivity 1 that surrounds the sonar at 1 m; `Noise.self_noise` switches it on
+    self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a sphere of
+        reflectivity 1 about the sonar, at 1 m; `Noise.self_noise` switches it on
     common_noise_db : mean power, likewise, of noise that neighbouring channels of the receiver have in common, in a
         beam straight ahead, where it is strongest; None: none. It belongs to the self-noise
     common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
@@ -169,13 +170,13 @@ class Sonar:
             ("transmit_width_deg", 1e-3, 180, "give degrees"),
             ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
             ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
-            ("ring_down_db", -300, 300, "give dB relative to the echo of an enclosing surface at 1 m"),
+            ("ring_down_db", -300, 300, LEVEL),
             ("ring_down_decay_db_m", 0.1, 1e5, "give dB per metre of range, positive"),
             ("tilt_deg", -90, 90, "give degrees, positive down"),
             ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
             ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),
-            ("self_noise_db", -300, 100, "dB relative to the echo of an enclosing surface at 1 m"),
-            ("common_noise_db", -300, 100, "dB relative to the echo of an enclosing surface at 1 m"),
+            ("self_noise_db", -300, 100, LEVEL),
+            ("common_noise_db", -300, 100, LEVEL),
             ("common_noise_width_deg", 1e-3, 180, "give degrees"),
         ):
             value = getattr(self, key)
@@ -245,8 +246,8 @@ class Sonar:
             )
         if self.self_noise_db > 0:  # above all that comes back
             yield (
-                f"self_noise_db = {self.self_noise_db:g} exceeds the echo of an enclosing surface at 1 m, to which it "
-                "is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
+                f"self_noise_db = {self.self_noise_db:g} exceeds the echo of a sphere about the sonar at 1 m, to which "
+                "it is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
             )
 
     @property

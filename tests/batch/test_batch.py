@@ -243,6 +243,28 @@ def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(sm
     assert min(shifts) >= -0.5 and max(shifts) <= 0.5
 
 
+def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
+    """As a whole, also where it changes nothing: "*" moves, and `floor` after it stays."""
+    path = write_job(tmp_path, 40, "")
+    tables = [
+        {"names": ["*"], "apart": True, "x_m": [1.0, 2.0], "reflectivity": 0.9},
+        {"names": ["floor"]},
+        {"names": ["box_1"], "there": 0.5},
+        {"names": ["wall"], "reflectivity": 0.1},
+    ]
+    job = Job(**read_job(path).plain | {"vary": {"bodies": tables}})
+    requests = BatchRequests(job)
+    wall = {body.name: body.pose for body in requests.scene(0).bodies}["wall"]
+    boxes = []
+    for request in requests:
+        assert request.reflectivity == {"wall": 0.1}
+        assert set(request.bodies) - {"box_1"} == {"wall"}
+        np.testing.assert_array_equal(request.bodies["wall"], wall)
+        boxes.append(request.bodies.get("box_1", "unmoved"))
+    assert {box is None for box in boxes} == {True, False}
+    assert all(box is None or box == "unmoved" for box in boxes)
+
+
 def test_varied_looks_are_whole_numbers_within_their_bounds(small):
     vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
     requests = BatchRequests(read_job(small / "job.toml").model_copy(update={"vary": vary}))
@@ -420,6 +442,26 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
             assert {a["body_id"] for a in annotations} == set(np.unique(mask)) - {0}
             for annotation in annotations:
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
+
+
+def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tmp_path):
+    """Only these differ, and images and masks do not."""
+    path = write_job(tmp_path, 2, LABELS + "[coco]\nheight = 100\nmin_area = 40\n")
+    make_all(path, tmp_path / "out")
+    of_all, left_out = [], 0
+    for sonar in ("level", "upright"):
+        folder = Path("coco") / sonar
+        every, large = (COCO(str(at / "out" / folder / "instances.json")) for at in (small, tmp_path))
+        for number in range(2):
+            found = every.loadAnns(every.getAnnIds(number))
+            of_all += found
+            assert large.loadAnns(large.getAnnIds(number)) == [one for one in found if one["area"] >= 40]
+            left_out += sum(one["area"] < 40 for one in found)
+            (image,) = large.loadImgs(number)
+            for kind in ("images", "masks"):
+                name = folder / kind / image["file_name"]
+                assert (tmp_path / "out" / name).read_bytes() == (small / "out" / name).read_bytes()
+    assert 0 < left_out < len(of_all)
 
 
 def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):

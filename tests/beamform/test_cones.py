@@ -158,6 +158,19 @@ def test_a_wall_all_round_has_its_reflectivity_in_all_beams(elevation_pattern):
     np.testing.assert_allclose(ping.intensity.sum(axis=1), 0.5, rtol=4e-3)
 
 
+@pytest.mark.parametrize("elevation_pattern", ["line_array", "gaussian"])
+@pytest.mark.parametrize("conical_beams", [True, False])
+def test_a_wall_all_round_has_its_reflectivity_however_low_the_beams(elevation_pattern, conical_beams):
+    """A main lobe of a twentieth of a degree is a small part of the hemisphere that side lobes receive."""
+    sonar = make_sonar(60.0, 5, 4.0, elevation_fov_deg=0.05, beam_spacing="sine", elevation_taper="chebyshev")
+    acoustics = replace(CONES, elevation_pattern=elevation_pattern, conical_beams=conical_beams)
+    wall = sg.Body("wall", trimesh.creation.icosphere(5, 10.0), reflectivity=0.5)
+    ping = echo_of(sonar, acoustics, [wall], sampling=sg.Sampling(2, 64))
+    np.testing.assert_allclose(ping.intensity.sum(axis=1), 0.5, rtol=4e-3)  # as above
+    truth = sg.reference_ping(sg.Scene([wall]), sonar, np.eye(4), acoustics, 0.2)
+    np.testing.assert_allclose(truth.intensity.sum(axis=1), 0.5, rtol=0.05)  # few rays in the main lobe
+
+
 @pytest.mark.parametrize("elevation_deg", [-9.0, 0.0, 9.0])
 @pytest.mark.parametrize("azimuth_deg", [-60.0, -30.0, 5.0, 55.0])
 def test_a_ball_stands_where_the_array_shows_it(azimuth_deg, elevation_deg):

@@ -49,7 +49,7 @@ def mean_in_bins(f, edges_m, parts=64):
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
 @pytest.mark.parametrize("height_m", [0.7, 2.0])
 def test_the_reverberation_level_follows_the_sonar_equation(engine, height_m):
-    """RL = SL - 40 log r - 2 α r + S_s + 10 log(φ r Δr), over the echo of an all-round surface at 1 m, and the TVG."""
+    """RL = SL - 40 log r - 2 α r + S_s + 10 log(φ r Δr), over the echo of a sphere at 1 m, and the TVG."""
     water = replace(WINDY, absorption_db_m=0.3)
     acoustics = replace(ideal(range_law="sonar_equation", tvg_k=30.0, tvg_absorption_db_m=0.2), water=water)
     found = surface_of(acoustics, at(height_m), engine=engine)
@@ -63,7 +63,7 @@ def test_the_reverberation_level_follows_the_sonar_equation(engine, height_m):
     edges = SONAR.bin_edges_m[first:]
     area_sigma = mean_in_bins(lambda r: area_law(r) * r**-4.0, edges) * SONAR.bin_size_m
     gain_db = (30 * np.log10(r) + 2 * 0.2 * r - 2 * 0.3 * r)[first:]
-    unit = width * 2 * math.sin(half) / math.pi  # the echo of the all-round surface of reflectivity 1 at 1 m
+    unit = width * 2 * math.sin(half) / math.pi  # the echo of the sphere of reflectivity 1 at 1 m
     expected = area_sigma * 10 ** (gain_db / 10) / unit
     # the gain of a bin is that of its middle, r^-4 in the bin is r^-2 of it times r^-2: 1e-3 at 0.1 m in 5 m
     beams = slice(2, -2)

@@ -425,7 +425,7 @@ wall              1 x 20 x 20 m    5.5 0 0         12             1
 box           0.2 x 0.2 x 0.2 m    3 0.5 0         12             1
 ground_plane           infinite     0 0 -4          2           0.5
 
-bodies are the collisions of links; visuals count where a link has no collision, or where they alone have <laser_retro>
+bodies are the collisions of links; visuals count where they alone exist, or alone have <laser_retro> or a sonar_gl tag
 
 warnings
   {tmp_path}/reef.sdf: water and marks are no bodies, and are left out (sea_surface::l); the water's surface is taken \

@@ -182,7 +182,7 @@ def test_it_says_that_no_clock_comes(transports, monkeypatch, caplog):
         (("--pose-from", "tf=a", "--pose", "0 0 0 0 0 0"), "--pose-from excludes --pose and --poses"),
         (("--rate", "0"), "rate_hz must lie in 0.001..1000"),
         (("--name", "a b"), "the name of a sonar must be the full name of a topic"),
-        (("--acoustics", "needed"), "--acoustics needed is for a single ping"),
+        (("--acoustics", "needed"), "--acoustics needed must know the poses beforehand"),
         (("--duration", "-1"), "--duration must lie in"),
         (("--config", "none.toml"), "none.toml: the file of --config must be readable"),
     ],

@@ -48,6 +48,13 @@ def pose_topic(**quality):
     return topic_of("/pose", "geometry_msgs/msg/PoseStamped", **quality)
 
 
+def test_a_topic_has_one_type(transport):
+    transport.advertise(pose_topic())
+    transport.advertise(pose_topic(depth=7))
+    with pytest.raises(Error, match="a topic must have one type"):
+        transport.publish(topic_of("/pose", "tf2_msgs/msg/TFMessage"), b"", 0)
+
+
 def test_a_viewer_receives_pings(transport, viewers):
     topic, (ping, message) = sonar_topic(), ping_message(64, 300)
     transport.advertise(topic)

@@ -1,10 +1,12 @@
 """Messages on their way to a slower reader."""
 
 import logging
+import queue
 import threading
 
 import pytest
 
+from sonar_gl.live import inbox as inboxes
 from sonar_gl.live.inbox import Inbox
 from tests.support.waiting import WAIT_S, wait_until
 
@@ -94,3 +96,18 @@ def test_the_reader_may_close_its_inbox(opened):
     inbox.put(b"x")
     assert closed.wait(WAIT_S)
     wait_until(lambda: not [t for t in threading.enumerate() if t.name == "inbox /sonar/pose"])
+
+
+def test_closing_does_not_wait_for_ever_for_a_reader_that_waits(opened, monkeypatch):
+    """A queue of a program that takes nothing any more is full."""
+    monkeypatch.setattr(inboxes, "PATIENCE_S", 0.1)
+    full = queue.Queue(1)
+    inbox = opened(full.put, 5)
+    for _ in range(3):
+        inbox.put(b"x")
+    wait_until(full.full)
+    closing = threading.Thread(target=inbox.close, daemon=True)
+    closing.start()
+    closing.join(WAIT_S)
+    assert not closing.is_alive()
+    full.get()  # the reader ends

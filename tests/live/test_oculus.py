@@ -12,7 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
-from sonar_gl.live import oculus
+from sonar_gl.live import oculus, simulators
 from sonar_gl.live.oculus import MODELS, OculusHead, OculusServer
 from sonar_gl.live.oculus_messages import FireMessage, OculusResult, parse_fire_message, status_message
 from sonar_gl.live.pose_track import PoseTrack
@@ -261,6 +261,14 @@ def test_gain_and_gamma_change_counts_as_they_say(connection):
     assert counts[255, 20.0][inside] / counts[255, 10.0][inside] == pytest.approx(10**0.3, rel=1e-3)
     share, with_gamma = counts[255, 10.0][inside] / 65535, counts[127, 10.0][inside] / 65535
     assert with_gamma == pytest.approx(share ** (127 / 255), rel=1e-3)
+
+
+def test_another_gain_needs_no_other_simulator(connection, monkeypatch):
+    """A new simulator looks for its samples, and its first ping takes far longer than others."""
+    result_of(connection, fire_bytes(gain=31.0))
+    monkeypatch.setattr(simulators, "Simulator", None)  # none can be made from now on
+    for gamma, gain, flags in ((255, 12.0, BITS_16), (127, 13.0, BITS_16), (127, 14.0, ASSISTANCE)):
+        result_of(connection, fire_bytes(gamma=gamma, gain=gain, flags=METRES | SIMPLE | flags))
 
 
 def test_standby_stops_and_another_fire_message_goes_on(connection):

@@ -1,9 +1,11 @@
 """An emulated Ping360, by the maker's own client."""
 
+import asyncio
 import random
 import socket
 import struct
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import brping
 import numpy as np
@@ -11,9 +13,10 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.live.ping360 import Ping360Head, Ping360Server
 from sonar_gl.live.ping360_messages import (
+    AUTO_PAYLOAD,
     AUTO_TRANSMIT,
     PingMessage,
     Scan,
@@ -166,6 +169,28 @@ def test_settings_that_no_ping_can_be_made_with_are_refused(client, monkeypatch)
     client.control_auto_transmit(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)
     assert client.wait_message([brping.definitions.COMMON_NACK], WAIT_S).nacked_id == 2602
     assert client.transmitAngle(7).angle == 7
+
+
+def test_a_scan_that_the_machine_fails_ends_the_device(monkeypatch):
+    """As a single ping does: nothing comes of those that follow."""
+
+    class LostHead:
+        def ping(self, *_):
+            raise MachineError("the driver must keep the sonar's OpenGL context")
+
+    async def serve(simulation):
+        server, started = Ping360Server(LostHead(), simulation, port=0), asyncio.Event()
+        serving = asyncio.create_task(server.run(started))
+        await asyncio.wait_for(started.wait(), WAIT_S)
+        message = PingMessage(AUTO_TRANSMIT, AUTO_PAYLOAD.pack(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)).pack(
+            0, 0
+        )
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.sendto(message, ("127.0.0.1", server.port))
+            await asyncio.wait_for(serving, 5.0)
+
+    with ThreadPoolExecutor(1) as simulation, pytest.raises(MachineError, match="must keep"):
+        asyncio.run(serve(simulation))
 
 
 @pytest.mark.parametrize("duration_us, frequency_khz", [(1, 500), (1, 999), (1000, 1000)])

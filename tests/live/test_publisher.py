@@ -435,15 +435,43 @@ def test_bodies_are_moved_by_messages_and_by_the_caller(scene, loopback):
         publisher.step(0.2, bodies={"ball": None})
         publisher.step(0.3, bodies={"ball": scene.bodies[0].pose})
         assert publisher.counts.refused == 1
-    clouds = []
+    assert seen_balls(loopback, [[2.5, 1, -2], aside[:3, 3]]) == [
+        [True, False], [False, True], [False, False], [True, False]
+    ]  # fmt: skip
+
+
+def seen_balls(loopback, centres):
+    """Return for each point cloud whether it has points of a ball of radius 0.3 m at each of some centres."""
+    out = []
     for message in loopback.messages("/sonar/points"):
         xyz = np.frombuffer(message.data, "<f4").reshape(-1, 4)[:, :3]
         points = xyz[np.isfinite(xyz).all(axis=1)] @ AT[:3, :3].T + AT[:3, 3]
-        clouds.append(
-            [np.linalg.norm(points - centre, axis=1).min() for centre in ([2.5, 1, -2], aside[:3, 3])]
-        )
-    on_ball = np.array(clouds) < 0.31
-    assert on_ball.tolist() == [[True, False], [False, True], [False, False], [True, False]]
+        out.append([bool(np.linalg.norm(points - centre, axis=1).min() < 0.31) for centre in centres])
+    return out
+
+
+def test_a_body_is_where_the_step_said_though_the_loop_changes_its_array(scene, loopback):
+    """A loop that keeps its poses in arrays of its own changes them before the ping takes them."""
+    where = sg.pose(2.5, -0.1, -2)
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        publisher.step(0.0)
+        publisher.step(0.05, bodies={"ball": where})  # not due yet
+        where[1, 3] = 1.0
+        publisher.step(0.1)
+    assert seen_balls(loopback, [[2.5, -0.1, -2], [2.5, 1, -2]])[-1] == [True, False]
+
+
+@pytest.mark.parametrize("wrong", [{"boat": AT}, {"ball": 2 * np.eye(4)}, {3: AT}, {"wall": AT, "boat": AT}])
+def test_a_mistake_in_bodies_is_raised_by_its_step_and_loses_no_other(scene, loopback, wrong):
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        publisher.step(0.0)
+        publisher.step(0.03, bodies={"ball": sg.pose(2.5, -0.1, -2)})
+        with pytest.raises(
+            Error, match=r"bodies must be bodies of the scene|the pose of body 'ball' must be"
+        ):
+            publisher.step(0.06, sg.pose(50), wrong)
+        assert publisher.step(0.1).has_pinged
+    assert seen_balls(loopback, [[2.5, -0.1, -2]])[-1] == [True]
 
 
 def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_raised(

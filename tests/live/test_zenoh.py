@@ -223,6 +223,14 @@ def test_another_program_receives_pings(port, router, transports, type_hashes):
     }
 
 
+def test_a_topic_has_one_type(router, transports):
+    transport = transports()
+    transport.advertise(image_topic())
+    transport.advertise(image_topic(depth=7))
+    with pytest.raises(Error, match="a topic must have one type"):
+        transport.publish(topic_of("/sonar/image", "tf2_msgs/msg/TFMessage"), b"", 0)
+
+
 def test_each_publisher_has_a_gid_of_its_own(peer, transports):
     first, second = image_topic(), topic_of("/clock", "rosgraph_msgs/msg/Clock")
     transport, other = transports(), transports(node="other")

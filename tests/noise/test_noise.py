@@ -20,7 +20,7 @@ from tests.support.errors import error_of
 from tests.support.even_ping import SIGMAS, even_ping
 
 HERE = sonar_gl.pose(0.2, 0.2)
-LEVEL = "dB relative to the echo of an enclosing surface at 1 m"
+LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"
 ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 2, False, True, -30.0, 3.0)
 
 

@@ -164,6 +164,15 @@ def test_interference():
     assert first == second
 
 
+def test_interference_goes_on_over_the_seam_of_a_full_circle():
+    """Beams of 10 degrees, 2 degrees apart: one a spacing from the brightest one receives at least half as much."""
+    ping = even_ping(180, 20, 2.0, level=0.0, beam_width_deg=10.0)
+    noise = Noise(interference_lines=1.0, interference_db=0.0)
+    pulses = np.array([add_noise(ping, noise, 0, number).intensity.max(axis=1) for number in range(800)])
+    at_an_end = pulses[pulses.any(1) & np.isin(pulses.argmax(1), (0, 179))]
+    assert len(at_an_end) and (at_an_end[:, [0, -1]] > 0.5).all()
+
+
 @pytest.mark.parametrize(
     "noise",
     [

@@ -717,6 +717,17 @@ def test_models_of_fuel_are_read_from_the_resource_paths(tmp_path, read, name):
     assert np.ptp(body.surface.vertices[:, 0]) == 3
 
 
+def test_a_file_that_stands_for_a_model_of_fuel_of_its_own_name(tmp_path):
+    """The model is missing; the file does not include itself."""
+    path = write(
+        tmp_path / "models" / "big rock" / "model.sdf", f"<include><uri>{FUEL}</uri></include>", world=False
+    )
+    with pytest.raises(Error) as caught:
+        read_sdf(path, resource_paths=[tmp_path / "models"])
+    assert str(caught.value).splitlines()[:2] == [f"{path}: models or files are missing:", f"  {FUEL}"]
+    assert f'gz fuel download -u "{FUEL}"' in str(caught.value)
+
+
 def test_a_file_of_a_model_of_fuel(tmp_path, read):
     kept = tmp_path / "gz" / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
     kept.mkdir(parents=True)
@@ -918,6 +929,25 @@ def test_paths_out_of_the_folders_are_refused(tmp_path, uri):
         "make its folder a resource path)"
     )
     assert len(read_sdf(path, [tmp_path / "out", tmp_path]).bodies) == 1
+
+
+@pytest.mark.parametrize(
+    "uri", ["file:///home/nobody/b.stl", "/home/nobody/b.stl", "../b.stl", "model://../b.stl"]
+)
+def test_what_is_missing_out_of_the_folders_can_be_skipped_too(tmp_path, uri):
+    """A world names files of the machine that it was made on."""
+    mesh = f"<collision name='c'><geometry><mesh><uri>{uri}</uri></mesh></geometry>{RETRO}</collision>"
+    path = write(tmp_path / "in" / "a.sdf", model(link(shape=mesh)))
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    where = "/home/nobody/b.stl" if "nobody" in uri else f"{tmp_path}/in/../b.stl"
+    assert str(caught.value).splitlines()[1:4] == [
+        f"  {uri}",
+        "    named by " + f"{path}: world/model[m]/link[link]/collision[c]/geometry/mesh/uri",
+        f"    not at {where}",
+    ]
+    with pytest.warns(UserWarning, match="read without what is missing"):
+        assert read_sdf(path, skip_missing=True).bodies == ()
 
 
 def test_symbolic_links_out_of_the_folders_are_refused(tmp_path):

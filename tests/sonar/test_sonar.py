@@ -425,8 +425,8 @@ def test_the_head_is_tilted_down_within_its_housing():
         ),
         (
             {"self_noise_db": 85.0},
-            "self_noise_db = 85 exceeds the echo of an enclosing surface at 1 m, to which it is relative; if it is in "
-            "dB re 1 µPa, subtract that echo's level (absolute_levels states it)",
+            "self_noise_db = 85 exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it is "
+            "in dB re 1 µPa, subtract that echo's level (absolute_levels states it)",
         ),
     ],
 )

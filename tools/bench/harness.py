@@ -34,9 +34,9 @@ def processor() -> str:
     return names[0] if names else platform.processor() or "a CPU without a name"
 
 
-def describe_machine() -> dict:
-    """Return versions, GL renderer, processor, cores and load: what times depend on."""
-    with sg.Simulator(sg.Scene([]), sg.load_sonar("p900-45")) as simulator:
+def describe_machine(engine: str | None = None) -> dict:
+    """Return versions, renderer of an engine, processor, cores and load: what times depend on."""
+    with sg.Simulator(sg.Scene([]), sg.load_sonar("p900-45"), engine=engine) as simulator:
         renderer = simulator.gl_info["renderer"]
     return {
         "version": sg.__version__,

@@ -276,6 +276,10 @@ class TreeReader:
         name = (element.findtext("name") or "").strip()
         location = scope.location_of(f"include[{name or uri}]")
         path = self.resources.find_model(uri, scope.folder, location)
+        if isinstance(path, Path) and uri.lower().startswith("http") and path.resolve() in stack:
+            # a file may stand for the model of Fuel that has the name of the file's own folder
+            self.resources.note_missing(uri, location, [])
+            path = None
         if path is None:
             # the file is noted as missing; poses relative to the model must still resolve
             name = name or uri.rstrip("/").rpartition("/")[2]

@@ -180,7 +180,7 @@ class Resources:
         if scheme in ("http", "https"):
             return self._find_on_fuel(uri, location)
         if scheme not in ("", "model", "package", "file"):
-            self._note(uri, location, [])
+            self.note_missing(uri, location, [])
             return None
         if scheme in ("model", "package"):
             rest = rest.lstrip("/")
@@ -198,7 +198,7 @@ class Resources:
             if found is None and (loop := next(filter(is_link_loop, candidates), None)):
                 raise Error(f"{location}: {uri!r} must be a path (got {LINK_LOOP} at {loop})")
             outside = [c for c in candidates if c not in inside]
-            escapes = found is None and outside and (not inside or any(c.exists() for c in outside))
+            escapes = found is None and any(c.exists() for c in outside)
         except Error:
             raise
         except (OSError, ValueError) as why:  # a name that is too long, or with a null character
@@ -209,7 +209,7 @@ class Resources:
                 f"{outside[0].resolve()}; if that is to be trusted, make its folder a resource path)"
             )
         if found is None and uri not in BUILT_IN:
-            self._note(uri, location, inside)
+            self.note_missing(uri, location, inside or outside)
         return found
 
     def find_package(self, name: str) -> Path | None:
@@ -248,7 +248,7 @@ class Resources:
         """
         found = re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE)
         if found is None:
-            self._note(uri, location, [])
+            self.note_missing(uri, location, [])
             return None
         server, owner, name, version, file = found.groups()
         searched = []
@@ -270,14 +270,14 @@ class Resources:
                 searched.append(folder)
                 if folder.is_dir() and self._is_inside(folder):
                     return self._existing(folder / file if file else folder, uri, location)
-        self._note(uri, location, searched)
+        self.note_missing(uri, location, searched)
         return None
 
     def _existing(self, path: Path, uri: str, location: str) -> Path | None:
         """Return a path that exists and may be read; None, noted as missing, if there is none."""
         if path.exists() and self._is_inside(path):
             return path
-        self._note(uri, location, [path])
+        self.note_missing(uri, location, [path])
         return None
 
     def find_model(self, uri: str, base: Path, location: str) -> Path | str | None:
@@ -294,7 +294,7 @@ class Resources:
             return found
         chosen = self.file_of_model(found)
         if not chosen.is_file():
-            self._note(uri, location, [chosen])
+            self.note_missing(uri, location, [chosen])
             return None
         return chosen
 
@@ -344,7 +344,8 @@ class Resources:
         """Note a shape that cannot be read, once; the message names file and element."""
         self._unsupported[message] = None
 
-    def _note(self, uri, location, searched):
+    def note_missing(self, uri: str, location: str, searched) -> None:
+        """Note a file that is missing, the element that names it, and the paths at which it is not."""
         locations, _ = self._missing.setdefault(uri, ([], [str(c) for c in searched]))
         if location not in locations:  # a shape of water is read for its surface, too
             locations.append(location)

@@ -1,0 +1,79 @@
+"""COLLADA files, made ready for trimesh: only what is geometry, and all of it.
+
+trimesh drops a geometry whose material cannot be read, such as one whose picture is missing, and the skinned meshes of
+animated bodies; both without a word.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from xml.parsers import expat
+
+# A material has no acoustic meaning, and one that is broken must not take its geometry along. What is never a surface
+# goes, too, so that an error in what remains is one of geometry.
+LEFT_OUT = {
+    *("library_animations", "library_animation_clips", "library_cameras", "library_controllers"),
+    *("library_effects", "library_images", "library_lights", "library_materials"),
+    *("bind_material", "instance_camera", "instance_light", "extra"),
+}
+
+
+def read_collada(path: Path) -> tuple[io.BytesIO, int]:
+    """Return a COLLADA file without what is no geometry, and how many skinned meshes it places.
+
+    A skinned mesh becomes a plain one, in the shape that its bones are bound to, at the node that holds it.
+
+    Raises
+    ------
+    ValueError
+        if it declares a document type, or is no XML.
+    """
+    from lxml import etree
+
+    data = path.read_bytes()
+    _refuse_dtd(data)
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True, remove_comments=True)
+    root = etree.fromstring(data, parser)
+    n_skinned = 0
+    sources = {}  # id of a controller -> id of what it deforms, and the matrix that it has bound it with
+    for skin in root.iterfind(".//{*}controller/{*}*[@source]"):
+        matrix = skin.findtext("{*}bind_shape_matrix")
+        sources["#" + skin.getparent().get("id", "")] = skin.get("source"), matrix
+    for element in list(root.iter("{*}*")):
+        kind = etree.QName(element).localname
+        if kind in LEFT_OUT:
+            element.getparent().remove(element)
+        elif kind == "instance_controller":
+            n_skinned += _replace_by_geometry(element, sources)
+    return io.BytesIO(etree.tostring(root)), n_skinned
+
+
+def _replace_by_geometry(element, sources: dict) -> bool:
+    """Put the geometry that a controller deforms in place of its instance; return whether there is one."""
+    source, matrices = element.get("url", ""), []
+    while source in sources and len(matrices) < len(sources):
+        source, matrix = sources[source]
+        matrices.append(matrix)
+    if not matrices:
+        return False
+    prefix = element.tag.removesuffix("instance_controller")
+    parent = element.getparent()
+    node = parent.makeelement(f"{prefix}node", {})
+    for matrix in filter(None, matrices):
+        node.append(node.makeelement(f"{prefix}matrix", {}))
+        node[-1].text = matrix
+    node.append(node.makeelement(f"{prefix}instance_geometry", {"url": source}))
+    parent.replace(element, node)
+    return True
+
+
+def _refuse_dtd(data: bytes) -> None:
+    """Raise a ValueError if a file declares a document type, through which entities could attack."""
+
+    def refuse(*_):
+        raise ValueError("a document type declaration is refused")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)
