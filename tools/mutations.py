@@ -218,8 +218,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/pattern in elevation",
-        "elevation_pattern(fan.max_sine * np.linspace(",
-        "elevation_pattern(np.linspace(",
+        "sines = fan.max_sine * np.linspace(-1, 1, 2 * elevations_of(fan)",
+        "sines = np.linspace(-1, 1, 2 * elevations_of(fan)",
         ("test_beam_pattern|test_patterns",),
         (
             (
