@@ -218,8 +218,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/pattern in elevation",
-        "elevation_pattern(fan.max_sine * np.linspace(",
-        "elevation_pattern(np.linspace(",
+        "sines = fan.max_sine * np.linspace(-1, 1, 2 * elevations_of(fan)",
+        "sines = np.linspace(-1, 1, 2 * elevations_of(fan)",
         ("test_beam_pattern|test_patterns",),
         (
             (
@@ -246,14 +246,14 @@ MUTATIONS = (
     ),
     Mutation(
         "fan/boxes within the transmit beam",
-        "_divided(edges, transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)",
-        "_divided(edges, transmit_width_rad)",
+        "_divided(edges, beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)",
+        "_divided(edges, beams.transmit_width_rad)",
         ("test_beam_pattern",),
     ),
     Mutation(
         "fan/behind a straight array",
-        'elif sonar.steered == "straight" and not box:',
-        "elif False:",
+        'if sonar.steered == "straight" and not beams.is_box:',
+        "if False:",
         CONES,
     ),
     # sums of columns and of points

@@ -16,7 +16,7 @@ from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import Fan, make_fan
+from sonar_gl.sonar.fan import BeamShape, Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
@@ -216,21 +216,19 @@ def make_beamformer(
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
     true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
     is_box, transmit = pattern is None, acoustics.transmit_pattern(sonar)
-    elevations_deg = {}
-    if side_lobes:
-        elevations_deg["dense_elevation_deg"] = acoustics.dense_elevation_deg(sonar)
-        elevations_deg["max_elevation_deg"] = acoustics.max_elevation_deg(sonar)
-    fan = make_fan(
-        true_range,
-        extend_rows(sampling, sonar, true_range),
+    beams = BeamShape(
         reach,
-        **elevations_deg,
-        box=is_box,
-        shear=shear,
-        max_column_width=max_column_width,
+        is_box,
         are_cones=acoustics.has_cones(sonar),
         transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
     )
+    if side_lobes:
+        beams = beams._replace(
+            dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
+            max_elevation_deg=acoustics.max_elevation_deg(sonar),
+        )
+    extended = extend_rows(sampling, sonar, true_range)
+    fan = make_fan(true_range, extended, beams, shear, max_column_width)
     workspace = workspace or Workspace()
     far_pattern, edges = acoustics.far_pattern(sonar), fan.column_edges_rad
 

@@ -176,15 +176,7 @@ class ErrorModel:
         """Return a view that was drawn and summed already, with what was met of each body."""
         if self._extents.n_bodies < len(self.bodies):  # some were added
             self._extents = BodyExtents(self.bodies, self._specular)
-        former = stage.beamformer
-        counts = count_bodies(
-            view.sectors,
-            len(self.bodies),
-            self._true_range_sonar,
-            self._gain,
-            former.elevation_table,
-            former.received_u,
-        )
+        counts = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
         return TriedView(stage, view, echo, counts, bodies)
 
     def judge(
@@ -250,19 +242,16 @@ class ErrorModel:
         """
         bodies, state, pose = self.bodies, setup.state, setup.head_pose
         sectors, (hits, echo) = tried.view.sectors, tried.counts
-        total = echo.sum()
+        total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
-        could_count = (
-            self._extents.greatest_echo(state, pose, self._reception(tried)) > MIN_ECHO_SHARE * total
-        )
+        could_count = self._extents.greatest_echo(state, pose, reception) > MIN_ECHO_SHARE * total
         for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
             one = bodies[body - 1], state.poses[body - 1]
-            limits = self._true_range_sonar, tried.stage.beamformer.received_u, setup.surface_z_m
-            counts[body] = is_unobstructed(sectors, body, *one, pose, *limits)
+            counts[body] = is_unobstructed(sectors, body, *one, pose, reception, setup.surface_z_m)
         return counts
 
-    def _reception(self, tried: TriedView) -> Reception:
-        beamformer = tried.stage.beamformer
+    def _reception(self, stage: Stage) -> Reception:
+        beamformer = stage.beamformer
         return Reception(
             self._true_range_sonar,
             self._reach_rad,
@@ -270,6 +259,7 @@ class ErrorModel:
             beamformer.fan.are_cones,
             self._gain,
             beamformer.elevation_table,
+            beamformer.received_u,
         )
 
 

@@ -24,7 +24,7 @@ IN_FRONT = 1.01  # 1/x over that of the sample there: a point at the foot of a b
 
 
 class Reception(NamedTuple):
-    """How strongly a sonar receives an echo, by its range and its elevation.
+    """From where a sonar receives an echo, and how strongly, by its range and its elevation.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Reception(NamedTuple):
     max_elevation_rad : beyond which nothing is received, side lobes included
     are_cones : of `Fan`
     gain : (K,) of the bins
-    elevation_table : of `Beamformer`
+    elevation_table, received_u : of `Beamformer`
     """
 
     sonar: Sonar
@@ -42,6 +42,7 @@ class Reception(NamedTuple):
     are_cones: bool
     gain: np.ndarray
     elevation_table: np.ndarray
+    received_u: Sequence[np.ndarray]
 
     def greatest_gain(self, nearest_m, farthest_m) -> np.ndarray:
         """Return the greatest gain between ranges, (n,) metres, of which a part lies in the bins."""
@@ -109,25 +110,15 @@ def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elev
                 )
 
 
-def count_bodies(
-    samples: Sequence[SectorSamples], n_bodies: int, sonar: Sonar, gain, elevation_table, received_u
-) -> BodyCounts:
-    """Count the samples on each body, and about the echo of each.
-
-    Parameters
-    ----------
-    sonar : with true ranges
-    gain : (K,) of the bins
-    elevation_table, received_u : of `Beamformer`
-    """
+def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
+    """Count the samples on each body, and about the echo of each."""
     counts, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
-    for one, received in zip(samples, received_u, strict=True):
+    bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
+    gains = reception.gain, reception.elevation_table
+    for one, received in zip(samples, reception.received_u, strict=True):
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
-        bins = sonar.range_min_m, 1.0 / sonar.bin_size_m
-        widest = math.tan(one.sector.half_width_rad)
-        sines = one.sector.strips.sines
-        limits = sines, widest, received
-        _count_samples(arrays, one.lattice, *limits, bins, gain, elevation_table, counts, echo)
+        limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
+        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo)
     return BodyCounts(counts, echo)
 
 
@@ -137,8 +128,7 @@ def is_unobstructed(
     body,
     body_pose,
     pose,
-    sonar: Sonar,
-    received_u,
+    reception: Reception,
     surface_z_m: float | None = None,
 ) -> bool:
     """Return whether some point of a body that few samples met, or none, lies in a beam, in front of others around it.
@@ -146,9 +136,16 @@ def is_unobstructed(
     Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
     lie beside the fan. A point must lie in front of all nine, but for samples of the body itself in a beam: the corners
     of a body in the place of another lie beside samples of that. Samples of the body beside the fan show that only an
-    edge of it reaches in. `number` is that of the body in the samples. What lies above the water's surface is not drawn
-    for a sonar in the water.
+    edge of it reaches in. What lies above the water's surface is not drawn for a sonar in the water.
+
+    Parameters
+    ----------
+    number : of the body in the samples
+    body, body_pose : Body, and its (4, 4) world_from_body
+    pose : (4, 4) world_from_sonar, of the head
+    surface_z_m : height of the water's surface; None if there is none
     """
+    sonar = reception.sonar
     faces = np.asarray(body.surface.faces)
     ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
@@ -156,7 +153,7 @@ def is_unobstructed(
     has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
     below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
     sphere = _sphere_about(edges.reshape(-1, 3))
-    for (sector, plane_echo, body_id), received in zip(samples, received_u, strict=True):
+    for (sector, plane_echo, body_id), received in zip(samples, reception.received_u, strict=True):
         rotation = sector.rotation()
         frustum = _frustum(sector, rotation, sonar.range_max_m)
         if frustum.is_beside(sphere.centre, sphere.radius_m):

@@ -11,7 +11,7 @@ from sonar_gl.core.checks import check_whole_number
 from sonar_gl.raster.engine import RasterEngine
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, Sampling
 from sonar_gl.sonar.sonar import Sonar
 
@@ -26,7 +26,7 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, row
     n_beams = math.ceil(columns / MAX_COLUMNS_PER_BEAM)
     sonar = replace(sonar, n_beams=n_beams, beam_azimuths_deg=None, beam_spacing="angle")
     reach = math.radians(sonar.azimuth_fov_deg) / n_beams / 2
-    fan = make_fan(sonar, Sampling(columns / n_beams, rows), reach, shear=0.0)
+    fan = make_fan(sonar, Sampling(columns / n_beams, rows), BeamShape(reach), shear=0.0)
     renderer = engine.make_renderer(fan, False, engine.make_workspace())
     (view,) = renderer.render([head_pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []

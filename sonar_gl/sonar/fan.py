@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,106 +112,143 @@ class Fan:
         return shares.astype(np.float32)
 
 
+class BeamShape(NamedTuple):
+    """What the beams of a sonar ask of its fan.
+
+    Attributes
+    ----------
+    support_rad : half-width of the receive beam pattern's support, radians: the outer beams reach this far beyond
+        their axes
+    is_box : whether the beams are boxes of that half-width; columns then end where beams end
+    dense_elevation_deg : up to this elevation samples are as dense as the sampling has them; without effect beyond the
+        aperture
+    max_elevation_deg : from there up to this elevation the fan has sectors of skirts and side lobes; below 90, and
+        without effect inside the aperture
+    are_cones : whether columns are cones; False for boxes
+    transmit_width_rad : −3 dB width of the transmit beam; infinite where the fan is insonified evenly
+    """
+
+    support_rad: float
+    is_box: bool = True
+    dense_elevation_deg: float = 90.0
+    max_elevation_deg: float = 0.0
+    are_cones: bool = False
+    transmit_width_rad: float = math.inf
+
+
 def make_fan(
     sonar: Sonar,
     sampling: Sampling,
-    support_rad: float,
-    *,
-    box: bool = True,
+    beams: BeamShape,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
-    dense_elevation_deg: float = 90.0,
-    max_elevation_deg: float = 0.0,
-    are_cones: bool = False,
-    transmit_width_rad: float = math.inf,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
     Parameters
     ----------
-    sonar, sampling : Sonar, Sampling
-    support_rad : half-width of the receive beam pattern's support, radians: the outer beams reach this far beyond
-        their axes
-    box : whether the beams are boxes of that half-width; columns then end where beams end
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     max_column_width : largest width of a column, in beam spacings; without effect on boxes
-    dense_elevation_deg : up to this elevation samples are as dense as `sampling` has them; without effect beyond the
-        aperture
-    max_elevation_deg : from there up to this elevation the fan has sectors of skirts and side lobes; below 90, and
-        without effect inside the aperture
-    are_cones : whether columns are cones; without effect on boxes
-    transmit_width_rad : −3 dB width of the transmit beam; infinite where the fan is insonified evenly
     """
-    are_cones = are_cones and not box
     azimuths = sonar.azimuth_rad
-    start, stop = azimuths[0] - support_rad, azimuths[-1] + support_rad
-    if stop - start > 2 * math.pi - 1e-9:
-        start, stop = -math.pi, math.pi
-    if are_cones:
-        start, stop = max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
-    elif sonar.steered == "straight" and not box:  # such beams receive nothing from behind the array
-        start, stop = max(start, -math.pi / 2), min(stop, math.pi / 2)
+    start, stop = _ends_of_fan(sonar, beams)
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
     samples_per_sector = max(2, math.ceil(n_samples / n_sectors - 1e-9))
     half_width = span / n_sectors / 2
     top_rad = math.radians(sonar.elevation_fov_deg) / 2
-    max_elevation_rad = max(top_rad, math.radians(max_elevation_deg))
-    row = 2 * math.tan(top_rad) / sampling.rows
-    dense_rad = min(top_rad, math.radians(dense_elevation_deg))
-    tan_dense = math.tan(dense_rad)
-    rows = sampling.rows if dense_rad == top_rad else math.ceil(2 * tan_dense / row - 1e-9)
-    bands = [(samples_per_sector, rows, (-tan_dense, tan_dense))]
-    if max_elevation_rad > dense_rad:
-        limits = pairwise(_band_limits(tan_dense, math.tan(max_elevation_rad)))
-        for number, (low, high) in enumerate(limits):
-            coarser = SKIRTS_COARSER * 2**number
-            # a degree of azimuth is less, too, where the sound looks up or down
-            samples = max(math.ceil(samples_per_sector / (coarser * math.sqrt(1 + low * low)) - 1e-9), 2)
-            rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low)) - 1e-9), MIN_BAND_ROWS)
-            bands += [(samples, rows, both) for both in ((low, high), (-high, -low))]
+    max_elevation_rad = max(top_rad, math.radians(beams.max_elevation_deg))
+    bands = _bands(sampling.rows, samples_per_sector, top_rad, max_elevation_rad, beams)
     sectors, n_dense = [], 0
     for samples, rows, limits in bands:
         first, last = start, stop
-        if are_cones:
+        if beams.are_cones:
             first, last = azimuths_of_cones(start, stop, math.atan(max(map(abs, limits))))
         n = max(1, math.ceil((last - first) / MAX_SECTOR_RAD - 1e-9))
         half = (last - first) / n / 2
-        if are_cones:  # as dense as in sectors that hold the columns at the horizon
+        if beams.are_cones:  # as dense as in sectors that hold the columns at the horizon
             samples = max(math.ceil(samples * half / half_width - 1e-9), 2)
         sectors += [
-            make_sector(first + half * (2 * k + 1), half, samples, rows, limits, shear, are_cones=are_cones)
+            make_sector(
+                first + half * (2 * k + 1), half, samples, rows, limits, shear, are_cones=beams.are_cones
+            )
             for k in range(n)
         ]
         n_dense = n_dense or n
-    if box:
-        ends = np.concatenate([azimuths - support_rad, azimuths + support_rad])
+    if beams.is_box:
+        ends = np.concatenate([azimuths - beams.support_rad, azimuths + beams.support_rad])
         if span > 2 * math.pi - 1e-9:
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         spacing = np.diff(azimuths).min(initial=span)
-        width = max(min(span / n_samples, max_column_width * spacing), support_rad / COLUMNS_PER_SUPPORT)
+        width = max(
+            min(span / n_samples, max_column_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT
+        )
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
-    if box and math.isfinite(transmit_width_rad):
-        edges = _divided(edges, transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)
+    if beams.is_box and math.isfinite(beams.transmit_width_rad):
+        edges = _divided(edges, beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
-    if len(bands) > 1 and not box:
+    if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
-        widest = support_rad / WIDE_COLUMNS_PER_SUPPORT * (math.sqrt(2) if shear < 0 else 1)
+        widest = beams.support_rad / WIDE_COLUMNS_PER_SUPPORT * (math.sqrt(2) if shear < 0 else 1)
         width = min(SKIRTS_COARSER * span / n_samples, widest)
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1
     columns = [(edges, 0)] * n_dense + [of_side_lobes] * (len(sectors) - n_dense)
-    lay = make_cone_strips if are_cones else make_strips
+    lay = make_cone_strips if beams.are_cones else make_strips
     sectors = tuple(
         replace(sector, strips=lay(sector, *mine)) for sector, mine in zip(sectors, columns, strict=True)
     )
     edges = frozen_array(edges, np.float64, (None,), "column edges")
-    return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, are_cones)
+    return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, beams.are_cones)
+
+
+def _ends_of_fan(sonar: Sonar, beams: BeamShape) -> tuple[float, float]:
+    """Return the azimuths between which the beams receive, radians."""
+    azimuths = sonar.azimuth_rad
+    start, stop = azimuths[0] - beams.support_rad, azimuths[-1] + beams.support_rad
+    if stop - start > 2 * math.pi - 1e-9:
+        start, stop = -math.pi, math.pi
+    if beams.are_cones:
+        return max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
+    if sonar.steered == "straight" and not beams.is_box:  # such beams receive nothing from behind the array
+        return max(start, -math.pi / 2), min(stop, math.pi / 2)
+    return start, stop
+
+
+class _Band(NamedTuple):
+    """Sectors between two elevations: samples across and rows of each, and the tangents of the elevations."""
+
+    samples: int
+    rows: int
+    tan_limits: tuple[float, float]
+
+
+def _bands(
+    rows: int, samples: int, top_rad: float, max_elevation_rad: float, beams: BeamShape
+) -> list[_Band]:
+    """Return the bands of a fan: the dense one about the horizon, and those of the skirts and side lobes.
+
+    rows, samples : of the aperture, which ends at `top_rad`, and of each of its sectors across
+    """
+    row = 2 * math.tan(top_rad) / rows
+    dense_rad = min(top_rad, math.radians(beams.dense_elevation_deg))
+    tan_dense = math.tan(dense_rad)
+    dense_rows = rows if dense_rad == top_rad else math.ceil(2 * tan_dense / row - 1e-9)
+    bands = [_Band(samples, dense_rows, (-tan_dense, tan_dense))]
+    if max_elevation_rad > dense_rad:
+        limits = pairwise(_band_limits(tan_dense, math.tan(max_elevation_rad)))
+        for number, (low, high) in enumerate(limits):
+            coarser = SKIRTS_COARSER * 2**number
+            # a degree of azimuth is less, too, where the sound looks up or down
+            few = max(math.ceil(samples / (coarser * math.sqrt(1 + low * low)) - 1e-9), 2)
+            band_rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low)) - 1e-9), MIN_BAND_ROWS)
+            bands += [_Band(few, band_rows, both) for both in ((low, high), (-high, -low))]
+    return bands
 
 
 def azimuths_of_cones(first_rad: float, last_rad: float, elevation_rad: float) -> tuple[float, float]:

@@ -13,13 +13,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
 from sonar_gl.core.errors import Error
 from sonar_gl.sonar.sonar import load_sonar
-
-
-def error_of(make, *args, **kwargs) -> str:
-    """Return the message of the error that a call raises."""
-    with pytest.raises(Error) as caught:
-        make(*args, **kwargs)
-    return str(caught.value)
+from tests.support.errors import error_of
 
 
 @pytest.fixture

@@ -24,12 +24,12 @@ from sonar_gl.batch.ros import (
     write_part,
 )
 from sonar_gl.batch.ros_messages import by_range, message_types, nanoseconds
-from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command
 from sonar_gl.core.poses import pose
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar
+from tests.support.errors import error_of
 
 AZIMUTH = np.array([-0.6, -0.25, 0.1, 0.5])  # rising, uneven, more to starboard than to port
 RANGE_M = np.array([1.0, 1.5, 2.0])
@@ -105,13 +105,6 @@ def placed(messages, frame):
     while frame != "world":
         out, frame = matrix(links[frame].transform) @ out, links[frame].header.frame_id
     return out
-
-
-def error_of(call, *arguments, **named):
-    """Return the text of the Error that a call raises."""
-    with pytest.raises(Error) as caught:
-        call(*arguments, **named)
-    return str(caught.value)
 
 
 @READERS

@@ -12,7 +12,7 @@ from sonar_gl.analysis.reference import reference_ping
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.kernels import LINE_U, SAMPLE, TILT, V_RAY
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sector import cone_end_rad
 from tests.support.fans import make_sonar
@@ -46,15 +46,8 @@ FANS = {
 def test_strips_hold_the_solid_angle_of_their_columns_once(name, shear):
     """Along a strip, a cone of sines from k to k + dk has dk dv / (cos ψ0 (1 + v²) + sin ψ0 u)."""
     sonar, max_elevation_deg = FANS[name]
-    fan = make_fan(
-        sonar,
-        sg.Sampling(1, 24),
-        math.radians(2.0),
-        box=False,
-        shear=shear,
-        max_elevation_deg=max_elevation_deg,
-        are_cones=True,
-    )
+    beams = BeamShape(math.radians(2.0), False, max_elevation_deg=max_elevation_deg, are_cones=True)
+    fan = make_fan(sonar, sg.Sampling(1, 24), beams, shear)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     held = np.zeros(fan.n_columns + fan.n_wide_columns)
     for sector in fan.sectors:
@@ -91,14 +84,8 @@ def test_strips_hold_the_solid_angle_of_their_columns_once(name, shear):
 def test_samples_cover_every_strip(name):
     """The row of samples nearest to each end of a strip lies within a row of it."""
     sonar, max_elevation_deg = FANS[name]
-    fan = make_fan(
-        sonar,
-        sg.Sampling(1, 24),
-        0.03,
-        box=False,
-        max_elevation_deg=max_elevation_deg,
-        are_cones=True,
-    )
+    beams = BeamShape(0.03, False, max_elevation_deg=max_elevation_deg, are_cones=True)
+    fan = make_fan(sonar, sg.Sampling(1, 24), beams)
     for sector in fan.sectors:
         _, v = sector.sample_coordinates()
         assert (sector.strips.v_low > v.max(axis=1).min() - sector.v[2]).all()
@@ -111,8 +98,8 @@ def test_samples_cover_every_strip(name):
 def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
     """Half a sample from where its row meets the cone, which leans by half as much at most on the way."""
     sonar, max_elevation_deg = FANS[name]
-    settings = {"max_elevation_deg": max_elevation_deg, "are_cones": True}
-    fan = make_fan(sonar, sg.Sampling(1, 64), 0.03, box=False, **settings)
+    beams = BeamShape(0.03, False, max_elevation_deg=max_elevation_deg, are_cones=True)
+    fan = make_fan(sonar, sg.Sampling(1, 64), beams)
     work = np.empty((kernels.FOOTPRINT_ROWS, max(sector.rows for sector in fan.sectors) + 1))
     for sector in fan.sectors:
         lattice = kernels.Lattice(*SectorSamples(sector, None, None).lattice)

@@ -21,7 +21,7 @@ from sonar_gl.beamform.kernels import (
     weigh_columns,
 )
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 
 EDGES = np.linspace(0.5, 30.5, 301)
@@ -183,7 +183,7 @@ def test_points_are_added_inside_the_fan_alone(table):
 def fan_and_samples(reducer="footprint", rows=60, n_bodies=2, fov_deg=90.0):
     """Return a small fan of two or more sectors, and synthetic samples: planes with gaps, of several bodies."""
     sonar = sg.Sonar("test", 900e3, 40, 200, fov_deg, 20.0, 3.0, 0.5, 20.0)
-    fan = make_fan(sonar, sg.Sampling(1, rows, reducer), math.radians(1.5))
+    fan = make_fan(sonar, sg.Sampling(1, rows, reducer), BeamShape(math.radians(1.5)))
     rng, samples = np.random.default_rng(rows), []
     for sector in fan.sectors:
         u, v = sector.sample_coordinates()

@@ -14,7 +14,7 @@ from sonar_gl.beamform.kernels import atan, bin_table
 from sonar_gl.beamform.labels import label_columns
 from sonar_gl.embed.sensor import Sensor
 from sonar_gl.ping import BIN_LABELS
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
 
@@ -144,7 +144,7 @@ def tapered(azimuth_rad, steer_rad):
 def test_joined_columns_return_an_even_echo_alike(fov_deg, widest_rad):
     """Beams receive as much of an even echo, also over the seam of a fan of 360 degrees; no column is left out."""
     sonar = sg.Sonar("test", 900e3, 120, 10, fov_deg, 20.0, 3.0, 0.5, 20.0)
-    fan = make_fan(sonar, sg.Sampling(4, 16), 0.2, box=False)
+    fan = make_fan(sonar, sg.Sampling(4, 16), BeamShape(0.2, is_box=False))
     weights, widths = beam_weights(fan, tapered, 0.2), np.diff(fan.column_edges_rad)
     response = np.linspace(1, 1.1, fan.n_columns)
     response[7:27] *= np.geomspace(1e-2, 1, 20)  # weak and uneven, as beside a fan

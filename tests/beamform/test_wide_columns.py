@@ -9,7 +9,7 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.sonar import fan as fan_module
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import SHEAR
 from tests.support.fans import make_sonar
@@ -26,10 +26,8 @@ SONARS = {
 
 def fan_of(sonar, samples_per_beam=2.0, box=False, **more):
     """Return a fan with side lobes in elevation."""
-    support_rad = PHYSICAL.receive_support_rad(sonar)
-    return make_fan(
-        sonar, sg.Sampling(samples_per_beam, 40), support_rad, box=box, max_elevation_deg=89.5, **more
-    )
+    beams = BeamShape(PHYSICAL.receive_support_rad(sonar), box, max_elevation_deg=89.5)
+    return make_fan(sonar, sg.Sampling(samples_per_beam, 40), beams, **more)
 
 
 @pytest.mark.parametrize("name", SONARS)
@@ -99,7 +97,7 @@ def test_strips_of_a_mirror_image_lie_in_the_columns_of_the_other_side(name):
 
 def test_fans_without_side_lobes_and_of_boxes_have_none():
     sonar = SONARS["one sector"]
-    plain = make_fan(sonar, sg.Sampling(2, 40), PHYSICAL.receive_support_rad(sonar), box=False)
+    plain = make_fan(sonar, sg.Sampling(2, 40), BeamShape(PHYSICAL.receive_support_rad(sonar), is_box=False))
     for fan in (plain, fan_of(sonar, box=True)):
         assert fan.n_wide_columns == 0
         assert max(sector.strips.column.max() for sector in fan.sectors) == fan.n_columns - 1

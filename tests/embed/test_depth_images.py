@@ -22,7 +22,7 @@ from sonar_gl.embed import camera_rig
 from sonar_gl.embed.resample import UNSEEN, PixelPlanes
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from tests.support import soak
 from tests.support.casting import Cast, box, cylinder, plane, sphere
@@ -411,7 +411,7 @@ def test_edge_on_faces_and_invalid_normals_stay_finite():
 def test_samples_are_finite_and_empty_ones_are_zero():
     """Samples of planes through the sonar, and of rays past a floor's horizon, are finite."""
     sonar = sonar_of()
-    (sector,) = make_fan(sonar, sg.Sampling(4, 200), 0.004).sectors
+    (sector,) = make_fan(sonar, sg.Sampling(4, 200), BeamShape(0.004)).sectors
     camera, thread = camera_of(sonar, 64), SecondThread()
     planes, none = PixelPlanes(camera, thread), np.empty((0, 0), np.uint16)
     shape = sector.rows, sector.columns

@@ -17,9 +17,10 @@ from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, is_unobstructed
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
+from tests.support.estimates import record_estimates
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -87,13 +88,20 @@ def test_small_bodies_get_the_samples_that_their_echo_needs():
         assert count_samples(simulator)[2] < 20 < samples[2]
 
 
+def reception_of(beamformer, sonar, gain=None):
+    """What a sonar receives of its beams alone, with a gain of 1 unless another is given."""
+    gain = np.ones(sonar.n_bins, np.float32) if gain is None else gain
+    tables = beamformer.elevation_table, beamformer.received_u
+    return Reception(sonar, 0.0, beamformer.fan.max_elevation_rad, beamformer.fan.are_cones, gain, *tables)
+
+
 def count_samples(simulator):
     run = simulator.run
     stage, gain = run.sampler.resolution.stage, run.instrument.gain
     with run.drawing():
         (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-        tables = stage.beamformer.elevation_table, stage.beamformer.received_u
-        return count_bodies(view.sectors, len(simulator.scene.bodies), SONAR, gain, *tables).samples
+        reception = reception_of(stage.beamformer, SONAR, gain)
+        return count_bodies(view.sectors, len(simulator.scene.bodies), reception).samples
 
 
 @pytest.mark.parametrize("distance_m, is_seen", [(8.0, True), (10.0, False)])
@@ -106,7 +114,7 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
         assert (0 < count_samples(simulator)[2] < 8) == is_seen
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            arguments = bodies[1].pose, np.eye(4), SONAR, stage.beamformer.received_u
+            arguments = bodies[1].pose, np.eye(4), reception_of(stage.beamformer, SONAR)
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
 
@@ -117,7 +125,7 @@ def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0, surface_z_m=None):
         stage = simulator.run.sampler.resolution.stage
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            arguments = body.pose, np.eye(4), sonar, stage.beamformer.received_u, surface_z_m
+            arguments = body.pose, np.eye(4), reception_of(stage.beamformer, sonar), surface_z_m
             return is_unobstructed(view.sectors, 2, body, *arguments)
 
 
@@ -243,8 +251,7 @@ class TestMoving:
         """Return, for each pose, whether the error was estimated, and the number of rows."""
         out = []
         with sg.Simulator(self.scene(), SONAR, IDEAL, **settings) as simulator:
-            calls, count = [], error_model.count_bodies
-            monkeypatch.setattr(error_model, "count_bodies", lambda *a: calls.append(1) or count(*a))
+            calls = record_estimates(monkeypatch)
             for pose in poses:
                 before = len(calls)
                 ping = simulator.ping(pose)
@@ -344,7 +351,7 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
 
     Those that only fill sheared rows, beside the sector, do not.
     """
-    fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), 0.0)
+    fan = make_fan(replace(SONAR, azimuth_fov_deg=100.0), sg.Sampling(2, 40), BeamShape(0.0))
     samples, expected = [], 0
     for sector in fan.sectors:
         u, v = sector.sample_coordinates()
@@ -354,7 +361,9 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
         plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
         samples.append(SectorSamples(sector, plane_echo, np.ones(u.shape, np.uint16)))
     received_u = [np.empty(0)] * len(samples)
-    found = count_bodies(samples, 1, SONAR, np.ones(SONAR.n_bins, np.float32), np.empty(0), received_u)
+    gain = np.ones(SONAR.n_bins, np.float32)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), received_u)
+    found = count_bodies(samples, 1, reception)
     assert found.samples.tolist() == [0, expected]
 
 
@@ -433,7 +442,9 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
         ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(*place), 1.0)
         placed = replace(state, poses=ball.pose[None])
         top_rad = math.radians(SONAR.elevation_fov_deg) / 2
-        even = Reception(SONAR, math.radians(reach_deg), top_rad, False, np.ones(SONAR.n_bins), np.zeros(0))
+        even = Reception(
+            SONAR, math.radians(reach_deg), top_rad, False, np.ones(SONAR.n_bins), np.zeros(0), ()
+        )
         return BodyExtents([ball]).greatest_echo(placed, np.eye(4), even)[1]
 
     for inside, beyond in (
@@ -503,10 +514,9 @@ class TestSideLobes:
             stage, gain = run.sampler.resolution.stage, run.instrument.gain
             with run.drawing():
                 (view,) = stage.draw([pose], [None], with_bodies=True)
-                fan, table = stage.fan, stage.beamformer.elevation_table
-                counts = count_bodies(view.sectors, 1, fan.sonar, gain, table, stage.beamformer.received_u)
-        reach_rad = self.PHYSICAL.receive_support_rad(self.SONAR)
-        reception = Reception(fan.sonar, reach_rad, fan.max_elevation_rad, fan.are_cones, gain, table)
+                reception = reception_of(stage.beamformer, stage.fan.sonar, gain)
+                reception = reception._replace(reach_rad=self.PHYSICAL.receive_support_rad(self.SONAR))
+                counts = count_bodies(view.sectors, 1, reception)
         placed = SceneState(ball.pose[None], np.ones(1, bool))
         bound = BodyExtents([ball], specular=True).greatest_echo(placed, pose, reception)
         assert counts.samples[1] > 20

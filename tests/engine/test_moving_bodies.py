@@ -8,9 +8,10 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.engine import error_model
 from sonar_gl.raster.opengl.buffers import GrowingBuffer
 from sonar_gl.scene import primitives
+from tests.support.errors import error_of
+from tests.support.estimates import record_estimates
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -248,12 +249,6 @@ TURNED = (
 TURNED += "scale the mesh instead)"
 
 
-def error_of(call):
-    with pytest.raises(sg.Error) as caught:
-        call()
-    return str(caught.value)
-
-
 @pytest.mark.parametrize("way", ["ping", "place", "pings"])
 def test_invalid_bodies_raise_errors(one_body, way):
     def message_of(bodies):
@@ -347,13 +342,6 @@ def test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape():
         sg.Body("open", half, sg.pose(7, -2.5)),
     ]
     check_same(found, fresh(bodies))
-
-
-def record_estimates(monkeypatch):
-    """Return a list that grows with each estimate of the error."""
-    estimates, count = [], error_model.count_bodies
-    monkeypatch.setattr(error_model, "count_bodies", lambda *args: estimates.append(1) or count(*args))
-    return estimates
 
 
 def test_the_error_is_estimated_again_when_bodies_change(monkeypatch):

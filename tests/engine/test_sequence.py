@@ -13,8 +13,9 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
-from sonar_gl.engine import error_model, pipeline, sequence
+from sonar_gl.engine import pipeline, sequence
 from sonar_gl.ping import BIN_LABELS
+from tests.support.estimates import record_estimates
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
 SAMPLING = sg.Sampling(2, 40)
@@ -187,13 +188,6 @@ def test_invalid_poses_raise_errors():
         with pytest.raises(sg.Error) as caught:
             list(it.pings(POSES))
         assert str(caught.value) == "this Simulator is closed; make a new one"
-
-
-def record_estimates(monkeypatch):
-    """Return a list that grows by two with each estimate of the error."""
-    estimates, count = [], error_model.count_bodies
-    monkeypatch.setattr(error_model, "count_bodies", lambda *args: estimates.append(1) or count(*args))
-    return estimates
 
 
 def test_a_body_that_appears_later_gets_finer_samples():

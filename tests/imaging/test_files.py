@@ -12,10 +12,10 @@ from PIL import Image
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core import atomic_file
-from sonar_gl.core.errors import Error
 from sonar_gl.imaging.files import load_npz, output_folder, save_animation, save_npz, save_png
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.sonar import Sonar
+from tests.support.errors import error_of
 
 
 def make_ping(**changes):
@@ -28,13 +28,6 @@ def make_ping(**changes):
         "meta": {"bin_size_m": 8 / 6, "scene": "mine · µ", "seed": 3, "sampling": None},
     }
     return Ping(**{**fields, **changes})
-
-
-def message(call, *arguments):
-    """Return the message of the Error that the call raises."""
-    with pytest.raises(Error) as caught:
-        call(*arguments)
-    return str(caught.value)
 
 
 def moving(count, shape=(45, 61, 3)):
@@ -75,21 +68,21 @@ def test_png_of_floats(tmp_path):
     ],
 )
 def test_wrong_pictures(tmp_path, picture, expected):
-    assert message(save_png, tmp_path / "a.png", picture) == expected
+    assert error_of(save_png, tmp_path / "a.png", picture) == expected
     assert not os.listdir(tmp_path)
 
 
 def test_wrong_paths(tmp_path):
     picture = np.zeros((2, 2), np.uint8)
-    assert message(save_png, "a.jpg", picture) == "'a.jpg' must end in .png (got .jpg)"
-    assert message(save_png, "a", picture) == "'a' must end in .png (got no suffix)"
+    assert error_of(save_png, "a.jpg", picture) == "'a.jpg' must end in .png (got .jpg)"
+    assert error_of(save_png, "a", picture) == "'a' must end in .png (got no suffix)"
     absent = tmp_path / "not" / "a.png"
-    assert message(save_png, absent, picture) == (
+    assert error_of(save_png, absent, picture) == (
         f"cannot write {str(absent)!r}: the folder {str(absent.parent)!r} does not exist"
     )
     (tmp_path / "file").write_text("x")
     below = tmp_path / "file" / "a.png"
-    assert message(save_png, below, picture) == (
+    assert error_of(save_png, below, picture) == (
         f"cannot write {str(below)!r}: the folder {str(below.parent)!r} is not a folder"
     )
 
@@ -180,20 +173,20 @@ def test_npz_takes_numpy_and_paths_in_meta(tmp_path):
 
 def test_files_that_are_no_pings(tmp_path):
     path = tmp_path / "a.npz"
-    assert message(save_npz, path, make_ping(meta={"a": object()})) == (
+    assert error_of(save_npz, path, make_ping(meta={"a": object()})) == (
         f"{str(path)!r}: meta of the ping must be plain values that JSON can hold (got object)"
     )
     assert not os.listdir(tmp_path)
-    assert message(load_npz, path) == f"cannot read the ping {str(path)!r}: no such file or directory"
-    assert message(load_npz, None).startswith("path must be a str (got NoneType; ")
+    assert error_of(load_npz, path) == f"cannot read the ping {str(path)!r}: no such file or directory"
+    assert error_of(load_npz, None).startswith("path must be a str (got NoneType; ")
     path.write_bytes(b"this is no archive")
-    assert message(load_npz, path) == f"cannot read the ping {str(path)!r}: not an NPZ file"
+    assert error_of(load_npz, path) == f"cannot read the ping {str(path)!r}: not an NPZ file"
     np.savez(path, intensity=np.zeros((2, 2)), other=1)
-    assert message(load_npz, path) == (
+    assert error_of(load_npz, path) == (
         f"{str(path)!r} holds no ping: it lacks azimuth_rad, range_m (got intensity, other)"
     )
     np.savez(path, intensity=np.zeros((2, 2)), azimuth_rad=np.zeros(3), range_m=np.zeros(2))
-    assert message(load_npz, path) == f"{str(path)!r}: intensity must be (beams, bins) = (3, 2) (got (2, 2))"
+    assert error_of(load_npz, path) == f"{str(path)!r}: intensity must be (beams, bins) = (3, 2) (got (2, 2))"
 
 
 @pytest.mark.parametrize("name", ["a.gif", "A.GIF"])
@@ -256,19 +249,19 @@ def test_mp4_holds_one_frame_at_a_time(tmp_path):
 def test_errors_of_animation(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(b"old")
-    assert message(save_animation, path, [], 10) == (
+    assert error_of(save_animation, path, [], 10) == (
         f"{str(path)!r}: an animation needs at least one frame (got none)"
     )
     uneven = [np.zeros((4, 4), np.uint8), np.zeros((4, 6), np.uint8)]
-    assert message(save_animation, path, uneven, 10) == (
+    assert error_of(save_animation, path, uneven, 10) == (
         "frame 1 of an animation must have the first one's shape (4, 4) (got (4, 6))"
     )
     wrong = [np.zeros((4, 4), int)]
-    assert message(save_animation, path, wrong, 10) == (
+    assert error_of(save_animation, path, wrong, 10) == (
         "frame 0 of an animation must be uint8, or float 0..1 (got int64)"
     )
-    assert message(save_animation, path, moving(2), 0) == "fps of an animation must lie in 0.01..120 (got 0)"
-    assert message(save_animation, "a.avi", moving(2), 5) == "'a.avi' must end in .gif or .mp4 (got .avi)"
+    assert error_of(save_animation, path, moving(2), 0) == "fps of an animation must lie in 0.01..120 (got 0)"
+    assert error_of(save_animation, "a.avi", moving(2), 5) == "'a.avi' must end in .gif or .mp4 (got .avi)"
 
     def breaks():
         yield from moving(3)
@@ -297,7 +290,7 @@ def test_a_failure_leaves_the_old_file(tmp_path, monkeypatch, name, number, word
         "a.gif": lambda: save_animation(path, moving(2), 5),
         "a.mp4": lambda: save_animation(path, moving(2), 5),
     }[name]
-    assert message(save) == f"cannot write {str(path)!r}: {words}"
+    assert error_of(save) == f"cannot write {str(path)!r}: {words}"
     assert os.listdir(tmp_path) == [name] and path.read_bytes() == b"old"
 
 
@@ -311,7 +304,7 @@ def test_disk_that_fills_while_writing(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(type(path), "write_bytes", half)
-    assert message(save_png, path, np.zeros((4, 4), np.uint8)) == (
+    assert error_of(save_png, path, np.zeros((4, 4), np.uint8)) == (
         f"cannot write {str(path)!r}: no space left on device"
     )
     assert os.listdir(tmp_path) == ["a.png"] and path.read_bytes() == b"old"
@@ -323,7 +316,7 @@ def test_output_folder(tmp_path, monkeypatch):
     assert output_folder(str(made)) == made
     (tmp_path / "file").write_text("x")
     for below in (tmp_path / "file", tmp_path / "file" / "deeper"):
-        assert message(output_folder, below) == (
+        assert error_of(output_folder, below) == (
             f"cannot write into the folder {str(below)!r}: {str(tmp_path / 'file')!r} is not a folder"
         )
 
@@ -331,18 +324,18 @@ def test_output_folder(tmp_path, monkeypatch):
         raise OSError(errno.EACCES, os.strerror(errno.EACCES))
 
     monkeypatch.setattr(type(made), "write_bytes", fail)
-    assert message(output_folder, made) == f"cannot write into the folder {str(made)!r}: permission denied"
+    assert error_of(output_folder, made) == f"cannot write into the folder {str(made)!r}: permission denied"
 
 
 def test_arguments_in_another_order_are_errors(tmp_path):
     ping, picture, path = make_ping(), np.zeros((2, 2), np.uint8), tmp_path / "a.npz"
     name = "the name of a file that ends in"
-    assert message(save_npz, ping, path) == f"path must be a str (got Ping; {name} .npz)"
-    assert message(save_png, picture, path) == f"path must be a str (got ndarray; {name} .png)"
+    assert error_of(save_npz, ping, path) == f"path must be a str (got Ping; {name} .npz)"
+    assert error_of(save_png, picture, path) == f"path must be a str (got ndarray; {name} .png)"
     assert (
-        message(save_animation, [picture], path, 10) == f"path must be a str (got list; {name} .gif or .mp4)"
+        error_of(save_animation, [picture], path, 10) == f"path must be a str (got list; {name} .gif or .mp4)"
     )
     assert (
-        message(save_npz, path, picture) == "ping must be a Ping (got ndarray; as Simulator.ping returns it)"
+        error_of(save_npz, path, picture) == "ping must be a Ping (got ndarray; as Simulator.ping returns it)"
     )
     assert list(tmp_path.iterdir()) == []

@@ -45,21 +45,12 @@ from tests.support.ros_topics import (
     projected_image,
     topic_of,
 )
+from tests.support.waiting import WAIT_S, wait_until
 from tools import soak_live
 from tools.soak_live import Memory, Received, Soak, soak
 
 ROOT = Path(__file__).resolve().parents[2]
-WAIT_S = 60.0  # a machine that tests run on may be slow
 LENGTH = struct.Struct("<I")
-
-
-def wait_for(condition):
-    """Return the result of the function as soon as it holds."""
-    end_s = time.monotonic() + WAIT_S
-    while not (result := condition()):
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
-    return result
 
 
 def received(message: bytes) -> bytes:
@@ -268,7 +259,7 @@ def test_poses_of_another_vendor_arrive_as_sent(open_transport, domain, name, fa
     arguments = "write", domain, f"rt{name}", dds_name("std_msgs/msg/Header"), int(WAIT_S), path, 5
     with process(fast_dds_peer, *map(str, arguments)) as peer:
         assert peer.stdout.readline() == "50\n"
-    wait_for(lambda: len(arrived) >= 50)
+    wait_until(lambda: len(arrived) >= 50)
     assert arrived == [received(message) for message in sent]
 
 
@@ -277,9 +268,9 @@ def test_poses_of_another_program_arrive(open_transport, participant, name):
     open_transport().subscribe(topic, arrived.append)
     writing = dds_entities.writer(participant, f"rt{name}", topic.msgtype)
     fields = odometry()
-    wait_for(lambda: writing.get_matched_subscriptions())
+    wait_until(lambda: writing.get_matched_subscriptions())
     writing.write(fields)
-    wait_for(lambda: arrived)
+    wait_until(lambda: arrived)
     assert [plain(decode(topic, message)) for message in arrived] == [asdict(fields)]
 
 
@@ -289,9 +280,9 @@ def test_own_messages_do_not_come_back(open_transport, name):
     transport.subscribe(topic, own.append)
     other.subscribe(topic, others.append)
     transport.publish(topic, header_bytes(1), 0)
-    wait_for(lambda: others)
+    wait_until(lambda: others)
     other.publish(topic, header_bytes(2), 0)
-    wait_for(lambda: own)
+    wait_until(lambda: own)
     assert (own, others) == ([received(header_bytes(2))], [received(header_bytes(1))])
 
 
@@ -310,7 +301,7 @@ def test_a_failure_of_dds_does_not_end_the_messages(open_transport, name, monkey
     topic, arrived, other = topic_of(name), [], open_transport()
     other.subscribe(topic, arrived.append)
     with published_meanwhile(open_transport(), topic):
-        wait_for(lambda: arrived)
+        wait_until(lambda: arrived)
     (record,) = caplog.records
     assert record.getMessage() == "messages of DDS cannot be taken; they are waited for again"
 
@@ -320,12 +311,12 @@ def test_a_subscription_is_withdrawn(open_transport, participant, name):
     withdraw = transport.subscribe(topic, ended.append)
     transport.subscribe(topic, kept.append)
     writing = dds_entities.writer(participant, f"rt{name}", topic.msgtype)
-    wait_for(lambda: len(writing.get_matched_subscriptions()) == 2)
+    wait_until(lambda: len(writing.get_matched_subscriptions()) == 2)
     withdraw()
     withdraw()
-    wait_for(lambda: len(writing.get_matched_subscriptions()) == 1)
+    wait_until(lambda: len(writing.get_matched_subscriptions()) == 1)
     writing.write(dds_types.Header(dds_types.Time(1, 2), "a"))
-    wait_for(lambda: kept)
+    wait_until(lambda: kept)
     assert ended == []
     transport.close()
     withdraw()
@@ -355,7 +346,7 @@ def offer_of(transport, participant, topic):
     """Return what DDS tells other programs of the transport's writer of a topic."""
     transport.advertise(topic)
     told = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-    found = wait_for(lambda: [each for each in told.take(100) if each.topic_name == f"rt{topic.name}"])
+    found = wait_until(lambda: [each for each in told.take(100) if each.topic_name == f"rt{topic.name}"])
     return found[0]
 
 
@@ -393,8 +384,8 @@ def test_readers_meet_writers_that_offer_enough(open_transport, participant, nam
         transport.advertise(topic)
         modest = dds_entities.reader(participant, f"rt{each}", topic.msgtype, reliable=False)
         demanding = dds_entities.reader(participant, f"rt{each}", topic.msgtype, **asks_too_much)
-        wait_for(lambda: modest.get_matched_publications())  # noqa: B023
-        wait_for(lambda: demanding.get_requested_incompatible_qos_status().total_count)  # noqa: B023
+        wait_until(lambda: modest.get_matched_publications())  # noqa: B023
+        wait_until(lambda: demanding.get_requested_incompatible_qos_status().total_count)  # noqa: B023
         assert demanding.get_matched_publications() == []
 
 
@@ -402,7 +393,7 @@ def test_a_program_that_writes_another_encoding_alone_is_not_met(open_transport,
     arrived = []
     open_transport().subscribe(topic_of(name), arrived.append)
     writing = dds_entities.writer(participant, f"rt{name}", "std_msgs/msg/Header", xcdr2=True)
-    wait_for(lambda: writing.get_offered_incompatible_qos_status().total_count)
+    wait_until(lambda: writing.get_offered_incompatible_qos_status().total_count)
     assert writing.get_matched_subscriptions() == []
 
 
@@ -416,10 +407,10 @@ def test_late_subscribers_receive_the_last_latched_message(open_transport, parti
     other = open_transport()
     for topic, messages in zip(topics, arrived, strict=True):
         other.subscribe(topic, messages.append)
-    wait_for(lambda: arrived[1])
+    wait_until(lambda: arrived[1])
     for topic in topics:  # what comes next comes after all that was kept
         transport.publish(topic, header_bytes(9), 0)
-    wait_for(lambda: received(header_bytes(9)) in arrived[0] and len(arrived[1]) > 1)
+    wait_until(lambda: received(header_bytes(9)) in arrived[0] and len(arrived[1]) > 1)
     assert arrived == [
         [received(header_bytes(9))],
         [received(header_bytes(2)), received(header_bytes(9))],
@@ -439,7 +430,7 @@ def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_tra
     late.subscribe(topic, arrived.append)  # whose messages wait for the thread that is held
     time.sleep(1.0)  # until they are there
     is_free.set()
-    wait_for(lambda: len(arrived) >= 4)
+    wait_until(lambda: len(arrived) >= 4)
     assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]
 
 
@@ -474,7 +465,7 @@ def test_a_transport_that_disappears_and_returns_is_found_again(open_transport, 
         for number in (100, 200):
             transport = open_transport()
             with published_meanwhile(transport, topic, header_bytes(number)):
-                wait_for(lambda: f'"sec": {number}' in peer.stdout.readline())  # noqa: B023
+                wait_until(lambda: f'"sec": {number}' in peer.stdout.readline())  # noqa: B023
             transport.close()
         Domain(domain, dds_entities.LOOPBACK_URI)  # is free for other code again
 
@@ -487,7 +478,7 @@ def test_a_writer_that_dies_and_returns_is_read_again(open_transport, domain, na
     for _ in range(2):
         with process(fast_dds_peer, *map(str, arguments)) as peer:  # dies without farewell
             assert peer.stdout.readline() == "2\n"
-    wait_for(lambda: len(arrived) >= 4)
+    wait_until(lambda: len(arrived) >= 4)
     assert arrived == [header_bytes(1), header_bytes(2)] * 2
 
 
@@ -504,7 +495,7 @@ def test_a_reader_that_stalls_stalls_nobody(open_transport, domain, name):
             transport.publish(topic, message, 0)
         peer.send_signal(signal.SIGCONT)
         last = decode(topic, sent[-1]).header.stamp.sec
-        wait_for(lambda: json.loads(peer.stdout.readline())["header"]["stamp"]["sec"] == last)
+        wait_until(lambda: json.loads(peer.stdout.readline())["header"]["stamp"]["sec"] == last)
 
 
 def test_a_function_that_fails_does_not_end_the_others(open_transport, name, caplog):
@@ -519,7 +510,7 @@ def test_a_function_that_fails_does_not_end_the_others(open_transport, name, cap
     for number in range(3):
         for topic in topics:
             transport.publish(topic, header_bytes(number), 0)
-        wait_for(lambda: len(arrived) > number)  # noqa: B023
+        wait_until(lambda: len(arrived) > number)  # noqa: B023
     assert [record.message for record in caplog.records] == [
         f"a message of {topics[0].name!r} is lost: the function that receives it fails"
     ]
@@ -534,9 +525,9 @@ def test_a_function_may_close_its_transport(open_transport, name):
 
     other.subscribe(topic, receive)
     transport.publish(topic, header_bytes(0), 0)
-    wait_for(lambda: arrived)
+    wait_until(lambda: arrived)
     with pytest.raises(Error, match="it was closed"):
-        wait_for(lambda: other.publish(topic, header_bytes(1), 0))
+        wait_until(lambda: other.publish(topic, header_bytes(1), 0))
 
 
 def test_a_function_that_publishes_does_not_hold_up_the_end_of_its_transport(
@@ -606,7 +597,7 @@ def test_wrong_messages_of_another_vendor_do_no_harm(
     with published_meanwhile(transport, own):
         with process(fast_dds_peer, *map(str, arguments)) as peer:
             assert peer.stdout.readline() == f"{n}\n"
-        wait_for(lambda: numbered[-1] in arrived[-20:])
+        wait_until(lambda: numbered[-1] in arrived[-20:])
     kept = set(numbered)
     assert [message for message in arrived if message in kept] == numbered
     # what has come of the others has the layout of its type
@@ -661,7 +652,7 @@ def test_wrong_packets_neither_end_nor_stall_a_publisher(open_transport, domain,
         with cyclone_reader(domain, name, topic.msgtype, 3) as peer:
             assert all(json.loads(peer.stdout.readline()) for _ in range(3))
         with published_meanwhile(open_transport(), poses):
-            wait_for(lambda: arrived)
+            wait_until(lambda: arrived)
 
 
 # ---- mistakes of users ------------------------------------------------------------------------------
@@ -708,7 +699,7 @@ def test_a_domain_of_other_code_is_shared_on_demand(monkeypatch, domain, name, c
     try:
         reading = dds_entities.reader(other, f"rt{name}", "std_msgs/msg/Header")
         transport.publish(topic_of(name), header_bytes(3), 0)
-        assert wait_for(lambda: dds_entities.take(reading))[0].stamp.sec == 3
+        assert wait_until(lambda: dds_entities.take(reading))[0].stamp.sec == 3
     finally:
         transport.close()
     assert [record.levelname for record in caplog.records] == ["WARNING"]
@@ -823,14 +814,14 @@ def test_a_node_is_announced_with_its_readers_and_writers(domain, name, distribu
             return seen and len(seen[-1].node_entities_info_seq[0].reader_gid_seq) == n_readers
 
         seen, zeros = [], [0] * (length - 16)
-        written = wait_for(lambda: endpoint("writer", name))
-        read = wait_for(lambda: endpoint("reader", f"{name}_in"))
-        wait_for(lambda: node_with(1))
+        written = wait_until(lambda: endpoint("writer", name))
+        read = wait_until(lambda: endpoint("reader", f"{name}_in"))
+        wait_until(lambda: node_with(1))
         (node,) = seen[-1].node_entities_info_seq
         assert (node.node_namespace, node.node_name) == ("/", "front_sonar")
         assert [list(one.data) for one in node.writer_gid_seq] == [list(written.key.bytes) + zeros]
         assert [list(one.data) for one in node.reader_gid_seq] == [list(read.key.bytes) + zeros]
         withdraw()
-        wait_for(lambda: node_with(0))
+        wait_until(lambda: node_with(0))
     finally:
         transport.close()

@@ -3,7 +3,6 @@
 import os
 import shlex
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
@@ -22,8 +21,8 @@ from sonar_gl.live.recording import FPS, LONGEST_S, Recording, fitted
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.sonar.sonar import load_sonar
+from tests.support.waiting import WAIT_S, wait_until
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
 COARSE = LiveSettings("p900-45,n_beams=64", range_m=15.0, tolerance=0.2, height=120)
 START = sg.pose(0.123456789, 0.2, -5.0, 0.0, 0.2, 0.1)
 
@@ -41,14 +40,6 @@ def session(scene, tmp_path):
 
 def run(*words):
     return CliRunner().invoke(cli.main, list(words))
-
-
-def wait_for(condition):
-    """Wait until a condition holds."""
-    end_s = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
 
 
 # ---- pictures and command lines ------------------------------------------------------------------------
@@ -141,7 +132,7 @@ def test_no_name_of_a_scene_leads_out_of_the_folder(scene, tmp_path, name):
     odd = sg.Scene(scene.bodies, scene.sonar_pose, name)
     with LiveSession(odd, COARSE, START, folder=tmp_path / "out") as session:
         session.output.start_recording()
-        wait_for(lambda: session.output.n_recorded)
+        wait_until(lambda: session.output.n_recorded)
         session.output.stop_recording()
         session.output.save_picture()
     written = [path for path in tmp_path.rglob("*") if path.is_file()]
@@ -157,11 +148,11 @@ def test_a_recording_holds_pings_film_and_poses(session, tmp_path):
     assert session.output.is_recording and folder == tmp_path / "out" / "pylon_0001"
     with pytest.raises(sg.Error, match="a recording must be stopped"):
         session.output.start_recording()
-    wait_for(lambda: session.output.n_recorded >= 2)
+    wait_until(lambda: session.output.n_recorded >= 2)
     session.set_pose(sg.pose(1.0, 0, -5.0))
-    wait_for(lambda: session.frame.pose[0, 3] == 1.0)
+    wait_until(lambda: session.frame.pose[0, 3] == 1.0)
     number = session.output.n_recorded
-    wait_for(lambda: session.output.n_recorded >= number + 2)
+    wait_until(lambda: session.output.n_recorded >= number + 2)
     files = session.output.stop_recording()
     assert not session.output.is_recording
     assert set(files) == set(folder.iterdir()) and session.output.n_missed == 0
@@ -184,7 +175,7 @@ def test_a_recording_holds_pings_film_and_poses(session, tmp_path):
 def test_poses_of_a_recording_render_the_same_pings(session, tmp_path):
     session.change(noise="none")
     session.output.start_recording()
-    wait_for(lambda: session.output.n_recorded >= 2)
+    wait_until(lambda: session.output.n_recorded >= 2)
     *_, csv = session.output.stop_recording()
     done = run("render", "pylon", "--sonar", "p900-45", "--range", "15", "--tolerance", "0.2", "--poses", str(csv),
                "--format", "npz", "--out", str(tmp_path / "again"))  # fmt: skip
@@ -195,11 +186,11 @@ def test_poses_of_a_recording_render_the_same_pings(session, tmp_path):
 
 def test_a_film_survives_pictures_of_other_sizes(session):
     session.output.start_recording()
-    wait_for(lambda: session.output.n_recorded >= 1)
+    wait_until(lambda: session.output.n_recorded >= 1)
     session.change(form="polar", height=90)
-    wait_for(lambda: session.frame.picture.shape == (90, 90, 3))
+    wait_until(lambda: session.frame.picture.shape == (90, 90, 3))
     number = session.output.n_recorded
-    wait_for(lambda: session.output.n_recorded > number)
+    wait_until(lambda: session.output.n_recorded > number)
     files = session.output.stop_recording()
     video = cv2.VideoCapture(str(files[-2]))
     assert video.get(cv2.CAP_PROP_FRAME_HEIGHT) == 120
@@ -222,7 +213,7 @@ def test_a_full_disk_ends_the_recording_with_a_sentence(session, monkeypatch):
 
     monkeypatch.setattr(recording_module, "save_npz", full)
     folder = session.output.start_recording()
-    wait_for(lambda: not session.output.is_recording)
+    wait_until(lambda: not session.output.is_recording)
     assert "No space left" in session.output.problem
     with pytest.raises(sg.Error, match=r"the recording ended early: cannot write .* No space left on device"):
         session.output.stop_recording()
@@ -233,7 +224,7 @@ def test_a_full_disk_ends_the_recording_with_a_sentence(session, monkeypatch):
     monkeypatch.undo()
     assert session.next_frame()  # it lives on
     session.output.start_recording()
-    wait_for(lambda: session.output.n_recorded >= 1)
+    wait_until(lambda: session.output.n_recorded >= 1)
     assert session.output.stop_recording()
 
 
@@ -257,7 +248,7 @@ def test_pings_that_cannot_be_written_once_the_recording_is_stopped_are_told(ses
     assert is_writing.wait(WAIT_S)
     stopping = threading.Thread(target=stop, daemon=True)
     stopping.start()
-    wait_for(lambda: not session.output.is_recording)
+    wait_until(lambda: not session.output.is_recording)
     may_fail.set()
     told = found.get(timeout=WAIT_S)
     assert str(told).startswith("the recording ended early: cannot write ") and told.endswith("on device")
@@ -271,9 +262,9 @@ def test_a_recording_that_failed_is_in_the_way_of_no_other(session, monkeypatch)
     with monkeypatch.context() as patched:
         patched.setattr(recording_module, "save_animation", full)
         session.output.start_recording()
-        wait_for(lambda: session.output.problem)
+        wait_until(lambda: session.output.problem)
     session.output.start_recording()
-    wait_for(lambda: session.output.n_recorded >= 1)
+    wait_until(lambda: session.output.n_recorded >= 1)
     assert session.output.stop_recording()
 
 
@@ -292,7 +283,7 @@ def test_a_film_that_cannot_be_written_ends_the_recording(session, monkeypatch):
 
     monkeypatch.setattr(recording_module, "save_animation", full)
     session.output.start_recording()
-    wait_for(lambda: not session.output.is_recording)
+    wait_until(lambda: not session.output.is_recording)
     with pytest.raises(sg.Error, match="is the disk full"):
         session.output.stop_recording()
 
@@ -369,7 +360,7 @@ def test_a_folder_that_cannot_be_written_is_an_error(scene, tmp_path):
 def test_closing_a_session_finishes_its_recording(scene, tmp_path):
     with LiveSession(scene, COARSE, START, folder=tmp_path) as session:
         folder = session.output.start_recording()
-        wait_for(lambda: session.output.n_recorded >= 1)
+        wait_until(lambda: session.output.n_recorded >= 1)
     assert {"film.mp4", "poses.csv"} <= {path.name for path in folder.iterdir()}
 
 

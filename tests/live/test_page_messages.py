@@ -22,7 +22,8 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.control_panel import MAX_OWN
 from sonar_gl.live.view.scene_nodes import pose_of
 from sonar_gl.live.viewer import LiveView
-from tests.support.viser_client import WAIT_S, connected, wait_for
+from tests.support.viser_client import connected
+from tests.support.waiting import WAIT_S, wait_until
 
 viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
 
@@ -95,12 +96,12 @@ def numbers(browser):
 def test_a_body_is_dragged_and_put_back(session, browser):
     node, home = body_node(session, "box"), session.bodies()["box"][:3, 3].tolist()
     browser.change("selected", "box")
-    wait_for(lambda: browser.nodes["/move_body"]["visible"])  # as a user does
+    wait_until(lambda: browser.nodes["/move_body"]["visible"])  # as a user does
     browser.drag("/move_body", *ELSEWHERE)
-    moved = wait_for(lambda: browser.nodes[node]["position"] != home and browser.nodes[node]["position"])
+    moved = wait_until(lambda: browser.nodes[node]["position"] != home and browser.nodes[node]["position"])
     assert moved == pytest.approx(session.bodies()["box"][:3, 3])
     browser.press("Put all back")
-    wait_for(lambda: browser.nodes[node]["position"] == home)
+    wait_until(lambda: browser.nodes[node]["position"] == home)
     assert session.bodies()["box"][:3, 3].tolist() == home
 
 
@@ -120,7 +121,7 @@ def green_pixels(browser):
 
 
 def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, browser):
-    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
+    wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     assert words(browser, "selected") == "" and green_pixels(browser) == 0
     unselect = browser.values[browser.uuid("Unselect")]
     assert not unselect["visible"]
@@ -133,17 +134,17 @@ def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, b
         screen_pos=(0.5, 0.5),
         modifier=None,
     )
-    wait_for(lambda: "floor" in words(browser, "selected") and unselect["visible"])
+    wait_until(lambda: "floor" in words(browser, "selected") and unselect["visible"])
     assert "Drag its arrows" in words(browser, "selected")
-    wait_for(lambda: browser.shown("selected") == "floor")
-    wait_for(lambda: green_pixels(browser) > 20)
+    wait_until(lambda: browser.shown("selected") == "floor")
+    wait_until(lambda: green_pixels(browser) > 20)
     # a body around its gizmo, or a picture above, would take the pointer from it
     assert browser.nodes[body_node(session, "floor")]["bindings"] == []
     assert browser.nodes["/sonar/picture_0"].get("bindings", []) == []
     assert browser.nodes[body_node(session, "box")]["bindings"] != []
     browser.press("Unselect")
-    wait_for(lambda: session.highlighted == "" and not unselect["visible"])
-    wait_for(lambda: words(browser, "selected") == "" and green_pixels(browser) == 0)
+    wait_until(lambda: session.highlighted == "" and not unselect["visible"])
+    wait_until(lambda: words(browser, "selected") == "" and green_pixels(browser) == 0)
     assert browser.shown("selected") == "none"
     assert browser.nodes["/move_body"]["visible"] is False
     assert browser.nodes[body_node(session, "floor")]["bindings"] != []
@@ -154,23 +155,23 @@ def test_the_page_says_what_the_last_click_has_met(session, page, browser):
     row, column = np.argwhere(pixels)[0]
     there = [(column + 0.5) / pixels.shape[1], (row + 0.5) / pixels.shape[0]]
     browser.tell(pointer=there)
-    wait_for(lambda: "pylon_square" in read_out(browser))  # the page knows of this browser's clicks, none
+    wait_until(lambda: "pylon_square" in read_out(browser))  # the page knows of this browser's clicks, none
     assert words(browser, "last click") == ""
     browser.tell(clicks=1, clicked=there)
     range_m = session.at(session.frame, row, column).range_m
-    wait_for(lambda: f"pylon_square at {range_m:.2f} m, pink in 3D" in words(browser, "last click"))
+    wait_until(lambda: f"pylon_square at {range_m:.2f} m, pink in 3D" in words(browser, "last click"))
     browser.tell(clicks=2, clicked=[0.01, 0.99])  # outside the fan
-    wait_for(lambda: words(browser, "last click") == "")
+    wait_until(lambda: words(browser, "last click") == "")
     assert page.marked is None
 
 
 def test_a_body_that_is_taken_away_is_not_drawn(session, browser):
     node = body_node(session, "box")
-    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
+    wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     session.move_body("box", None)
-    wait_for(lambda: browser.nodes[node].get("visible") is False)
+    wait_until(lambda: browser.nodes[node].get("visible") is False)
     session.reset_bodies()
-    wait_for(lambda: browser.nodes[node]["visible"])
+    wait_until(lambda: browser.nodes[node]["visible"])
 
 
 def placed(node):
@@ -179,12 +180,12 @@ def placed(node):
 
 
 def test_the_fan_and_its_picture_tilt_with_the_head(session, browser):
-    wait_for(lambda: "wxyz" in browser.nodes.get("/sonar/picture_0", {}))
+    wait_until(lambda: "wxyz" in browser.nodes.get("/sonar/picture_0", {}))
     outlines, flat = browser.counts["/sonar/outline"], placed(browser.nodes["/sonar/picture_0"])
     turn = sg.pose(pitch=np.radians(30.0))  # down
     session.change(sonar=replace(session.settings.sonar, tilt_deg=30.0))
     # float32 at 22 m
-    wait_for(lambda: np.allclose(placed(browser.nodes["/sonar/picture_0"]), turn @ flat, atol=1e-5))
+    wait_until(lambda: np.allclose(placed(browser.nodes["/sonar/picture_0"]), turn @ flat, atol=1e-5))
     # it is drawn anew; what it is then, test_view_parts.py says
     assert browser.counts["/sonar/outline"] > outlines
 
@@ -198,14 +199,14 @@ def test_a_browser_that_is_slow_slows_the_scene_alone_and_no_longer_than_a_bound
     def counted():
         return browser.counts["/sonar/picture_0"], browser.counts[panel]
 
-    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
+    wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     panel = next(uuid for uuid, one in browser.values.items() if "_data" in one)
     session.change(noise="speckle=yes")  # equal pictures are not sent again
     with connected(page.url) as slow, telling(slow):
         slow.tell(frame_s=5.0)
         time.sleep(2 * bound_s)  # until that has come
         began_s, (scene, pictures), number = time.monotonic(), counted(), session.frame.number
-        wait_for(lambda: counted()[0] >= scene + 5)  # goes on
+        wait_until(lambda: counted()[0] >= scene + 5)  # goes on
         gone_s, frames = time.monotonic() - began_s, session.frame.number - number
     shown = counted()[1]
     # the first may have been due at once, and messages come late by a little
@@ -226,10 +227,10 @@ def test_clicks_before_a_connection_that_was_lost_are_not_done_again(session, pa
     browser.change("speed, m/s", 2.0)  # is done later
     with connected(page.url) as second:
         second.tell(clicks=3, clicked=IN_THE_PICTURE)
-        wait_for(lambda: second.shown("speed, m/s") == 2.0)
+        wait_until(lambda: second.shown("speed, m/s") == 2.0)
         second.tell(keys=["w"])
         start = position(session)
-        wait_for(lambda: position(session) != start)
+        wait_until(lambda: position(session) != start)
     assert page.marked is None
 
 
@@ -243,9 +244,9 @@ def test_the_pointer_is_read_once_and_no_more_once_its_browser_is_gone(session, 
     with connected(page.url) as browser:
         for step in range(200):
             browser.tell(pointer=[0.5, 0.3 + 0.001 * step])
-        wait_for(lambda: reads)
-        wait_for(lambda: "dB" in read_out(browser))
-    wait_for(lambda: not page.server.get_clients())
+        wait_until(lambda: reads)
+        wait_until(lambda: "dB" in read_out(browser))
+    wait_until(lambda: not page.server.get_clients())
     time.sleep(0.6)  # two read-outs and more
     n_reads = len(reads)
     assert n_reads < 20  # of 200 places: it takes the newest
@@ -276,7 +277,7 @@ def test_other_web_sites_are_refused(page, headers):
 def test_the_page_itself_and_programs_are_served(page):
     for headers in ({"Origin": page.url}, {}):
         with connected(page.url, **headers) as browser:
-            wait_for(lambda browser=browser: "Record" in browser.uuids)
+            wait_until(lambda browser=browser: "Record" in browser.uuids)
 
 
 # ---- what fails ---------------------------------------------------------------------------------------------
@@ -287,23 +288,25 @@ def test_the_page_itself_and_programs_are_served(page):
 def test_numbers_that_are_no_pose_are_refused(session, browser, place):
     start = position(session)
     browser.drag("/move_sonar", *place)
-    wait_for(lambda: "a pose must be a quaternion of 4 and a position of 3 numbers" in "".join(browser.notes))
+    wait_until(
+        lambda: "a pose must be a quaternion of 4 and a position of 3 numbers" in "".join(browser.notes)
+    )
     assert position(session) == start
     browser.drag("/move_sonar", *ELSEWHERE)
-    wait_for(lambda: position(session) == list(ELSEWHERE[1]))
+    wait_until(lambda: position(session) == list(ELSEWHERE[1]))
     browser.change("range, m", 15.0)
-    wait_for(lambda: session.settings.range_m == 15.0)  # all messages of the drag are done
+    wait_until(lambda: session.settings.range_m == 15.0)  # all messages of the drag are done
     session.set_pose(sg.pose(1, 0, -5))
     for node in ("/sonar", "/move_sonar"):
-        wait_for(lambda node=node: browser.nodes[node].get("position") == [1.0, 0.0, -5.0])
+        wait_until(lambda node=node: browser.nodes[node].get("position") == [1.0, 0.0, -5.0])
 
 
 def test_a_speed_that_is_no_number_is_refused(session, browser):
     browser.change("speed, m/s", float("nan"))
-    wait_for(lambda: browser.notes == ["speed must lie in 0..100 (got nan; give m/s)"])
+    wait_until(lambda: browser.notes == ["speed must lie in 0..100 (got nan; give m/s)"])
     start = position(session)
     browser.tell(keys=["w"])
-    wait_for(lambda: position(session) != start)
+    wait_until(lambda: position(session) != start)
     assert browser.shown("speed, m/s") == 1.0
 
 
@@ -313,11 +316,11 @@ def test_a_part_of_the_page_that_fails_stops_no_other(session, browser, monkeypa
 
     monkeypatch.setattr(session, "move", fail)
     browser.tell(keys=["w"])
-    wait_for(lambda: "keys are broken" in caplog.text)
+    wait_until(lambda: "keys are broken" in caplog.text)
     browser.change("range, m", 15.0)
-    wait_for(lambda: session.frame.settings.range_m == 15.0)
+    wait_until(lambda: session.frame.settings.range_m == 15.0)
     browser.drag("/move_sonar", *ELSEWHERE)
-    wait_for(lambda: browser.nodes["/sonar"].get("position") == list(ELSEWHERE[1]))
+    wait_until(lambda: browser.nodes["/sonar"].get("position") == list(ELSEWHERE[1]))
     assert caplog.text.count("Traceback") == 1
 
 
@@ -326,39 +329,39 @@ def test_a_recording_that_fails_is_reported_to_all(session, page, browser, monke
         raise sg.Error(f"cannot write {str(path)!r}: No space left on device")
 
     with connected(page.url) as second:
-        wait_for(lambda: len(page.server.get_clients()) == 2)
+        wait_until(lambda: len(page.server.get_clients()) == 2)
         monkeypatch.setattr(recording_module, "save_npz", full)
         browser.press("Record")
         for one in (browser, second):
-            wait_for(lambda one=one: any("No space left" in note for note in one.notes))
+            wait_until(lambda one=one: any("No space left" in note for note in one.notes))
     assert not session.output.is_recording and session.output.problem == ""
     record = browser.uuids["Record"]
-    wait_for(lambda: browser.values[record]["label"] == "Record")
+    wait_until(lambda: browser.values[record]["label"] == "Record")
 
 
 def test_a_recording_that_ends_names_its_folder_once(session, browser):
     browser.press("Record")
-    wait_for(lambda: session.output.n_recorded >= 3)
+    wait_until(lambda: session.output.n_recorded >= 3)
     browser.press("Record")
-    wait_for(lambda: len(browser.notes) == 2)
+    wait_until(lambda: len(browser.notes) == 2)
     folder = session.output.folder / "pylon_0001"
     assert browser.notes[1] == f"{session.output.n_recorded} pings into {folder}"
 
 
 def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypatch):
-    wait_for(lambda: session.frame.number > 0)
+    wait_until(lambda: session.frame.number > 0)
 
     def fail(*_):
         raise sg.Error("the ping must succeed (got none)")
 
     monkeypatch.setattr(live_sonar_module, "picture_of", fail)
-    wait_for(lambda: "the ping must succeed (got none)" in numbers(browser))
+    wait_until(lambda: "the ping must succeed (got none)" in numbers(browser))
     monkeypatch.undo()
-    wait_for(lambda: "the ping must succeed (got none)" not in numbers(browser))
+    wait_until(lambda: "the ping must succeed (got none)" not in numbers(browser))
 
 
 def test_the_page_says_that_the_picture_is_of_the_settings_before(session, browser, monkeypatch):
-    wait_for(lambda: "Hz" in words(browser, "ping rate"))
+    wait_until(lambda: "Hz" in words(browser, "ping rate"))
     may_go_on = threading.Event()
     made = live_sonar_module.picture_of
 
@@ -368,10 +371,10 @@ def test_the_page_says_that_the_picture_is_of_the_settings_before(session, brows
 
     monkeypatch.setattr(live_sonar_module, "picture_of", slowly)
     browser.change("range, m", 12.0)
-    wait_for(lambda: "computing with the new settings" in words(browser, "ping rate"))
+    wait_until(lambda: "computing with the new settings" in words(browser, "ping rate"))
     assert session.frame.settings.range_m != 12.0
     may_go_on.set()
-    wait_for(lambda: "Hz" in words(browser, "ping rate"))
+    wait_until(lambda: "Hz" in words(browser, "ping rate"))
     assert session.frame.settings.range_m == 12.0
 
 
@@ -383,8 +386,8 @@ def test_the_first_ping_has_no_rate(scene):
         connected(page.url) as browser,
         telling(browser),
     ):
-        wait_for(lambda: session.frame.number == 1)
-        wait_for(lambda: re.match(r"ping rate\s+–\s", words(browser, "ping rate")))
+        wait_until(lambda: session.frame.number == 1)
+        wait_until(lambda: re.match(r"ping rate\s+–\s", words(browser, "ping rate")))
 
 
 # ---- trajectories -------------------------------------------------------------------------------------------
@@ -395,20 +398,20 @@ def test_a_trajectory_starts_with_the_first_browser_and_ends(scene):
         time.sleep(2 * STRAIGHT.duration_s)
         assert session.state().position_s == 0.0 and session.state().is_playing
         with connected(page.url) as browser, telling(browser):
-            wait_for(lambda: session.state().position_s > 0.0)
+            wait_until(lambda: session.state().position_s > 0.0)
             play = browser.uuid("Pause")
-            wait_for(lambda: browser.values[play]["label"] == "Play")  # at the end
+            wait_until(lambda: browser.values[play]["label"] == "Play")  # at the end
             assert not session.state().is_playing and position(session) == [4.0, 0.0, -5.0]
             assert browser.shown("moved by") == "trajectory"
             assert browser.shown("time, s") == 0.4
             browser.drag("/move_sonar", *ELSEWHERE)
-            wait_for(lambda: browser.shown("moved by") == "keys and gizmo")
+            wait_until(lambda: browser.shown("moved by") == "keys and gizmo")
             assert position(session) == list(ELSEWHERE[1])
             browser.change("time, s", 0.2)
-            wait_for(lambda: browser.shown("moved by") == "trajectory")
-            wait_for(lambda: position(session) == [4.0, 0.0, -5.0])  # it plays on
+            wait_until(lambda: browser.shown("moved by") == "trajectory")
+            wait_until(lambda: position(session) == [4.0, 0.0, -5.0])  # it plays on
             browser.press("Pause")
-            wait_for(lambda: session.state().is_playing or position(session)[0] < 4.0)  # from the beginning
+            wait_until(lambda: session.state().is_playing or position(session)[0] < 4.0)  # from the beginning
 
 
 # ---- settings -----------------------------------------------------------------------------------------------
@@ -422,26 +425,26 @@ def price_tables(browser):
 @pytest.mark.usefixtures("timed_once")
 def test_terms_are_switched_and_priced(session, browser):
     browser.change("absorption", True)
-    wait_for(lambda: session.settings.is_on("absorption"))
-    wait_for(lambda: session.frame.settings.is_on("absorption"))
+    wait_until(lambda: session.settings.is_on("absorption"))
+    wait_until(lambda: session.frame.settings.is_on("absorption"))
     browser.change("absorption", False)
-    wait_for(lambda: not session.settings.is_on("absorption"))
+    wait_until(lambda: not session.settings.is_on("absorption"))
     browser.press("Price the terms")
     browser.press("Price the terms")
-    wait_for(lambda: price_tables(browser))
+    wait_until(lambda: price_tables(browser))
     assert browser.notes == [] or browser.notes == ["terms are being priced already (wait until they are)"]
     browser.change("tolerance, %", 10.0)
-    wait_for(lambda: not price_tables(browser))  # the prices were those of another tolerance
+    wait_until(lambda: not price_tables(browser))  # the prices were those of another tolerance
 
 
 def test_a_fixed_gain_begins_where_the_automatic_one_was(session, browser):
-    wait_for(lambda: session.frame is not None)
+    wait_until(lambda: session.frame is not None)
     assert session.settings.law.gain_percentile is not None
     automatic_db = round(session.frame.ping.counts_law().gain_db)
     browser.change("gain of the device", False)
-    wait_for(lambda: session.settings.counts is not None)
+    wait_until(lambda: session.settings.counts is not None)
     assert session.settings.law.gain_db == automatic_db != 0
-    wait_for(lambda: browser.shown("gain, dB") == automatic_db)
+    wait_until(lambda: browser.shown("gain, dB") == automatic_db)
 
 
 def open_and_close(scene, folder, prices=False):
@@ -450,10 +453,10 @@ def open_and_close(scene, folder, prices=False):
     session = opened.session
     with connected(opened.url) as client:
         with telling(client):
-            wait_for(lambda: session.frame.number > 1)
+            wait_until(lambda: session.frame.number > 1)
             if prices:
                 client.press("Price the terms")
-                wait_for(lambda: "sonar_gl prices" in {one.name for one in threading.enumerate()})
+                wait_until(lambda: "sonar_gl prices" in {one.name for one in threading.enumerate()})
         began_s = time.monotonic()
         opened.close()
         assert time.monotonic() - began_s < WAIT_S / 2
@@ -466,21 +469,21 @@ def test_a_view_that_is_closed_ends_the_pricing_of_terms_and_leaves_no_thread(sc
     open_and_close(scene, tmp_path)  # starts threads that all views share, and that stay
     before = set(threading.enumerate())
     open_and_close(scene, tmp_path, prices=True)
-    wait_for(lambda: set(threading.enumerate()) <= before)
+    wait_until(lambda: set(threading.enumerate()) <= before)
 
 
 def test_the_range_ends_where_the_sonar_does_and_stays_where_the_next_sonar_allows_it(session, browser):
     slider = browser.values[browser.uuid("range, m")]
     assert (slider["max"], browser.shown("range, m")) == (100.0, 22.0)  # of the P900's data sheet
     browser.change("sonar", "oculus-m1200d-hf")  # 10 m
-    wait_for(lambda: (slider["max"], slider["value"]) == (10.0, 10.0))
+    wait_until(lambda: (slider["max"], slider["value"]) == (10.0, 10.0))
     assert session.settings.device.range_max_m == 10.0
-    wait_for(lambda: browser.notes)
+    wait_until(lambda: browser.notes)
     assert browser.notes == ["10 m, since oculus-m1200d-hf does not allow 22 m"]
     browser.change("range, m", 8.0)
-    wait_for(lambda: session.settings.range_m == 8.0)
+    wait_until(lambda: session.settings.range_m == 8.0)
     browser.change("sonar", "p900-45 (given)")
-    wait_for(lambda: slider["max"] == 100.0)
+    wait_until(lambda: slider["max"] == 100.0)
     assert session.settings.device.range_max_m == 8.0 and len(browser.notes) == 1
 
 
@@ -489,34 +492,34 @@ def test_a_program_that_changes_the_sonar_again_and_again_fills_no_list(session,
     first, own = dropdown["value"], session.settings.sonar
     for number in range(2, 13):
         session.change(sonar=replace(own, tilt_deg=number / 10))
-        wait_for(lambda number=number: dropdown["value"] == f"{own.name} (given {number})")
-    wait_for(lambda: dropdown["value"] in dropdown["options"])
+        wait_until(lambda number=number: dropdown["value"] == f"{own.name} (given {number})")
+    wait_until(lambda: dropdown["value"] in dropdown["options"])
     offered = [name for name in dropdown["options"] if "given" in name]
     assert offered[0] == first == f"{own.name} (given)" and offered[-1] == dropdown["value"]
     assert len(offered) == MAX_OWN
     browser.change("sonar", first)
-    wait_for(lambda: session.settings.sonar == own)
+    wait_until(lambda: session.settings.sonar == own)
 
 
 def test_the_polar_form_has_no_picture_in_3d(session, browser):
-    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
+    wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     browser.change("form", "polar")
-    wait_for(lambda: session.frame.settings.form == "polar")
+    wait_until(lambda: session.frame.settings.form == "polar")
     assert session.frame.picture.shape[:2] == (60, 60)
-    wait_for(lambda: browser.nodes["/sonar/picture_0"].get("visible") is False)
+    wait_until(lambda: browser.nodes["/sonar/picture_0"].get("visible") is False)
     browser.change("form", "fan")
-    wait_for(lambda: browser.nodes["/sonar/picture_0"].get("visible"))
+    wait_until(lambda: browser.nodes["/sonar/picture_0"].get("visible"))
 
 
 def test_a_slider_that_is_dragged_is_not_put_back(session, browser):
     for value in np.arange(10.0, 20.5, 0.5):
         browser.change("range, m", float(value))
-    wait_for(lambda: session.frame.settings.range_m == 20.0)
+    wait_until(lambda: session.frame.settings.range_m == 20.0)
     assert browser.shown("range, m") in (22.0, 20.0)  # as it was, or what the user set: no value in between
 
 
 def test_the_picture_is_that_of_the_last_frame(session, browser):
-    wait_for(lambda: "/sonar/picture_0" in browser.nodes)
+    wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     before = session.frame.picture.astype(int)
     image = next(one for one in browser.values.values() if "_data" in one)
 
@@ -525,5 +528,5 @@ def test_the_picture_is_that_of_the_last_frame(session, browser):
         return abs(shown.astype(int) - picture).mean() if shown.shape == picture.shape else np.inf
 
     browser.change("range, m", 12.0)
-    wait_for(lambda: session.frame.settings.range_m == 12.0)
-    wait_for(lambda: distance(session.frame.picture.astype(int)) < distance(before))
+    wait_until(lambda: session.frame.settings.range_m == 12.0)
+    wait_until(lambda: distance(session.frame.picture.astype(int)) < distance(before))

@@ -19,8 +19,8 @@ from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings, term_names
 from sonar_gl.live.simulators import MAX_SIMULATORS, SimulatorPool
+from tests.support.waiting import WAIT_S, wait_until
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
 SONAR = sg.Sonar("small", 900e3, 64, 200, 60.0, 20.0, 1.0, 0.5, 10.5)
 QUIET = LiveSettings(SONAR, acoustics=sg.Acoustics.ideal(), noise="none", height=100, max_rate_hz=200.0)
 BALL_M, RADIUS_M = np.array([5.0, 1.0, 0.3]), 0.4
@@ -38,14 +38,6 @@ def scene():
 def session(scene):
     with LiveSession(scene, QUIET) as one:
         yield one
-
-
-def wait_for(condition):
-    """Wait until a condition holds."""
-    end_s = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
 
 
 def expected(scene, settings, pose=None, **more):
@@ -80,7 +72,7 @@ def test_it_pings_only_while_somebody_listens(session):
     time.sleep(0.1)
     assert session.frame.number == 0
     with session.listen(lambda frame: None):
-        wait_for(lambda: session.frame.number >= 3)
+        wait_until(lambda: session.frame.number >= 3)
     number = session.next_frame().number  # the one that was under way is done
     time.sleep(0.1)
     assert session.next_frame().number == number + 1
@@ -89,7 +81,7 @@ def test_it_pings_only_while_somebody_listens(session):
 def test_a_rate_is_kept(scene):
     began_s, frames = time.monotonic(), []
     with LiveSession(scene, QUIET.changed(max_rate_hz=10.0)) as session, session.listen(frames.append, 100):
-        wait_for(lambda: len(frames) == 5)
+        wait_until(lambda: len(frames) == 5)
         times_s = [frame.clock_s for frame in frames[:5]]
     assert times_s[4] - times_s[0] <= time.monotonic() - began_s
     # four tenths of a second, but for one by which the first may be late, and one by which pings differ in length
@@ -106,7 +98,7 @@ def test_the_rate_is_that_of_the_last_pings_since_somebody_listens_with_these_se
     frames += [session.next_frame() for _ in range(3)]
     first_told = len(frames)
     with session.listen(frames.append, 1000):
-        wait_for(lambda: len(frames) >= first_told + 30)
+        wait_until(lambda: len(frames) >= first_told + 30)
     times_s = [frame.clock_s for frame in frames]
     for first, end in ((0, first_changed), (first_changed, first_told), (first_told, first_told + 30)):
         assert frames[first].rate_hz == 0.0
@@ -196,13 +188,13 @@ def test_settings_that_cannot_be_drawn_are_taken_back(session, monkeypatch):
     before, frames = session.settings, []
     with session.listen(frames.append):
         session.change(sonar=replace(SONAR, n_beams=65))
-        wait_for(lambda: session.state().problem)
+        wait_until(lambda: session.state().problem)
         number = session.frame.number
-        wait_for(lambda: session.frame.number > number)
+        wait_until(lambda: session.frame.number > number)
         assert session.settings == before
         assert session.state().problem == "too many beams for this driver"
         session.change(range_m=5.0)
-        wait_for(lambda: frames and frames[-1].settings.range_m == 5.0)
+        wait_until(lambda: frames and frames[-1].settings.range_m == 5.0)
     assert session.state().problem == ""
 
 
@@ -217,10 +209,10 @@ def test_a_ping_that_fails_is_reported_and_tried_again(session, monkeypatch):
 
     monkeypatch.setattr(live_sonar_module, "picture_of", picture_of)
     with session.listen(lambda frame: None):
-        wait_for(lambda: session.state().problem)
+        wait_until(lambda: session.state().problem)
         assert session.state().problem == "the ping failed (OSError: the mesh is gone)"
         broken = False
-        wait_for(lambda: not session.state().problem)
+        wait_until(lambda: not session.state().problem)
 
 
 def test_a_law_of_counts_needs_no_other_simulator(session, monkeypatch):
@@ -329,10 +321,10 @@ def test_a_track_that_fails_is_reported_and_ends_no_session(scene):
     track = Gap([np.eye(4)])
     with LiveSession(scene, QUIET, track=track) as session, session.listen(lambda frame: None):
         track.is_broken = True
-        wait_for(lambda: session.state().problem)
+        wait_until(lambda: session.state().problem)
         assert session.state().problem == "the ping failed (ValueError: no pose at this time)"
         track.is_broken = False
-        wait_for(lambda: not session.state().problem)
+        wait_until(lambda: not session.state().problem)
 
 
 def test_without_a_trajectory_there_is_none_to_play(session):
@@ -406,10 +398,10 @@ def test_a_slow_listener_misses_frames_and_holds_up_nobody(session):
         go_on.wait(WAIT_S)
 
     with session.listen(wait) as waiting, session.listen(fast.append, 1000) as quick:
-        wait_for(lambda: slow and fast and fast[-1].number >= slow[0] + 10)
+        wait_until(lambda: slow and fast and fast[-1].number >= slow[0] + 10)
         assert len(slow) == 1
         go_on.set()
-        wait_for(lambda: len(slow) >= 2)
+        wait_until(lambda: len(slow) >= 2)
         assert slow[1] - slow[0] >= 9  # it gets the newest
         assert (quick.missed, waiting.missed >= 8) == (0, True)
     numbers = [frame.number for frame in fast]
@@ -424,7 +416,7 @@ def test_a_listener_that_fails_gets_no_more_and_disturbs_nobody(session):
 
     failing = session.listen(fail)
     with session.listen(frames.append):
-        wait_for(lambda: failing.is_closed and len(frames) >= 3)
+        wait_until(lambda: failing.is_closed and len(frames) >= 3)
     assert str(failing.failure) == "a mistake of the user's function"
 
 
@@ -435,7 +427,7 @@ def test_a_listener_may_ask_the_session(session):
         readings.append(session.at(frame, 50, frame.picture.shape[1] // 2))
 
     with session.listen(read):
-        wait_for(lambda: readings)
+        wait_until(lambda: readings)
     assert readings[0].body in ("wall", "ball", "")
 
 
@@ -597,7 +589,7 @@ def test_a_closed_session_leaves_no_thread_and_says_so(scene):
     before = set(threading.enumerate())
     session = LiveSession(scene, QUIET)
     session.listen(lambda frame: None)
-    wait_for(lambda: session.frame.number > 1)
+    wait_until(lambda: session.frame.number > 1)
     session.close()
     session.close()
     # threads of Numba and of the simulator are shared by all

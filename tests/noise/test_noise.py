@@ -13,22 +13,15 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import sonar_gl
-from sonar_gl.core.errors import Error
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
+from tests.support.errors import error_of
 from tests.support.even_ping import SIGMAS, even_ping
 
 HERE = sonar_gl.pose(0.2, 0.2)
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"
 ALL_TERMS = Noise(True, 0.01, 0.01, 3, 0.0, 2, False, True, -30.0, 3.0)
-
-
-def message(call, *args, **kwargs) -> str:
-    """Return the message of the Error that the call raises."""
-    with pytest.raises(Error) as caught:
-        call(*args, **kwargs)
-    return str(caught.value)
 
 
 def noisy(noise, ping=None, seed=1, ping_number=0) -> np.ndarray:
@@ -261,11 +254,11 @@ def test_parse(text, noise):
     ],
 )
 def test_wrong_text(text, expected):
-    assert message(Noise.parse, text) == expected
+    assert error_of(Noise.parse, text) == expected
 
 
 def test_empty_text_names_all_choices():
-    assert message(Noise.parse, "") == (
+    assert error_of(Noise.parse, "") == (
         "noise '': unknown name (got ''; known are ambient_db, cloud_gaussian_m, demarco2015, dropped_beams, "
         "follow_motion, gaussian, interference_db, interference_lines, looks, median, none, physical, "
         "salt_and_pepper, self_noise, speckle, thermal_noise)"
@@ -305,12 +298,12 @@ def test_empty_text_names_all_choices():
     ],
 )
 def test_wrong_amount(amounts, expected):
-    assert message(Noise, **amounts) == expected
+    assert error_of(Noise, **amounts) == expected
 
 
 @pytest.mark.parametrize("seed", [-1, 1.0, None, "0", True])
 @pytest.mark.parametrize("noise", [None, Noise(), Noise.physical()])  # checked even if no term is random
 def test_wrong_seed(seed, noise):
     expected = f"must be a whole number, 0 or more (got {seed!r})"
-    assert message(add_noise, even_ping(2, 2), noise, seed) == f"seed {expected}"
-    assert message(add_noise, even_ping(2, 2), noise, 0, seed) == f"ping_number {expected}"
+    assert error_of(add_noise, even_ping(2, 2), noise, seed) == f"seed {expected}"
+    assert error_of(add_noise, even_ping(2, 2), noise, 0, seed) == f"ping_number {expected}"

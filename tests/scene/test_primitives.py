@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from sonar_gl.core.errors import Error
 from sonar_gl.scene import mesh_files
 from sonar_gl.scene import primitives as meshes
+from tests.support.errors import error_of
 
 FLOAT32 = 1e-6  # normals are float32
 UPWARD = np.array([0.0, 0.0, 0.3])  # tilts normals, so that they differ from computed ones
@@ -20,12 +20,6 @@ SOLIDS = {
     "capsule": (meshes.capsule(1.0, 2.0), 2 * np.pi + 4 / 3 * np.pi, (2, 2, 4)),
     "ellipsoid": (meshes.ellipsoid((1.0, 2.0, 3.0)), 8 * np.pi, (2, 4, 6)),
 }
-
-
-def error_message(call, *args, **kwargs):
-    with pytest.raises(Error) as caught:
-        call(*args, **kwargs)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -169,14 +163,14 @@ def test_heightmap_errors(tmp_path):
     text.write_text("not an image")
     cv2.imwrite(str(dot), np.zeros((1, 5), np.uint8))
     cv2.imwrite(str(gap), np.array([[0, np.nan], [0, 0]], np.float32))
-    assert error_message(mesh_files.heightmap, missing) == f"{missing}: there is no such file"
-    assert error_message(mesh_files.heightmap, text) == (
+    assert error_of(mesh_files.heightmap, missing) == f"{missing}: there is no such file"
+    assert error_of(mesh_files.heightmap, text) == (
         f"{text}: a height map must be an image that OpenCV reads (8 or 16 bit PNG, float TIFF)"
     )
-    assert error_message(mesh_files.heightmap, dot) == (
+    assert error_of(mesh_files.heightmap, dot) == (
         f"{dot}: a height map must have 2 x 2 pixels or more (got 5 x 1)"
     )
-    assert error_message(mesh_files.heightmap, gap) == (
+    assert error_of(mesh_files.heightmap, gap) == (
         f"{gap}: heights must be finite (got NaN or infinity; fill the gaps first)"
     )
 
@@ -247,7 +241,7 @@ def test_scene_graph_is_flattened_and_submeshes_are_found(tmp_path):
     np.testing.assert_allclose(far.to_trimesh().bounds, [[4, -1, -1], [6, 1, 1]])
     centred, _ = mesh_files.read_mesh(tmp_path / "a.glb", "far", center=True)
     np.testing.assert_allclose(centred.to_trimesh().bounds, [[-1, -1, -1], [1, 1, 1]])
-    assert error_message(mesh_files.read_mesh, tmp_path / "a.glb", "nose") == (
+    assert error_of(mesh_files.read_mesh, tmp_path / "a.glb", "nose") == (
         f"{tmp_path / 'a.glb'}: there is no submesh 'nose' (it has far, near)"
     )
 
@@ -289,25 +283,25 @@ NO_FACE = "a mesh must have at least one face (got none: the file is cut short, 
 )
 def test_meshes_without_faces_or_with_nan(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
-    assert error_message(mesh_files.read_mesh, tmp_path / name) == f"{tmp_path / name}: {message}"
+    assert error_of(mesh_files.read_mesh, tmp_path / name) == f"{tmp_path / name}: {message}"
 
 
 @pytest.mark.parametrize("name", ["bad.glb", "bad.gltf", "bad.ply", "bad.dae"])
 def test_unreadable_meshes_name_the_file(tmp_path, name):
     (tmp_path / name).write_text("garbage")
     start = f"{tmp_path / name}: trimesh cannot read this mesh ("  # what follows is trimesh's own
-    assert error_message(mesh_files.read_mesh, tmp_path / name).startswith(start)
+    assert error_of(mesh_files.read_mesh, tmp_path / name).startswith(start)
 
 
 def test_missing_mesh(tmp_path):
     path = tmp_path / "no.stl"
-    assert error_message(mesh_files.read_mesh, path) == f"{path}: there is no such file"
+    assert error_of(mesh_files.read_mesh, path) == f"{path}: there is no such file"
 
 
 def test_collada_with_entities_is_refused(tmp_path):
     path = tmp_path / "bomb.dae"
     path.write_text('<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><COLLADA>&b;</COLLADA>')
-    assert error_message(mesh_files.read_mesh, path) == (
+    assert error_of(mesh_files.read_mesh, path) == (
         f"{path}: trimesh cannot read this mesh (ValueError: a document type declaration is refused)"
     )
 

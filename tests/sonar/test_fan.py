@@ -8,7 +8,7 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import beam_weights
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from tests.support.fans import box_fan, make_sonar
 
 
@@ -40,7 +40,9 @@ def test_rounding_adds_no_sample(fov_deg, n_beams):
     """Boxes side by side fill the field of view: each has as many samples as asked for, in all sectors together."""
     sonar = make_sonar(fov_deg, n_beams, beam_width_deg=fov_deg / n_beams)
     for columns_per_beam in (6, 12):  # that up to three sectors divide evenly
-        fan = make_fan(sonar, sg.Sampling(columns_per_beam, 20), math.radians(fov_deg / n_beams / 2))
+        fan = make_fan(
+            sonar, sg.Sampling(columns_per_beam, 20), BeamShape(math.radians(fov_deg / n_beams / 2))
+        )
         samples = [2 * math.tan(one.half_width_rad) / one.u[1] for one in fan.sectors]
         assert sum(samples) == pytest.approx(columns_per_beam * n_beams, abs=1e-6)
 
@@ -49,8 +51,8 @@ def test_rounding_adds_no_sample(fov_deg, n_beams):
 def test_the_sectors_of_side_lobes_cover_all_elevations_once(fov_deg):
     """In every column, up to the limit; and with samples that are few beside those of the aperture."""
     sonar, sampling = make_sonar(fov_deg, 90, elevation_fov_deg=54.0), sg.Sampling(2, 110)
-    fan = make_fan(sonar, sampling, math.radians(0.5), max_elevation_deg=89.5)
-    plain = make_fan(sonar, sampling, math.radians(0.5))
+    fan = make_fan(sonar, sampling, BeamShape(math.radians(0.5), max_elevation_deg=89.5))
+    plain = make_fan(sonar, sampling, BeamShape(math.radians(0.5)))
     assert [len(f.sectors) > len(plain.sectors) for f in (fan, plain)] == [True, False]
     for mine, one in zip(fan.sectors, plain.sectors, strict=False):  # those of the aperture come first
         np.testing.assert_array_equal(np.concatenate([mine.u, mine.v]), np.concatenate([one.u, one.v]))
@@ -89,7 +91,7 @@ def test_beams_are_normalised_by_their_solid_angle(name, acoustics):
     """If each column holds its own solid angle, every beam reads 1."""
     sonar = SONARS[name]
     pattern, support_rad = acoustics.receive_pattern(sonar), acoustics.receive_support_rad(sonar)
-    fan = make_fan(sonar, sg.Sampling(4, 16), support_rad, box=pattern is None)
+    fan = make_fan(sonar, sg.Sampling(4, 16), BeamShape(support_rad, pattern is None))
     found = beam_weights(fan, pattern, support_rad)
     aperture = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
     solid_angles = np.diff(fan.column_edges_rad) * aperture
@@ -104,7 +106,7 @@ def test_box_beams_consist_of_complete_columns(name):
     """Columns end where beams end, so that no beam contains an unknown part of a column."""
     sonar = SONARS[name]
     support_rad = math.radians(sonar.beam_width_deg) / 2
-    fan = make_fan(sonar, sg.Sampling(4, 16), support_rad)
+    fan = make_fan(sonar, sg.Sampling(4, 16), BeamShape(support_rad))
     weights = beam_weights(fan, None, support_rad).weights
     shares = weights * math.radians(sonar.beam_width_deg) * 2 * math.sin(math.radians(10))
     assert ((np.abs(shares) < 1e-5) | (np.abs(shares - 1) < 1e-5)).all()
@@ -118,7 +120,7 @@ def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_pe
     """Columns are as wide as a sample, but at most half a spacing, and wider for much wider beams."""
     sonar = make_sonar(n_beams=256, beam_width_deg=beam_width_deg)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
-    fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), support_rad, box=False)
+    fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), BeamShape(support_rad, is_box=False))
     edges = fan.column_edges_rad
     per_spacing = math.radians(45 / 256) * fan.n_columns / (edges[-1] - edges[0])
     assert per_spacing == pytest.approx(columns_per_spacing, rel=0.02)
@@ -127,5 +129,5 @@ def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_pe
 def test_the_largest_width_of_columns_is_a_parameter():
     sonar = make_sonar(n_beams=256, beam_width_deg=0.5)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
-    fan = make_fan(sonar, sg.Sampling(1.0, 16), support_rad, box=False, max_column_width=0.25)
+    fan = make_fan(sonar, sg.Sampling(1.0, 16), BeamShape(support_rad, is_box=False), max_column_width=0.25)
     assert np.diff(fan.column_edges_rad).max() <= 0.25 * math.radians(45 / 256) * (1 + 1e-9)

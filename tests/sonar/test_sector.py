@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.sector import merge_close_azimuths
 from tests.support.fans import box_fan, make_sonar
 
@@ -40,14 +40,14 @@ def test_rows_sample_a_strip_at_different_places():
     offset = u - sector.strips.middle[10]
     offset = np.take_along_axis(offset, np.abs(offset).argmin(axis=1)[:, None], axis=1) / sector.u[1]
     assert np.histogram(offset, bins=4, range=(-0.5, 0.5))[0].min() >= 0.15 * sector.rows
-    plain = make_fan(make_sonar(), sg.Sampling(2, 32), math.radians(0.5), shear=0.0).sectors[0]
+    plain = make_fan(make_sonar(), sg.Sampling(2, 32), BeamShape(math.radians(0.5)), shear=0.0).sectors[0]
     u, v = plain.sample_coordinates()
     assert np.ptp(u, axis=0).max() == 0 and np.ptp(v, axis=1).max() == 0
 
 
 def test_negative_shear_mirrors_the_lattice():
     fan = box_fan(make_sonar(130.0))
-    mirrored = make_fan(fan.sonar, fan.sampling, math.radians(0.5), shear=-0.2764)
+    mirrored = make_fan(fan.sonar, fan.sampling, BeamShape(math.radians(0.5)), shear=-0.2764)
     for sector, image in zip(fan.sectors, mirrored.sectors, strict=True):
         u, v = sector.sample_coordinates()
         image_u, image_v = image.sample_coordinates()

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.sonar.sonar import PRESETS, Sonar, load_sonar, presets
+from tests.support.errors import error_of
 
 KEYS = {
     "frequency_hz": 900e3,
@@ -24,13 +24,6 @@ KEYS = {
     "range_max_m": 30.0,
 }
 TEXT = "\n".join(f"{key} = {value}" for key, value in KEYS.items()) + "\n"
-
-
-def error_of(make, *args, **kwargs) -> str:
-    """Return the message of the error that a call raises."""
-    with pytest.raises(Error) as caught:
-        make(*args, **kwargs)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize("name", presets())
@@ -95,6 +88,11 @@ def test_floors_of_presets_are_those_of_the_same_errors_in_as_many_elements_as_t
         elif name in ("demarco-2015", "ping360"):
             floor_db = None  # no array
         assert sonar.element_error_db == (floor_db and round(floor_db)), name
+
+
+def test_the_readme_states_the_number_of_presets():
+    readme = Path(__file__).resolve().parents[2] / "README.md"
+    assert f"; {len(presets())} presets |" in readme.read_text(encoding="utf-8")
 
 
 def test_changing_the_returned_presets_changes_no_preset():

@@ -3,7 +3,7 @@
 import math
 
 import sonar_gl as sg
-from sonar_gl.sonar.fan import Fan, make_fan
+from sonar_gl.sonar.fan import BeamShape, Fan, make_fan
 
 
 def make_sonar(
@@ -18,4 +18,4 @@ def make_sonar(
 def box_fan(sonar, columns_per_beam=2.0, rows=32) -> Fan:
     """Return the fan of a sonar whose beams are boxes."""
     sampling = sg.Sampling(columns_per_beam, rows)
-    return make_fan(sonar, sampling, math.radians(sonar.beam_width_deg) / 2)
+    return make_fan(sonar, sampling, BeamShape(math.radians(sonar.beam_width_deg) / 2))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections import Counter
 from contextlib import contextmanager
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
+from tests.support.waiting import wait_until
+
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, 0, 5), "fov": 1.0, "near": 0.1, "far": 100.0,
     "image_height": 300, "image_width": 400, "look_at": (5, 0, 5), "up_direction": (0, 0, 1),
@@ -71,7 +71,7 @@ class ViserClient:
 
     def uuid(self, label: str) -> str:
         """Return the id of the control with a label, once it is there."""
-        wait_for(lambda: label in self.uuids)
+        wait_until(lambda: label in self.uuids)
         return self.uuids[label]
 
     def shown(self, label: str):
@@ -117,12 +117,3 @@ def connected(url: str, **headers: str):
         yield client
     finally:
         client.close()
-
-
-def wait_for(condition):
-    """Wait until a condition holds, and return what it returned."""
-    end_s = time.monotonic() + WAIT_S
-    while not (value := condition()):
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-    return value

@@ -2,13 +2,16 @@
 
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 WAIT_S = 60.0  # a machine that tests run on may be slow
+T = TypeVar("T")
 
 
-def wait_until(holds: Callable[[], bool], often_s: float = 0.005) -> None:
-    """Wait until a condition holds; fails if it does not within a minute."""
+def wait_until(holds: Callable[[], T], often_s: float = 0.005) -> T:
+    """Wait until a condition holds, and return what it returned; fails if it does not within a minute."""
     end = time.monotonic() + WAIT_S
-    while not holds():
+    while not (found := holds()):
         assert time.monotonic() < end, "it should have come true"
         time.sleep(often_s)
+    return found

@@ -13,7 +13,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.host import check_thread, join
 from sonar_gl.raster.opengl.buffers import SceneBuffers, UploadedMeshes
-from sonar_gl.raster.opengl.renderer import OpenGLWorkspace, Renderer
+from sonar_gl.raster.opengl.renderer import OpenGLRenderer, OpenGLWorkspace
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import MAX_SAMPLES
 from sonar_gl.scene.scene import Scene
@@ -66,9 +66,9 @@ class OpenGLEngine:
 
     def make_renderer(
         self, fan: Fan, specular: bool, workspace: OpenGLWorkspace, thread: SecondThread | None = None
-    ) -> Renderer:
+    ) -> OpenGLRenderer:
         """Return a renderer; inside `drawing`. The driver has threads of its own."""
-        return Renderer(self._buffers, fan, specular, workspace)
+        return OpenGLRenderer(self._buffers, fan, specular, workspace)
 
     def check_thread(self) -> None:
         """Raise an Error in another thread than that whose context was joined."""

@@ -217,8 +217,8 @@ class OpenGLWorkspace:
                     targets[number] = RenderTarget(self._asynchronous)
 
 
-class Renderer:
-    """Draws a fan's sectors side by side, an image for each pose, and reads them back.
+class OpenGLRenderer:
+    """Draws a fan's sectors side by side, an image for each pose, and reads them back. A `Renderer`.
 
     Of each sector only the window that holds bodies is drawn.
 

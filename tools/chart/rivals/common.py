@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import beam_weights
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import make_fan
+from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.sector import make_strips
 
 
@@ -32,7 +32,7 @@ class Rival:
 
     def __init__(self, scene, sonar, acoustics, sampling=None, n_columns=None):
         reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
-        fan = make_fan(sonar, sampling or sg.Sampling(1, 16), reach, box=pattern is None)
+        fan = make_fan(sonar, sampling or sg.Sampling(1, 16), BeamShape(reach, pattern is None))
         if n_columns:
             edges = fan.column_edges_rad
             edges = np.linspace(edges[0], edges[-1], n_columns + 1)
