@@ -20,6 +20,7 @@ from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
 from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.core.warn import collected_warnings
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
@@ -45,7 +46,7 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
-    batch = None
+    batch, said = None, set()
 
     def report(kind, value):
         pipe.send((kind, value))
@@ -54,9 +55,18 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
         try:
             if batch is None:
                 load_numba()
-                batch = Batch(Job(**job), Folder(url), device, any_system)
+                with (
+                    collected_warnings() as found
+                ):  # of the job, which the process that runs the batch gives, too
+                    batch = Batch(Job(**job), Folder(url), device, any_system)
+                said.update(warning.text for warning in found)
             name, *arguments = command
-            message = "result", STEPS[name](batch, *arguments, report=report)
+            with collected_warnings() as found:
+                message = "result", STEPS[name](batch, *arguments, report=report)
+            for warning in found:  # a scene that is loaded again gives its own again
+                if warning.text not in said:
+                    said.add(warning.text)
+                    report("warning", warning.text)
         except BaseException as why:
             message = "error", _describe_failure(why, url)
         try:

@@ -26,7 +26,8 @@ from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
-VARY_STREAM, NOISE_STREAM = 101, 102  # of random numbers; never renumber: the bytes of data sets would change
+# of random numbers; never renumber: the bytes of data sets would change
+VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
@@ -144,8 +145,16 @@ class BatchRequests(Sequence):
         if "file" in table:
             table["file"] = str(self.job.path(str(table["file"])))
         if table.get("kind") == "random_views":
-            table.setdefault("seed", self.job.seed)
+            table.setdefault("seed", self._views_seed(index))
         return build_trajectory(table, self.job.where, index)
+
+    def _views_seed(self, index: int) -> int:
+        """Return the seed of a table of random views that states none: of the first one it is that of the job."""
+        before = sum(table.get("kind") == "random_views" for table in self.job.poses[:index])
+        if before == 0:
+            return self.job.seed
+        key = np.random.SeedSequence(self.job.seed, spawn_key=(VIEWS_STREAM, before))
+        return int(key.generate_state(1, np.uint64)[0])
 
     def rate_warnings(self) -> Iterator[str]:
         """Yield a sentence about each trajectory whose pings follow each other faster than a sonar makes them."""

@@ -38,8 +38,8 @@ HELP = {
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
     "label_level": "Label bins of at least this mean echo, dB; needs --labels.",
     "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
-    "skip_missing": "Leave out models and meshes that are not found, and unknown shapes, with a warning; "
-    "not what a xacro file includes.",
+    "skip_missing": "Leave out models and meshes that are not found or cannot be read, and unknown shapes, with a "
+    "warning; not what a xacro file includes.",
     "without": 'Leave out bodies of this name, such as "boat*"; may be repeated.',
     "only": 'Keep only bodies of this name, such as "pylon*"; may be repeated.',
     "surface": "Height of the water's surface, metres.",

@@ -265,6 +265,35 @@ def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
     assert all(box is None or box == "unmoved" for box in boxes)
 
 
+def test_random_views_differ_from_table_to_table_and_are_the_same_in_every_scene(tmp_path):
+    """Two tables are more views, not the same again; nor are they those of another job."""
+    views = {"kind": "random_views", "target_m": [3.0, 0.0, 0.0], "range_m": [1.0, 2.0], "n_pings": 3}
+    write_job(tmp_path, 2, "")
+    (tmp_path / "other.sdf").write_text((tmp_path / "tank.sdf").read_text())
+    orbit = {
+        "kind": "orbit",
+        "centre_m": [3.0, 0.0, 0.0],
+        "radius_m": 1.0,
+        "z_m": 0.0,
+        "n_pings": 3,
+        "turns": 1,
+    }
+    job = Job(**read_job(tmp_path / "job.toml").plain | {"scenes": ["tank.sdf", "other.sdf"]})
+
+    def poses(seed, *tables):
+        """Return the poses of each table in each scene, (tables, scenes, 3, 4, 4)."""
+        requests = BatchRequests(job.model_copy(update={"seed": seed, "poses": list(tables)}))
+        return np.reshape([one.vehicle_pose for one in requests], (len(tables), 2, 3, 4, 4))
+
+    found = poses(1, views, orbit, views, views)
+    assert np.array_equal(found[:, 0], found[:, 1])
+    all_views = [*found[[0, 2, 3], 0].reshape(9, 16), *poses(2, views, views)[:, 0].reshape(6, 16)]
+    assert len({tuple(one) for one in all_views}) == 15
+    alone, stated = poses(1, views), poses(1, views, views | {"seed": 1})
+    assert np.array_equal(found[0], alone[0])
+    assert np.array_equal(stated[0], alone[0]) and np.array_equal(stated[1], alone[0])
+
+
 def test_varied_looks_are_whole_numbers_within_their_bounds(small):
     vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
     requests = BatchRequests(read_job(small / "job.toml").model_copy(update={"vary": vary}))

@@ -247,6 +247,19 @@ def test_a_ping_by_which_processes_segfault_is_set_aside(job, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("option", ["--dry-run", "--workers=2"])
+def test_a_warning_of_a_scene_is_shown_once_whichever_processes_load_it(tmp_path, option):
+    job = write_plain_job(tmp_path, 8, 4, LABELS)
+    world = tmp_path / "tank.sdf"
+    world.write_text(re.sub("<laser_retro>.*?</laser_retro>", "", world.read_text()))
+    status, _, err = finish(start(job, "--out", tmp_path / "out", option))
+    assert status == 0, err
+    assert err.count("no <laser_retro> in 3 of 3 bodies") == 1 and err.startswith(
+        f"warning: {world}: no <las"
+    )
+    assert "UserWarning" not in err
+
+
 def test_the_error_of_a_process_without_memory_is_one_sentence(tmp_path):
     """Its pings take more than it is allowed: of 1024 beams and 8192 bins, 34 MB for each array."""
     job = write_plain_job(tmp_path, 4, 4, LABELS)

@@ -310,7 +310,7 @@ def test_the_page_of_batches_runs(folder):
     for kind, settings in re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE):
         if kind in KINDS:
             told = set(re.findall(r"`(\w+)`", settings))
-            assert told == {field.name for field in dataclasses.fields(KINDS[kind])} - {"seed"}, kind
+            assert told == {field.name for field in dataclasses.fields(KINDS[kind])}, kind
 
 
 @pytest.mark.parametrize(

@@ -670,7 +670,35 @@ def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
     assert (
         "collision[c]/geometry/torus: unknown geometry" in text and "collision[d]: must hold a <geom" in text
     )
-    assert text.startswith(f"{path}: read without shapes that are not supported (")
+    assert text.startswith(f"{path}: read without shapes that cannot be read (")
+    np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
+
+
+def test_skip_missing_leaves_out_files_that_cannot_be_read(tmp_path):
+    """As in a download that was cut short. What is wrong with each file is said once, however often it is named."""
+    (tmp_path / "empty.stl").write_text("")
+    (tmp_path / "points.ply").write_bytes(trimesh.PointCloud([[0, 0, 0], [1, 1, 1]]).export(file_type="ply"))
+    (tmp_path / "low.png").write_text("no picture")
+    mesh = "<geometry><mesh><uri>{}</uri></mesh></geometry>"
+    field = "<geometry><heightmap><uri>low.png</uri></heightmap></geometry>"
+    geometries = mesh.format("empty.stl"), mesh.format("points.ply"), field, mesh.format("empty.stl")
+    shapes = "".join(shape(RETRO, f"n{k}", geometry=one) for k, one in enumerate(geometries))
+    path = write(tmp_path / "a.sdf", model(link(shape=shapes + shape(RETRO, "last"))))
+    found = [
+        f"collision[n0]/geometry/mesh: {tmp_path}/empty.stl: must not be empty (got a file of 0 bytes)",
+        f"collision[n1]/geometry/mesh: {tmp_path}/points.ply: a mesh must have at least one face",
+        f"collision[n2]/geometry/heightmap: {tmp_path}/low.png: ",
+    ]
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 4 and all(one in line for one, line in zip(found, lines, strict=False))
+    assert str(caught.value).endswith(SKIPPABLE)
+    with pytest.warns(UserWarning) as caught:
+        (body,) = read_sdf(path, skip_missing=True).bodies
+    (text,) = (str(w.message) for w in caught)
+    assert text.startswith(f"{path}: read without shapes that cannot be read (")
+    assert all(text.count(one) == 1 for one in found) and text.count("empty.stl") == 1
     np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
 
 
@@ -1193,7 +1221,8 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
     (tmp_path / "b.stl").write_text("")
     mesh = "<collision name='c'><geometry><mesh><uri>b.stl</uri></mesh></geometry></collision>"
     where = "a.sdf: world/model[m]/link[link]/collision[c]/geometry/mesh"
-    assert message(model(link(shape=mesh))) == (f"{where}: b.stl: must not be empty (got a file of 0 bytes)")
+    empty = f"{where}: b.stl: must not be empty (got a file of 0 bytes)"
+    assert message(model(link(shape=mesh))) == empty + SKIPPABLE
     zero = mesh.replace("</uri>", "</uri><scale>1 0 1</scale>")
     assert message(model(link(shape=zero))) == f"{where}/scale: must not be zero (got '1 0 1')"
 

@@ -42,8 +42,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         with arguments after it as in "robot.xacro debug:=1"; or the folder of a model
     resource_paths : folders in which `model://` and `package://` are searched, before those of environment
         variables and the file's own folder, as in `Resources`; no file outside them is read
-    skip_missing : warn of missing models and meshes, and of unknown shapes, and leave them out, in place of an
-        error
+    skip_missing : warn of missing models, of missing or unreadable meshes and height maps, and of unknown shapes, and
+        leave them out, in place of an error
 
     Raises
     ------
@@ -116,7 +116,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
                 f"{message}\n{folders if missing else 'Carry'} on without them (--skip-missing, skip_missing=True)."
             )
         without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
-        without += [f"shapes that are not supported ({unsupported})"] if unsupported else []
+        without += [f"shapes that cannot be read ({unsupported})"] if unsupported else []
         warn_caller(f"{path}: read without {', and without '.join(without)}")
     for found, what, reflectivity in (
         (reader.unspecified, "no <laser_retro>", DEFAULT_REFLECTIVITY),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -254,18 +255,27 @@ class BodyReader:
             return None
         if shape.tag == "heightmap":
             size, pos = get("size", 3, (1.0, 1.0, 1.0)), get("pos", 3, (0.0, 0.0, 0.0), positive=False)
-            with errors_at(location):
-                return mesh_files.heightmap(path, size, pos)
+            return self._read_file(location, lambda: mesh_files.heightmap(path, size, pos))
         scale = get("scale", 3, (1.0, 1.0, 1.0), positive=False)
         if not np.all(scale):
             raise Error(f"{location}/scale: must not be zero (got {shape.findtext('scale').strip()!r})")
         key = (path, shape.findtext("submesh/name"), (shape.findtext("submesh/center") or "").strip())
-        with errors_at(location):
-            if key not in self._meshes:
-                self._meshes[key] = mesh_files.read_mesh(
-                    path, key[1], key[2] in ("true", "1"), self.resources.roots
-                )
-            return primitives.transform(self._meshes[key], np.diag([*scale, 1.0]))
+        if key not in self._meshes:
+            self._meshes[key] = self._read_file(
+                location,
+                lambda: mesh_files.read_mesh(path, key[1], key[2] in ("true", "1"), self.resources.roots),
+            )
+        mesh = self._meshes[key]
+        return None if mesh is None else primitives.transform(mesh, np.diag([*scale, 1.0]))
+
+    def _read_file(self, location: str, read: Callable[[], Shape]) -> Shape | None:
+        """Return the shape of a file that is there; None if it cannot be read, which `resources` notes."""
+        try:
+            with errors_at(location):
+                return read()
+        except Error as why:
+            self.resources.note_unsupported(str(why))
+            return None
 
 
 def _read_polylines(elements, location: str, height_m: float) -> Shape:
