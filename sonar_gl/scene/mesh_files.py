@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import re
 from collections.abc import Collection
@@ -18,6 +19,7 @@ from sonar_gl.scene.collada_files import read_collada
 from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
+from sonar_gl.scene.obj_text import tidy_obj
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
@@ -94,6 +96,9 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
             check_accessors(path)
             check_positions(path)
             scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
+        elif path.suffix.lower() == ".obj":
+            file = io.BytesIO(tidy_obj(path.read_bytes()))
+            scene = _load(file, file_type="obj", resolver=NoFiles(path))
         else:
             scene = _load(path, resolver=NoFiles(path))
         return _read_parts(scene, path)

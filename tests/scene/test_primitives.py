@@ -325,3 +325,25 @@ def test_text_meshes_need_not_be_utf8(tmp_path):
     (tmp_path / "a.obj").write_bytes(text.encode("latin-1"))
     mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
     assert mesh.faces.tolist() == [[0, 1, 2]]
+
+
+TWO_TRIANGLES = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf -3 -2 -1\n",
+        "vn 0 0 1\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf -3//-1 -2//-1 -1//-1\nv 0 0 5\nv 1 0 5\nv 0 1 5\nvn 0 0 1\n"
+        "f -3//-1 -2//-1 -1//-1\n",
+        "\tv 0 0 0\n  v 1 0 0\nv\t0\t1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\n  f 1 2 3\nf\t4 5 6",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf 1 2\\\n3\nf 4 5\\\r\n6\n",
+        "v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3\rv 0 0 5\rv 1 0 5\rv 0 1 5\rf 4 5 6\r",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_obj_files_as_other_programs_write_them(tmp_path, text, encoding):
+    path = tmp_path / "a.obj"
+    path.write_bytes(("# mod\xe8le\n" + text).encode(encoding))
+    mesh, _ = mesh_files.read_mesh(path)
+    assert mesh.vertices[mesh.faces].reshape(-1, 3).tolist() == TWO_TRIANGLES
