@@ -76,12 +76,12 @@ def check_positions(path: Path) -> None:
                 )
             if primitive.get("mode") == TRIANGLE_FAN:
                 fans.append(name)
-    nodes = {str(node.get("name") or number): node for number, node in enumerate(_dicts(header, "nodes"))}
+    nodes = [(str(node.get("name") or number), node) for number, node in enumerate(_dicts(header, "nodes"))]
     left_out = {
-        "the pose of bones": [name for name, node in nodes.items() if "skin" in node],
-        "morph targets": [name for name, node in nodes.items() if _is_morphed(node, header)],
+        "the pose of bones": [name for name, node in nodes if "skin" in node],
+        "morph targets": [name for name, node in nodes if _is_morphed(node, header)],
         "copies by EXT_mesh_gpu_instancing": [
-            name for name, node in nodes.items() if "EXT_mesh_gpu_instancing" in _extensions(node)
+            name for name, node in nodes if "EXT_mesh_gpu_instancing" in _extensions(node)
         ],
         "triangle fans": fans,
     }
