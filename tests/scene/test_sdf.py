@@ -841,6 +841,8 @@ def read_wet(tmp_path, inside):
         (model(link(shape=visual("visual", z=3)), "sea_surface"), "sea_surface::link"),
         (model(link(shape=visual("visual", z=3), name="ocean_link"), "wreck"), "wreck::ocean_link"),
         (model(link(shape=visual("water_plane", z=3))), "m::link"),
+        (model(link(shape=visual("wave_visual", z=3))), "m::link"),
+        (model(link(shape=visual("visual", z=3)), "Coast Waves"), "Coast Waves::link"),
         (
             model(link(shape=f"<pose>0 0 3 0 0 0</pose>{shape('', geometry=SHEET)}"), "water_surface"),
             "water_surface::link",
@@ -930,6 +932,7 @@ def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
         ("ocean", link(shape=shape(RETRO, "seafloor"))),
         ("lake", link(shape=shape(RETRO, "lake_bottom"), name="lake_link")),
         ("wave_glider", link(shape=visual("visual"))),
+        ("breakwater waves wall", link(shape=visual("visual"))),
         (
             "sea_surface",
             link(shape=visual("ice").replace("</visual>", f"{RETRO}</visual>")),
