@@ -515,6 +515,22 @@ def test_ground_plane_and_sun_are_known_without_files(tmp_path):
     np.testing.assert_array_equal(body.pose, pose(0, 0, -3))
 
 
+def test_those_of_fuel_are_known_without_files_too(tmp_path):
+    fuel = "https://fuel.gazebosim.org/1.0/OpenRobotics/models"
+    inside = f"<include><uri>{fuel}/Sun</uri></include><include><uri>{fuel}/Ground%20Plane/2</uri></include>"
+    with pytest.warns(UserWarning, match="no <laser_retro> in 1 of 1 bodies"):
+        (body,) = read_sdf(write(tmp_path / "a.sdf", inside)).bodies
+    assert body.name == "ground_plane" and np.ptp(body.surface.vertices[:, 0]) == 2000
+
+
+def test_files_are_found_whatever_the_scheme(tmp_path, read):
+    """Gazebo searches so; some worlds have models:// in place of model://."""
+    trimesh.creation.box((5, 1, 1)).export(tmp_path / "b.stl")
+    mesh = "<geometry><mesh><uri>models://b.stl</uri></mesh></geometry>"
+    (body,) = read(model(link(shape=shape(RETRO, geometry=mesh)))).bodies
+    assert np.ptp(body.surface.vertices[:, 0]) == 5
+
+
 def test_elements_without_acoustic_meaning_are_ignored(read):
     scene = read(
         "<physics type='ode'><gravity>x y z</gravity></physics><light name='l'><pose>nonsense</pose></light>"

@@ -42,6 +42,18 @@ def fuel_caches() -> list[Path]:
     return [Path(os.environ.get(key) or usual).expanduser() for key, usual in FUEL_CACHES.items()]
 
 
+def built_in_model(uri: str) -> str | None:
+    """Return the key of BUILT_IN that a URI means, also one of Gazebo Fuel; None if there is none.
+
+    >>> built_in_model("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane")
+    'model://ground_plane'
+    """
+    found = re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE)
+    if found and found[2].lower() == "openrobotics" and found[5] is None:
+        uri = f"model://{found[3].lower().replace(' ', '_')}"
+    return uri if uri in BUILT_IN else None
+
+
 MAX_EXPLAINED = 5  # missing files: where each was looked for
 
 
@@ -179,9 +191,8 @@ class Resources:
             raise Error(f"{location}: must name a file or a model (got {uri!r})")
         if scheme in ("http", "https"):
             return self._find_on_fuel(uri, location)
-        if scheme not in ("", "model", "package", "file"):
-            self.note_missing(uri, location, [])
-            return None
+        if scheme not in ("", "package", "file"):
+            scheme = "model"  # as for Gazebo, which searches whatever the scheme is, such as models://
         if scheme in ("model", "package"):
             rest = rest.lstrip("/")
         candidates = [base / rest] if scheme == "" or rest.startswith("/") else []
@@ -208,7 +219,7 @@ class Resources:
                 f"{location}: {uri!r} must stay in the scene's folder and the resource paths (it leads to "
                 f"{outside[0].resolve()}; if that is to be trusted, make its folder a resource path)"
             )
-        if found is None and uri not in BUILT_IN:
+        if found is None and built_in_model(uri) is None:
             self.note_missing(uri, location, inside or outside)
         return found
 
@@ -270,7 +281,8 @@ class Resources:
                 searched.append(folder)
                 if folder.is_dir() and self._is_inside(folder):
                     return self._existing(folder / file if file else folder, uri, location)
-        self.note_missing(uri, location, searched)
+        if built_in_model(uri) is None:
+            self.note_missing(uri, location, searched)
         return None
 
     def _existing(self, path: Path, uri: str, location: str) -> Path | None:
@@ -281,7 +293,7 @@ class Resources:
         return None
 
     def find_model(self, uri: str, base: Path, location: str) -> Path | str | None:
-        """Return the SDF file of an `<include>`; None if it is missing; the URI itself if it is in BUILT_IN.
+        """Return the SDF file of an `<include>`; None if it is missing; a key of BUILT_IN for those.
 
         The URI names the file, or a folder. In a folder the file is the newest version in `model.config`,
         else `model.sdf`. Parameters and errors are those of `find`.
@@ -289,7 +301,7 @@ class Resources:
         uri = uri if uri.endswith("://") else uri.rstrip("/")
         found = self.find(uri, base, location)
         if found is None:
-            return uri if uri in BUILT_IN else None
+            return built_in_model(uri)
         if found.is_file():
             return found
         chosen = self.file_of_model(found)
