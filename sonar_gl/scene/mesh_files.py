@@ -43,7 +43,8 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
 
     Parameters
     ----------
-    path : 8 or 16 bit PNG, whose values are scaled to 0..1, or float TIFF, whose values are used unscaled
+    path : 8 or 16 bit PNG, whose values are divided by the largest, as by Gazebo, or float TIFF, whose values are used
+        unscaled
     size : x, y extent of the terrain, metres, and factor of the values
     pos : centre of the terrain, metres; height = pos z + value · size z
 
@@ -58,10 +59,11 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
     `size`.
     """
     image = read_image_file(path, "a height map", "8 or 16 bit PNG, float TIFF")
+    is_whole = image.dtype.kind == "u"
     if image.ndim == 3:
-        image = image[:, :, :3].mean(axis=2) / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1)
-    elif image.dtype.kind == "u":
-        image = image / np.iinfo(image.dtype).max
+        image = image[:, :, :3].mean(axis=2)
+    if is_whole:
+        image = image / (image.max() or 1)
     rows, columns = image.shape
     if min(rows, columns) < 2:
         raise Error(f"{path}: a height map must have 2 x 2 pixels or more (got {columns} x {rows})")

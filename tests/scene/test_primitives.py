@@ -152,13 +152,15 @@ def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
 @pytest.mark.parametrize(
     ("suffix", "image", "expected"),
     [
-        ("png", np.full((2, 2), 128, np.uint8), 128 / 255 * 3),
-        ("png", np.full((2, 2), 40000, np.uint16), 40000 / 65535 * 3),
-        ("png", np.full((2, 2, 3), 51, np.uint8), 0.2 * 3),
-        ("tiff", np.full((2, 2), -1.25, np.float32), -1.25 * 3),
+        ("png", np.array([[128, 64], [0, 32]], np.uint8), [3.0, 1.5, 0.0, 0.75]),
+        ("png", np.array([[40000, 10000], [0, 20000]], np.uint16), [3.0, 0.75, 0.0, 1.5]),
+        ("png", np.full((2, 2, 3), 51, np.uint8), [3.0] * 4),
+        ("png", np.zeros((2, 2), np.uint8), [0.0] * 4),
+        ("tiff", np.full((2, 2), -1.25, np.float32), [-1.25 * 3] * 4),
     ],
 )
-def test_heightmap_scales_by_the_full_range_of_its_type(tmp_path, suffix, image, expected):
+def test_heightmap_scales_by_the_largest_value_as_gazebo_does(tmp_path, suffix, image, expected):
+    """HeightmapShape::Init of Gazebo Classic, and Ogre2Heightmap::Init of gz-rendering."""
     cv2.imwrite(str(tmp_path / f"h.{suffix}"), image)
     mesh, _ = mesh_files.heightmap(tmp_path / f"h.{suffix}", (1.0, 1.0, 3.0))
     np.testing.assert_allclose(mesh.vertices[:, 2], expected, rtol=1e-12)
