@@ -20,6 +20,7 @@ from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
 from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.core.warn import collected_warnings, warn_caller
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
@@ -39,7 +40,8 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
-    and at its end ("result", value), or ("error", text) for an Error, a failed write and everything else.
+    and at its end ("of files", text) for each warning of what it has read, and ("result", value), or ("error",
+    text) for an Error, a failed write and everything else.
     """
     for number in (
         signal.SIGINT,
@@ -53,15 +55,18 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
         pipe.send((kind, value))
 
     while (command := _receive(pipe)) is not None:
+        with collected_warnings() as found:  # of files, which this process would show in a form of its own
+            try:
+                if batch is None:
+                    load_numba()
+                    batch = Batch(Job(**job), Folder(url), device, any_system)
+                name, *arguments = command
+                message = "result", STEPS[name](batch, *arguments, report=report)
+            except BaseException as why:
+                message = "error", _describe_failure(why, url)
         try:
-            if batch is None:
-                load_numba()
-                batch = Batch(Job(**job), Folder(url), device, any_system)
-            name, *arguments = command
-            message = "result", STEPS[name](batch, *arguments, report=report)
-        except BaseException as why:
-            message = "error", _describe_failure(why, url)
-        try:
+            for warning in found:
+                pipe.send(("of files", warning.text))
             pipe.send(message)
         except OSError:  # the pool has gone
             return
@@ -342,6 +347,8 @@ class Pool:
         """Pass on a warning, or raise an error, that a process reports."""
         if kind == "warning":
             self.warn(value)
+        elif kind == "of files":
+            warn_caller(value)  # which a command shows once, whatever the number of processes
         else:
             raise Error(value)
 
