@@ -1456,6 +1456,8 @@ def test_a_map_on_an_infinite_plane_is_refused(message):
             "<!-- who -->\n<?xml version='1.0'?><sdf version='1.9'>{}</sdf>",
             "line 2: the XML declaration is not first",
         ),
+        ("<sdf version='1.9'>\n<y>http://a/?b=1&c=2 &amp; &#65; A & B</y>{}</sdf>", "line 2: a bare '&'"),
+        ("<sdf version='1.9'><y b='1&2'/><!-- -- -->{}</sdf>", 'line 1: "--" in a comment'),
     ],
 )
 def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, why):
@@ -1468,6 +1470,15 @@ def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, wh
     ]
     assert [body.name for body in scene.bodies] == ["m"]
     np.testing.assert_array_equal(np.ptp(scene.bodies[0].surface.vertices, axis=0), (2, 4, 6))
+
+
+def test_a_bare_and_stays_in_names(tmp_path):
+    trimesh.creation.box((5, 1, 1)).export(tmp_path / "a&b.stl")
+    mesh = "<geometry><mesh><uri>a&b.stl</uri></mesh></geometry>"
+    path = write(tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=mesh)), name="A & B &amp; C"))
+    with pytest.warns(UserWarning, match="line 2: a bare '&'"):
+        (body,) = read_sdf(path).bodies
+    assert body.name == "A & B & C" and np.ptp(body.surface.vertices[:, 0]) == 5
 
 
 @pytest.mark.parametrize("use", ["&x;", ""])

@@ -21,6 +21,7 @@ MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
 TOLERATED[202] = TOLERATED[201]
+BARE_AND = re.compile(rb"&(?!#?\w+;)")  # accepted as well, as in "A & B" or "?a=1&b=2"
 BARE_VALUE = re.compile(r"""<[^<>"']*?([\w:.-]+=[^"'\s<>/]+)""")  # of an attribute, without quotes
 BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
     "model://sun": "<sdf><light/></sdf>",
@@ -157,15 +158,19 @@ class Resources:
             remove_pis=True,
         )
         try:
-            root = etree.fromstring(xml, parser)
+            root = etree.fromstring(BARE_AND.sub(b"&amp;", xml), parser)
         except etree.XMLSyntaxError:  # of an empty file
             return None
         if root is None or any(found.type not in TOLERATED for found in parser.error_log):
             return None
         if root.getroottree().docinfo.doctype or any(True for _ in root.iter(etree.Entity)):
             raise Error(f"{path}: a document type or entities must not be declared (refused)")
-        first = parser.error_log[0] if len(parser.error_log) else None
-        self.recovered[path] = "" if first is None else f"line {first.line}: {TOLERATED[first.type]}"
+        if len(parser.error_log):
+            first = parser.error_log[0]
+            self.recovered[path] = f"line {first.line}: {TOLERATED[first.type]}"
+        else:
+            bare = BARE_AND.search(xml)
+            self.recovered[path] = f"line {1 + xml[: bare.start()].count(10)}: a bare '&'" if bare else ""
         return root
 
     def find(self, uri: str, base: Path, location: str) -> Path | None:
