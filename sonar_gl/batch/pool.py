@@ -20,7 +20,7 @@ from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
 from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.core.warn import collected_warnings
+from sonar_gl.core.warn import collected_warnings, warn_caller
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
@@ -40,36 +40,31 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
-    and at its end ("result", value), or ("error", text) for an Error, a failed write and everything else.
+    and at its end ("of files", text) for each warning of what it has read, and ("result", value), or ("error",
+    text) for an Error, a failed write and everything else.
     """
     # the pool decides when to stop; queues signal all processes
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
-    batch, said = None, set()
+    batch = None
 
     def report(kind, value):
         pipe.send((kind, value))
 
     while (command := _receive(pipe)) is not None:
-        try:
-            if batch is None:
-                load_numba()
-                with (
-                    collected_warnings() as found
-                ):  # of the job, which the process that runs the batch gives, too
+        with collected_warnings() as found:  # of files, which this process would show in a form of its own
+            try:
+                if batch is None:
+                    load_numba()
                     batch = Batch(Job(**job), Folder(url), device, any_system)
-                said.update(warning.text for warning in found)
-            name, *arguments = command
-            with collected_warnings() as found:
+                name, *arguments = command
                 message = "result", STEPS[name](batch, *arguments, report=report)
-            for warning in found:  # a scene that is loaded again gives its own again
-                if warning.text not in said:
-                    said.add(warning.text)
-                    report("warning", warning.text)
-        except BaseException as why:
-            message = "error", _describe_failure(why, url)
+            except BaseException as why:
+                message = "error", _describe_failure(why, url)
         try:
+            for warning in found:
+                pipe.send(("of files", warning.text))
             pipe.send(message)
         except OSError:  # the pool has gone
             return
@@ -350,6 +345,8 @@ class Pool:
         """Pass on a warning, or raise an error, that a process reports."""
         if kind == "warning":
             self.warn(value)
+        elif kind == "of files":
+            warn_caller(value)  # which a command shows once, whatever the number of processes
         else:
             raise Error(value)
 

@@ -251,8 +251,6 @@ def _stop_on_signals(pool: Pool, report: Callable[[str], None]):
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make the first part of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for scene in range(len(job.scenes)):  # here, too, for its warnings: processes do not show them
-        requests.scene(scene)
     for text in requests.rate_warnings():
         report(text)
     with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, report) as pool:

@@ -65,29 +65,27 @@ def check_positions(path: Path) -> None:
     """
     header = _read_header(path)
     fans = []
-    for mesh in _dicts(header, "meshes"):
+    for number, mesh in enumerate(_dicts(header, "meshes")):
+        name = str(mesh.get("name") or number)
         for primitive in _dicts(mesh, "primitives"):
             form = _form_of_positions(primitive, header)
             if form is not None:
                 raise Error(
-                    f"{path}: the positions of mesh {mesh.get('name') or ''!r} must be plain numbers (got {form}; "
+                    f"{path}: the positions of mesh {name!r} must be plain numbers (got {form}; "
                     "import the file into Blender, and export it without compression)"
                 )
             if primitive.get("mode") == TRIANGLE_FAN:
-                fans.append(str(mesh.get("name") or ""))
+                fans.append(name)
+    nodes = [(str(node.get("name") or number), node) for number, node in enumerate(_dicts(header, "nodes"))]
     left_out = {
-        "the pose of bones": [node for node in _dicts(header, "nodes") if "skin" in node],
-        "morph targets": [node for node in _dicts(header, "nodes") if _is_morphed(node, header)],
+        "the pose of bones": [name for name, node in nodes if "skin" in node],
+        "morph targets": [name for name, node in nodes if _is_morphed(node, header)],
         "copies by EXT_mesh_gpu_instancing": [
-            node for node in _dicts(header, "nodes") if "EXT_mesh_gpu_instancing" in _extensions(node)
+            name for name, node in nodes if "EXT_mesh_gpu_instancing" in _extensions(node)
         ],
+        "triangle fans": fans,
     }
-    said = [
-        f"{what} ({some_names([str(node.get('name') or '') for node in nodes])})"
-        for what, nodes in left_out.items()
-        if nodes
-    ]
-    said += [f"triangle fans ({some_names(fans)})"] if fans else []
+    said = [f"{what} ({some_names(names)})" for what, names in left_out.items() if names]
     if said:
         warn_caller(f"{path}: read without {', and without '.join(said)}")
 

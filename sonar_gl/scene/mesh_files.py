@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import re
 from collections.abc import Collection
@@ -18,6 +19,7 @@ from sonar_gl.scene.collada_files import read_collada
 from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
+from sonar_gl.scene.obj_text import tidy_obj
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
@@ -41,7 +43,8 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
 
     Parameters
     ----------
-    path : 8 or 16 bit PNG, whose values are scaled to 0..1, or float TIFF, whose values are used unscaled
+    path : 8 or 16 bit PNG, whose values are divided by the largest, as by Gazebo, or float TIFF, whose values are used
+        unscaled
     size : x, y extent of the terrain, metres, and factor of the values
     pos : centre of the terrain, metres; height = pos z + value · size z
 
@@ -56,10 +59,11 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
     `size`.
     """
     image = read_image_file(path, "a height map", "8 or 16 bit PNG, float TIFF")
+    is_whole = image.dtype.kind == "u"
     if image.ndim == 3:
-        image = image[:, :, :3].mean(axis=2) / (np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1)
-    elif image.dtype.kind == "u":
-        image = image / np.iinfo(image.dtype).max
+        image = image[:, :, :3].mean(axis=2)
+    if is_whole:
+        image = image / (image.max() or 1)
     rows, columns = image.shape
     if min(rows, columns) < 2:
         raise Error(f"{path}: a height map must have 2 x 2 pixels or more (got {columns} x {rows})")
@@ -94,6 +98,9 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
             check_accessors(path)
             check_positions(path)
             scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
+        elif path.suffix.lower() == ".obj":
+            file = io.BytesIO(tidy_obj(path.read_bytes()))
+            scene = _load(file, file_type="obj", resolver=NoFiles(path))
         else:
             scene = _load(path, resolver=NoFiles(path))
         return _read_parts(scene, path)

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,20 @@ def test_a_file_in_the_place_of_the_folder_of_a_batch_is_called_so(tmp_path, mon
     assert (status, out) == (2, "")
     assert err == f"error: {tmp_path}/{where}: the place of a batch must be a folder (got {got})\n"
     assert Path("file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("words", [("--dry-run",), ("--out", "made")])
+def test_processes_leave_warnings_of_scenes_to_the_command_which_shows_them_once(
+    tmp_path, monkeypatch, capfd, words
+):
+    monkeypatch.chdir(tmp_path)
+    wall = re.sub("<laser_retro>.*?</laser_retro>", "", WALL)
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{wall}{SENSOR}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
+    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
+    Path("job.toml").write_text(job)
+    status, _, err = run("batch", "job.toml", *words, "--workers", "2")
+    assert status == 0
+    shown = [line for line in (err + capfd.readouterr().err).splitlines() if "laser_retro" in line]
+    assert len(shown) == 1 and shown[0].startswith(f"warning: {tmp_path}/tank.sdf: no <laser_retro>")

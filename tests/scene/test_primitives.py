@@ -146,13 +146,15 @@ def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
 @pytest.mark.parametrize(
     ("suffix", "image", "expected"),
     [
-        ("png", np.full((2, 2), 128, np.uint8), 128 / 255 * 3),
-        ("png", np.full((2, 2), 40000, np.uint16), 40000 / 65535 * 3),
-        ("png", np.full((2, 2, 3), 51, np.uint8), 0.2 * 3),
-        ("tiff", np.full((2, 2), -1.25, np.float32), -1.25 * 3),
+        ("png", np.array([[128, 64], [0, 32]], np.uint8), [3.0, 1.5, 0.0, 0.75]),
+        ("png", np.array([[40000, 10000], [0, 20000]], np.uint16), [3.0, 0.75, 0.0, 1.5]),
+        ("png", np.full((2, 2, 3), 51, np.uint8), [3.0] * 4),
+        ("png", np.zeros((2, 2), np.uint8), [0.0] * 4),
+        ("tiff", np.full((2, 2), -1.25, np.float32), [-1.25 * 3] * 4),
     ],
 )
-def test_heightmap_scales_by_the_full_range_of_its_type(tmp_path, suffix, image, expected):
+def test_heightmap_scales_by_the_largest_value_as_gazebo_does(tmp_path, suffix, image, expected):
+    """HeightmapShape::Init of Gazebo Classic, and Ogre2Heightmap::Init of gz-rendering."""
     cv2.imwrite(str(tmp_path / f"h.{suffix}"), image)
     mesh, _ = mesh_files.heightmap(tmp_path / f"h.{suffix}", (1.0, 1.0, 3.0))
     np.testing.assert_allclose(mesh.vertices[:, 2], expected, rtol=1e-12)
@@ -319,3 +321,25 @@ def test_text_meshes_need_not_be_utf8(tmp_path):
     (tmp_path / "a.obj").write_bytes(text.encode("latin-1"))
     mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
     assert mesh.faces.tolist() == [[0, 1, 2]]
+
+
+TWO_TRIANGLES = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf -3 -2 -1\n",
+        "vn 0 0 1\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf -3//-1 -2//-1 -1//-1\nv 0 0 5\nv 1 0 5\nv 0 1 5\nvn 0 0 1\n"
+        "f -3//-1 -2//-1 -1//-1\n",
+        "\tv 0 0 0\n  v 1 0 0\nv\t0\t1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\n  f 1 2 3\nf\t4 5 6",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf 1 2\\\n3\nf 4 5\\\r\n6\n",
+        "v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3\rv 0 0 5\rv 1 0 5\rv 0 1 5\rf 4 5 6\r",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_obj_files_as_other_programs_write_them(tmp_path, text, encoding):
+    path = tmp_path / "a.obj"
+    path.write_bytes(("# mod\xe8le\n" + text).encode(encoding))
+    mesh, _ = mesh_files.read_mesh(path)
+    assert mesh.vertices[mesh.faces].reshape(-1, 3).tolist() == TWO_TRIANGLES

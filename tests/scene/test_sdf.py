@@ -339,6 +339,70 @@ def test_a_glb_named_by_sdf_is_not_turned(tmp_path, read):
     np.testing.assert_allclose(read(model(link(shape=shape))).bodies[0].mesh.extents, [1, 2, 3])
 
 
+STATE = """<state world_name='w'><model name='gone'><pose>9 9 9 0 0 0</pose></model>
+<model name='gate'><pose frame=''>1 2 3 0 0 1.5707963267948966</pose><scale>10 1 1.0</scale>
+<link name='a'><pose>1 2 3 0 0 1.5707963267948966</pose><velocity>0 0 0 0 0 0</velocity></link>
+<link name='b'><pose>1 7 3 0 0 0</pose></link>
+<model name='inner'><pose>4 4 4 0 0 0</pose><link name='c'><pose>4 4 5 0 0 0</pose></link></model>
+</model>
+<model name='flat'><pose>5 0 0 0 0 0</pose><link name='part::d'><pose>5 0 2 0 0 0</pose></link></model>
+<model name='rock'><pose>0.001 0 0 0 0 0</pose><scale>1 1 1</scale></model></state>"""
+
+
+def test_models_stand_where_the_state_of_gazebo_classic_says(tmp_path):
+    """It moves them there when it opens the world; a deleted model is still in the state."""
+    inner = model(link(name="c", shape=shape(RETRO)), name="inner")
+    parts = link(name="a", shape=shape(RETRO)) + link(name="b", shape=shape(RETRO))
+    flat = model(model(link(name="d", shape=shape(RETRO)), name="part"), name="flat")
+    rock = model(link(shape=shape(RETRO)), name="rock")
+    path = write(tmp_path / "a.world", model(parts + inner, name="gate") + flat + rock + STATE)
+    with pytest.warns(UserWarning) as caught:
+        scene = read_sdf(path)
+    assert [str(one.message) for one in caught] == [
+        f"{path}: models stand where <state> says, as in Gazebo Classic (gate, flat); <scale> of <state> is left out "
+        "(gate)"
+    ]
+    middles = {body.name: (body.pose @ [*body.surface.vertices.mean(axis=0), 1])[:3] for body in scene.bodies}
+    expected = {
+        "gate::a": [1, 2, 3],
+        "gate::b": [1, 7, 3],
+        "gate::inner": [4, 4, 5],
+        "flat::part": [5, 0, 2],
+        "rock": [0.001, 0, 0],
+    }
+    assert list(middles) == list(expected)
+    assert np.allclose(list(middles.values()), list(expected.values()), atol=1e-12)
+    assert np.allclose(scene.models["gate"], pose(1, 2, 3, yaw=np.pi / 2))
+    assert np.allclose(scene.models["gate::inner"][:3, 3], 4)
+
+
+def test_a_state_without_poses_or_with_bad_ones(tmp_path, read):
+    shaped = model(link(shape=shape(RETRO)), name="m")
+    (body,) = read(
+        shaped + "<state><model name='m'><link name='nobody'/></model><light name='m'/></state>"
+    ).bodies
+    assert np.array_equal(body.pose, np.eye(4))
+    path = write(tmp_path / "a.world", shaped + "<state><model name='m'><pose>1 2</pose></model></state>")
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    assert str(caught.value) == f"{path}: world/state/model[m]/pose: must be 6 finite numbers (got '1 2')"
+
+
+def test_what_gazebo_shows_and_is_not_read_is_told(tmp_path):
+    (tmp_path / "walker").mkdir()
+    walker = write(tmp_path / "walker" / "model.sdf", "<actor name='walker'/>", world=False)
+    inside = (
+        "<actor name='swimmer'/><road name='quay'/><population name='crates'><model name='c'/></population>"
+    )
+    path = write(tmp_path / "a.world", f"{inside}<include><uri>{walker.parent.name}</uri></include>")
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(one.message) for one in caught] == [
+        f"{path}: actors, populations and roads are left out "
+        "(actor swimmer, road quay, population crates, actor walker)"
+    ]
+
+
 # ---- the sonar ---------------------------------------------------------------------------------------
 
 SENSOR = "<pose>0 0 1 0 0 0</pose>"
@@ -449,6 +513,22 @@ def test_ground_plane_and_sun_are_known_without_files(tmp_path):
     (body,) = scene.bodies
     np.testing.assert_array_equal(body.mesh.bounds, [[-1000, -1000, 0], [1000, 1000, 0]])
     np.testing.assert_array_equal(body.pose, pose(0, 0, -3))
+
+
+def test_those_of_fuel_are_known_without_files_too(tmp_path):
+    fuel = "https://fuel.gazebosim.org/1.0/OpenRobotics/models"
+    inside = f"<include><uri>{fuel}/Sun</uri></include><include><uri>{fuel}/Ground%20Plane/2</uri></include>"
+    with pytest.warns(UserWarning, match="no <laser_retro> in 1 of 1 bodies"):
+        (body,) = read_sdf(write(tmp_path / "a.sdf", inside)).bodies
+    assert body.name == "ground_plane" and np.ptp(body.surface.vertices[:, 0]) == 2000
+
+
+def test_files_are_found_whatever_the_scheme(tmp_path, read):
+    """Gazebo searches so; some worlds have models:// in place of model://."""
+    trimesh.creation.box((5, 1, 1)).export(tmp_path / "b.stl")
+    mesh = "<geometry><mesh><uri>models://b.stl</uri></mesh></geometry>"
+    (body,) = read(model(link(shape=shape(RETRO, geometry=mesh)))).bodies
+    assert np.ptp(body.surface.vertices[:, 0]) == 5
 
 
 def test_elements_without_acoustic_meaning_are_ignored(read):
@@ -805,6 +885,8 @@ def read_wet(tmp_path, inside):
         (model(link(shape=visual("visual", z=3)), "sea_surface"), "sea_surface::link"),
         (model(link(shape=visual("visual", z=3), name="ocean_link"), "wreck"), "wreck::ocean_link"),
         (model(link(shape=visual("water_plane", z=3))), "m::link"),
+        (model(link(shape=visual("wave_visual", z=3))), "m::link"),
+        (model(link(shape=visual("visual", z=3)), "Coast Waves"), "Coast Waves::link"),
         (
             model(link(shape=f"<pose>0 0 3 0 0 0</pose>{shape('', geometry=SHEET)}"), "water_surface"),
             "water_surface::link",
@@ -894,6 +976,7 @@ def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
         ("ocean", link(shape=shape(RETRO, "seafloor"))),
         ("lake", link(shape=shape(RETRO, "lake_bottom"), name="lake_link")),
         ("wave_glider", link(shape=visual("visual"))),
+        ("breakwater waves wall", link(shape=visual("visual"))),
         (
             "sea_surface",
             link(shape=visual("ice").replace("</visual>", f"{RETRO}</visual>")),
@@ -1402,6 +1485,8 @@ def test_a_map_on_an_infinite_plane_is_refused(message):
             "<!-- who -->\n<?xml version='1.0'?><sdf version='1.9'>{}</sdf>",
             "line 2: the XML declaration is not first",
         ),
+        ("<sdf version='1.9'>\n<y>http://a/?b=1&c=2 &amp; &#65; A & B</y>{}</sdf>", "line 2: a bare '&'"),
+        ("<sdf version='1.9'><y b='1&2'/><!-- -- -->{}</sdf>", 'line 1: "--" in a comment'),
     ],
 )
 def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, why):
@@ -1414,6 +1499,15 @@ def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, wh
     ]
     assert [body.name for body in scene.bodies] == ["m"]
     np.testing.assert_array_equal(np.ptp(scene.bodies[0].surface.vertices, axis=0), (2, 4, 6))
+
+
+def test_a_bare_and_stays_in_names(tmp_path):
+    trimesh.creation.box((5, 1, 1)).export(tmp_path / "a&b.stl")
+    mesh = "<geometry><mesh><uri>a&b.stl</uri></mesh></geometry>"
+    path = write(tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=mesh)), name="A & B &amp; C"))
+    with pytest.warns(UserWarning, match="line 2: a bare '&'"):
+        (body,) = read_sdf(path).bodies
+    assert body.name == "A & B & C" and np.ptp(body.surface.vertices[:, 0]) == 5
 
 
 @pytest.mark.parametrize("use", ["&x;", ""])

@@ -15,6 +15,7 @@ from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_s
 from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, links_of, models_of
 from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.saved_state import apply_state
 from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
 from sonar_gl.scene.sdf.urdf import model_of
@@ -24,6 +25,7 @@ from sonar_gl.scene.sonar_sensor import SonarSensor
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
+NOT_READ = "actor", "population", "road"  # in a world
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
     "COLLADA": "this is a mesh: name it .dae",
     "launch": "this is a launch file of ROS: give the world or robot that it starts",
@@ -72,6 +74,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     left out, with one warning, unless they have surface properties. Where the file has no
     `<sonar_gl:surface>`, the highest shape of water is the water's surface.
 
+    Models stand where the `<state>` of a world puts them, with one warning of those that it moves.
+
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
@@ -87,7 +91,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
-    TreeReader(resources).fill(scope, top, (path.resolve(),))
+    tree = TreeReader(resources)
+    tree.fill(scope, top, (path.resolve(),))
+    moved = apply_state(scope, top)
     links = list(links_of(scope, np.eye(4)))
     sonars = find_sonars(links)
     sensors, changed = _read_sensors(sonars)
@@ -105,6 +111,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if height_m is not None and not surface:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
+    if tree.left_out:
+        said.append(f"actors, populations and roads are left out ({some_names(tree.left_out)})")
+    said += [moved] if moved else []
     if said:
         warn_caller(f"{path}: {'; '.join(said)}")
     missing, unsupported = resources.missing(path), resources.unsupported()
@@ -222,10 +231,14 @@ class TreeReader:
     Parameters
     ----------
     resources : finds the files of included models
+
+    Attributes
+    ----------
+    left_out : kinds and names of what Gazebo shows, and is not read
     """
 
     def __init__(self, resources: Resources):
-        self.resources = resources
+        self.resources, self.left_out = resources, []
         self._n_models = 0
 
     def fill(self, scope: Scope, element, stack: tuple) -> None:
@@ -254,6 +267,8 @@ class TreeReader:
             elif child.tag == "frame":
                 base = (child.get("attached_to") or "").strip()
                 scope.add(name, Frame(child.find("pose"), location, base))
+            elif child.tag in NOT_READ:
+                self.left_out.append(f"{child.tag} {name}")
         for joint in element.findall("joint"):  # last, since old files give joints the names of links
             name = (joint.get("name") or "").strip()
             base = (joint.findtext("child") or "").strip()
@@ -295,6 +310,7 @@ class TreeReader:
         if model is None:
             if root.find("light") is None and root.find("actor") is None:
                 raise Error(f"{path}: must hold a <model> (included by {location})")
+            self.left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
             return
         name = name or (model.get("name") or "").strip()
         model_location = f"{path}: model[{name}]"

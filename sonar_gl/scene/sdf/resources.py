@@ -21,6 +21,7 @@ MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
 TOLERATED[202] = TOLERATED[201]
+BARE_AND = re.compile(rb"&(?!#?\w+;)")  # accepted as well, as in "A & B" or "?a=1&b=2"
 BARE_VALUE = re.compile(r"""<[^<>"']*?([\w:.-]+=[^"'\s<>/]+)""")  # of an attribute, without quotes
 BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
     "model://sun": "<sdf><light/></sdf>",
@@ -40,6 +41,18 @@ FUEL_CACHES = {  # environment variable: where the cache is without it
 def fuel_caches() -> list[Path]:
     """Return the folders in which Gazebo keeps the models that it has downloaded."""
     return [Path(os.environ.get(key) or usual).expanduser() for key, usual in FUEL_CACHES.items()]
+
+
+def built_in_model(uri: str) -> str | None:
+    """Return the key of BUILT_IN that a URI means, also one of Gazebo Fuel; None if there is none.
+
+    >>> built_in_model("https://fuel.gazebosim.org/1.0/OpenRobotics/models/Ground Plane")
+    'model://ground_plane'
+    """
+    found = re.fullmatch(FUEL_URI, unquote(uri), re.IGNORECASE)
+    if found and found[2].lower() == "openrobotics" and found[5] is None:
+        uri = f"model://{found[3].lower().replace(' ', '_')}"
+    return uri if uri in BUILT_IN else None
 
 
 MAX_EXPLAINED = 5  # missing files: where each was looked for
@@ -145,15 +158,19 @@ class Resources:
             remove_pis=True,
         )
         try:
-            root = etree.fromstring(xml, parser)
+            root = etree.fromstring(BARE_AND.sub(b"&amp;", xml), parser)
         except etree.XMLSyntaxError:  # of an empty file
             return None
         if root is None or any(found.type not in TOLERATED for found in parser.error_log):
             return None
         if root.getroottree().docinfo.doctype or any(True for _ in root.iter(etree.Entity)):
             raise Error(f"{path}: a document type or entities must not be declared (refused)")
-        first = parser.error_log[0] if len(parser.error_log) else None
-        self.recovered[path] = "" if first is None else f"line {first.line}: {TOLERATED[first.type]}"
+        if len(parser.error_log):
+            first = parser.error_log[0]
+            self.recovered[path] = f"line {first.line}: {TOLERATED[first.type]}"
+        else:
+            bare = BARE_AND.search(xml)
+            self.recovered[path] = f"line {1 + xml[: bare.start()].count(10)}: a bare '&'" if bare else ""
         return root
 
     def find(self, uri: str, base: Path, location: str) -> Path | None:
@@ -179,9 +196,8 @@ class Resources:
             raise Error(f"{location}: must name a file or a model (got {uri!r})")
         if scheme in ("http", "https"):
             return self._find_on_fuel(uri, location)
-        if scheme not in ("", "model", "package", "file"):
-            self.note_missing(uri, location, [])
-            return None
+        if scheme not in ("", "package", "file"):
+            scheme = "model"  # as for Gazebo, which searches whatever the scheme is, such as models://
         if scheme in ("model", "package"):
             rest = rest.lstrip("/")
         candidates = [base / rest] if scheme == "" or rest.startswith("/") else []
@@ -208,7 +224,7 @@ class Resources:
                 f"{location}: {uri!r} must stay in the scene's folder and the resource paths (it leads to "
                 f"{outside[0].resolve()}; if that is to be trusted, make its folder a resource path)"
             )
-        if found is None and uri not in BUILT_IN:
+        if found is None and built_in_model(uri) is None:
             self.note_missing(uri, location, inside or outside)
         return found
 
@@ -270,7 +286,8 @@ class Resources:
                 searched.append(folder)
                 if folder.is_dir() and self._is_inside(folder):
                     return self._existing(folder / file if file else folder, uri, location)
-        self.note_missing(uri, location, searched)
+        if built_in_model(uri) is None:
+            self.note_missing(uri, location, searched)
         return None
 
     def _existing(self, path: Path, uri: str, location: str) -> Path | None:
@@ -281,7 +298,7 @@ class Resources:
         return None
 
     def find_model(self, uri: str, base: Path, location: str) -> Path | str | None:
-        """Return the SDF file of an `<include>`; None if it is missing; the URI itself if it is in BUILT_IN.
+        """Return the SDF file of an `<include>`; None if it is missing; a key of BUILT_IN for those.
 
         The URI names the file, or a folder. In a folder the file is the newest version in `model.config`,
         else `model.sdf`. Parameters and errors are those of `find`.
@@ -289,7 +306,7 @@ class Resources:
         uri = uri if uri.endswith("://") else uri.rstrip("/")
         found = self.find(uri, base, location)
         if found is None:
-            return uri if uri in BUILT_IN else None
+            return built_in_model(uri)
         if found.is_file():
             return found
         chosen = self.file_of_model(found)

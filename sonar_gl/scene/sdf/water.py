@@ -19,7 +19,9 @@ WATER_MATERIAL = re.compile(
 )
 SURFACE_NAME = re.compile(r"(sea|ocean|lake|river|water)[ _-]?(surface|level|plane)", re.IGNORECASE)
 WATER_NAME = re.compile(
-    r"(sea|ocean|lake|river|water)([ _-]?(surface|level|plane|below|link|body|volume))?|waves?", re.IGNORECASE
+    r"(sea|ocean|lake|river|water)([ _-]?(surface|level|plane|below|link|body|volume))?"
+    r"|((coast|ocean|sea|regular|open)[ _-])?waves?([ _-](visual|link|surface))?",
+    re.IGNORECASE,
 )
 GROUND_NAME = re.compile(r"floor|bottom|bed|ground|terrain|sand|rock", re.IGNORECASE)
 MARK_NAME = re.compile(
