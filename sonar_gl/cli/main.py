@@ -25,6 +25,8 @@ from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
+IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
+
 
 class CommandGroup(click.Group):
     """Commands that report a user's error in one sentence with exit status 2, and each warning once, on one line."""
@@ -35,7 +37,7 @@ class CommandGroup(click.Group):
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="replace")  # the terminal may not have Greek letters
         try:
-            with _interrupted_by_sigterm(), warnings.catch_warnings():
+            with _interrupts(), warnings.catch_warnings():
                 warnings.simplefilter("always", UserWarning)
                 warnings.showwarning = _one_line_warnings()
                 super().invoke(ctx)
@@ -59,16 +61,46 @@ class CommandGroup(click.Group):
 
 
 @contextmanager
-def _interrupted_by_sigterm():
-    """Have SIGTERM end a command as Ctrl-C does: service managers and containers send it."""
+def _interrupts():
+    """Have SIGTERM end a command as Ctrl-C does, since service managers and containers send it; and lose neither.
+
+    While modules are imported a signal waits: trimesh imports others under `except BaseException`, and would take the
+    KeyboardInterrupt for the lack of a module.
+    """
     if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    n_around, waiting = _count_imports(sys._getframe()), []
+
+    def interrupt(number, frame):
+        if _count_imports(frame) <= n_around:
+            raise KeyboardInterrupt
+        again = threading.Timer(IMPORT_PAUSE_S, signal.pthread_kill, (threading.get_ident(), number))
+        again.daemon = True
+        waiting.append(again)
+        again.start()
+
+    numbers = [signal.SIGTERM]
+    # not where the caller has set another handler, or it is ignored, as in the background
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        numbers.append(signal.SIGINT)
+    before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)  # None: of a handler that Python cannot set
+        for again in waiting:
+            again.cancel()
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)  # None: of a handler that Python cannot set
+
+
+def _count_imports(frame) -> int:
+    """Return how many frames of Python's import lie around a frame, itself included."""
+    count = 0
+    while frame is not None:
+        count += frame.f_code.co_filename.startswith("<frozen importlib")
+        frame = frame.f_back
+    return count
 
 
 def _describe_os_error(why: OSError) -> str:

@@ -1,7 +1,10 @@
 """Commands end by SIGTERM, which service managers and containers send, as by Ctrl-C."""
 
+import importlib
 import os
 import signal
+import sys
+import time
 
 import pytest
 
@@ -45,6 +48,35 @@ def test_a_live_command_prints_its_closing_line(command, closing_line, unhandled
 
 def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypatch):
     monkeypatch.setattr(sg.Simulator, "ping", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+    status, _, errors = run("render", "pylon")
+    assert status == 130 and errors.endswith("\nerror: interrupted; the files written so far are complete\n")
+    assert not unhandled
+
+
+@pytest.fixture
+def ctrl_c():
+    """Have Ctrl-C raise KeyboardInterrupt, also where tests run in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.usefixtures("ctrl_c")
+def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, tmp_path):
+    """trimesh takes any exception within its imports for the lack of a module."""
+    (tmp_path / "imports_anything.py").write_text(
+        f"import os\ntry:\n    os.kill(os.getpid(), {int(number)})\nexcept BaseException:\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "imports_anything", raising=False)  # of the other signal
+
+    def ping(*_, **__):
+        importlib.import_module("imports_anything")
+        time.sleep(float(END))
+        pytest.fail("the command went on")
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
     status, _, errors = run("render", "pylon")
     assert status == 130 and errors.endswith("\nerror: interrupted; the files written so far are complete\n")
     assert not unhandled
