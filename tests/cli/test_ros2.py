@@ -299,7 +299,7 @@ def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
             transport.publish(clock, types.encode(types.clock(time_ns)), time_ns)
             transport.publish(poses, odometry(at, time_ns=time_ns), time_ns)
             time.sleep(0.01)
-        command.send_signal(signal.SIGINT)
+        command.send_signal(signal.SIGTERM)  # SIGINT is ignored by what a shell starts in the background
         status = command.wait(WAIT_S)
         log.seek(0)
         assert status == 0, log.read()
