@@ -317,11 +317,9 @@ THIRD, THIRDS = 1 / 3, ("ahead", "aside")  # of the fan's half-width
 BOUNDS = {"mean/std": 0.03, "skewness": 0.1, "correlation": 0.05, "dB": 3.0, "divergence": 0.07}
 RELATIVE = ("mean/std",)  # bounds as a share of the real number
 
-ECHO_AFTER = (
-    "the real floor still echoes there, by way of its skirts and of several bounces; ours is mostly noise"
-)
-ARCS = "the arcs of the real water are some ten beams long; ours are as long as a beam in focus is wide"
-ECHO_FAR = "the real far field has echoes by several bounces, from ahead first and then aside; ours is noise"
+ECHO_AFTER = "the real floor still echoes there, by a way that is not known; ours is mostly noise"
+ARCS = "the real arcs aside have skirts of ten beams on each side; ours have none"
+ECHO_FAR = "the real floor echoes there once more, strongest ahead; ours is noise"
 UNKNOWN = "of something that the pings which the settings were found with did not show"
 # "region: measure" that ours misses: why
 MISSES = {
