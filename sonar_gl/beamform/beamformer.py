@@ -283,7 +283,8 @@ class Beamformer:
         self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
-        self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m))
+        fov_rad = math.inf if is_even else math.radians(fan.sonar.elevation_fov_deg)
+        self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m, fov_rad))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
         # far side lobes receive all columns
@@ -388,7 +389,7 @@ class Beamformer:
 
     def _sum_footprints(self, samples: Sequence[SectorSamples]) -> None:
         """Sum surfaces into columns."""
-        of_sectors = [(whole_rows(one.plane_echo), one.lattice) for one in samples]
+        of_sectors = [(whole_rows(one.plane_echo), whole_rows(one.face_id), one.lattice) for one in samples]
         columns = self._column_sums()
 
         def work(half):

@@ -18,6 +18,7 @@ from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.fan import Fan
 
 CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
+SINGLE = -2  # of `SectorSamples.face_id`
 SHADOW_M = 0.05  # width of a bubble's shadow, or a cell's width if that is more
 LAYERS = 64  # of range, between the nearest bubble and the furthest
 MIN_LAYER_M = 0.01
@@ -82,12 +83,13 @@ def _depth(azimuth, sine, r, grid, tau):
 
 
 @compiled
-def _attenuate(plane_echo, sectors, middle, grid, tau):
-    """Multiply the echo of each sample of a view by exp(−2τ), in place.
+def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
+    """Multiply the echo of each sample of a view by exp(−2τ), in place, and give those that change faces of their own.
 
     Parameters
     ----------
     plane_echo, sectors : of kernels.ViewIndex; middle : azimuth from which those of the grid count
+    face_id : of ViewSamples
     """
     half = grid[AZIMUTH_STEP] * (tau.shape[0] - 1) / 2
     last = grid[FIRST_SINE] + grid[SINE_STEP] * (tau.shape[1] - 1)
@@ -112,6 +114,8 @@ def _attenuate(plane_echo, sectors, middle, grid, tau):
                     azimuth = grid[FIRST_AZIMUTH] + half - beside - math.atan(u)
                     depth = _depth(azimuth, v / length, length / at[0], grid, tau)
                     at[3] *= math.exp(-2.0 * depth)
+                    if depth > 0.0 and face_id.shape[0] > 0:
+                        face_id[row, t.left + column] = SINGLE - row
 
 
 @compiled
@@ -161,7 +165,9 @@ def _wrapped(azimuth_rad):
     return (azimuth_rad + math.pi) % (2 * math.pi) - math.pi
 
 
-def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose, fan: Fan) -> np.ndarray:
+def attenuate_behind_bubbles(
+    view: kernels.ViewIndex, face_id: np.ndarray, bubbles: np.ndarray, pose, fan: Fan
+) -> np.ndarray:
     """Attenuate the samples of a view behind bubbles, in place; return the bubbles as point scatterers.
 
     A bubble of backscattering cross section σ_bs adds π σ_bs / r² to the sum over solid angle of μ cos θ: a
@@ -169,7 +175,7 @@ def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose,
 
     Parameters
     ----------
-    view : of the ping's samples
+    view, face_id : of the ping's samples; face_id of `ViewSamples`, changed where the echo changes
     bubbles : (n, 4) x y z in the world and radius, metres
     pose : (4, 4) world_from_sonar
 
@@ -206,5 +212,5 @@ def attenuate_behind_bubbles(view: kernels.ViewIndex, bubbles: np.ndarray, pose,
     _find_directions(points, middle, directions)
     kernels.find_surfaces(*directions, 0, len(points), tuple(view), surfaces)
     count = _find_echoes(points, middle, grid, tau, surfaces, out)
-    _attenuate(view.plane_echo, view.sectors, middle, grid, tau)
+    _attenuate(view.plane_echo, face_id, view.sectors, middle, grid, tau)
     return out[:count]

@@ -67,6 +67,7 @@ class BinTable(NamedTuple):
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
     first_m, per_metre : where the first bin begins, and bins per metre
+    piece_rad : how high a footprint of several rows may be, see `piece_height_rad`
     """
 
     edges_m: np.ndarray
@@ -78,63 +79,95 @@ class BinTable(NamedTuple):
     q_unseen: float
     first_m: float
     per_metre: float
+    piece_rad: float
 
 
 class Strip(NamedTuple):
     """One strip, and the samples of it that returned an echo.
 
     column, width : as in `StripTable`
-    bottom_row : row of the window that is row 0 of `work`
     first, last : samples of `work` with an echo, from `first` to before `last`
+    are_joined : samples stand for several rows of one face
     are_cones, sine, cosine : of `StripTable` and `Lattice`
     """
 
     column: int
     width: float
-    bottom_row: int
     first: int
     last: int
+    are_joined: bool
     are_cones: bool
     sine: float
     cosine: float
 
 
-# Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `lay_on_cone`: column of the sample in
-# the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip is
-# curved; v of the ray. By `_gather_samples`: 1/x on the ray, 0 where it met nothing; the plane that it met: 1/x on that
-# line at v = 0, its slope along the line, with v, and its slope along u; the echo per steradian. By
-# `_find_borders`: v where the sample's footprint begins. By
-# `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r; by how much its density at the
-# nearer end is more than that of an even footprint, as a share of it, and less at the further end. By
-# `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and
-# incidence, radians.
-SAMPLE, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(10)
-ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN, ELEVATION, INCIDENCE = range(10, 22)
-FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE + 1
+# Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `lay_on_cone`: column and row of the
+# sample in the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip
+# is curved; v of the ray. By `_gather_samples` or `_gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
+# that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
+# steradian. By `_find_borders`: v where the sample's footprint begins. By `_find_faces`: the rows in which another face
+# begins. By `_gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
+# the upper end than in the middle, as a share of it. By `_find_footprints`: energy; centre and the two half-widths of
+# the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even footprint, as a share
+# of it, and less at the further end. By `_find_intervals`: both ends, half the height, and the bins of both ends. For
+# labels: elevation and incidence in the middle, radians, and how they change with s.
+SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
+START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
+ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
+ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
+FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE_RISE + 1
+NOTHING = -1  # of `SectorSamples.face_id`
+# Rows of one face are joined where that leaves at most this share of them: with more, it saves less than it costs.
+JOINED_SHARE = 0.4
+# strips after one where it does not save time that are not tried, as neighbours are mostly alike
+UNTRIED_STRIPS = 15
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
 
-def bin_table(bin_edges_m: np.ndarray) -> BinTable:
-    """Return the tables of range bins; (K + 1,) edges, metres, rising."""
+def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> BinTable:
+    """Return the tables of range bins.
+
+    Parameters
+    ----------
+    bin_edges_m : (K + 1,) metres, rising
+    elevation_fov_rad : the aperture in elevation, where the pattern changes within it
+    """
     s = 1.0 / np.maximum(bin_edges_m, 1e-6)
     density = (s[:-1] ** 2 - s[1:] ** 2) / 2
     middle_m, q_unseen = 2.0 / (s[:-1] + s[1:]), float(1.0 / (FAR_FACTOR * bin_edges_m[-1]))
     first_m, last_m = float(bin_edges_m[0]), float(bin_edges_m[-1])
     per_metre = len(density) / (last_m - first_m)
     density32, middle_s32 = density.astype(np.float32), ((s[:-1] + s[1:]) / 2).astype(np.float32)
-    return BinTable(bin_edges_m, s, density, density32, middle_s32, middle_m, q_unseen, first_m, per_metre)
+    arrays = bin_edges_m, s, density, density32, middle_s32, middle_m
+    piece_rad = piece_height_rad(bin_edges_m, elevation_fov_rad)
+    return BinTable(*arrays, q_unseen, first_m, per_metre, piece_rad)
+
+
+# Of a bin: how far off a footprint of several rows may be in range. And into how many the aperture in elevation is
+# divided at least, as the beam pattern is linear within each.
+PIECE_ERROR, PIECES_PER_FOV = 1 / 40, 16
+
+
+def piece_height_rad(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> float:
+    """Return how high a footprint of several rows of one plane may be; arguments as of `bin_table`.
+
+    Between its ends, where range is exact, the range of a plane deviates from the footprint's by r h² / 8.
+    """
+    bin_m = (bin_edges_m[-1] - bin_edges_m[0]) / (len(bin_edges_m) - 1)
+    return min(math.sqrt(8 * PIECE_ERROR * bin_m / bin_edges_m[-1]), elevation_fov_rad / PIECES_PER_FOV)
 
 
 # ---- strips ------------------------------------------------------------------------------------------
 
 
 @compiled
-def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
+def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece_rad):
     """Return the Strip number `p` of a sector, with its samples and their borders in `work`.
 
     A sample stands for a rectangle of a strip of the image plane, or of its tangent if the strip is curved. Of each
-    row of samples the one nearest to the strip stands for it. A strip without any echo has `first` = `last`.
+    row of samples the one nearest to the strip stands for it; where it saves time, one sample stands for several rows
+    of one face. A strip without any echo has `first` = `last`.
 
     This is the walk over samples that all sums share. It is no generator, since Numba never frees the arrays
     that a generator holds.
@@ -142,9 +175,9 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
     Parameters
     ----------
     work : (rows, R + 1) float64, overwritten
-    plane_echo : (R, C, 4) float32, as the shader writes it; contiguous, see `whole_rows`
+    plane_echo, face_id : (R, C, 4) float32 and (R, C) int32, as in `SectorSamples`; contiguous, see `whole_rows`
     lattice, strips : Lattice and StripTable
-    q_unseen : of BinTable
+    q_unseen, piece_rad : of BinTable; a `piece_rad` of 0 joins no rows
     """
     u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
     v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
@@ -155,7 +188,7 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
         level_u = _u_on_cone(middle, 1.0, lattice.sine, lattice.cosine) if v_low * v_high < 0.0 else low_u
         least_u, most_u = min(low_u, high_u, level_u), max(low_u, high_u, level_u)
     leftmost, rightmost = (least_u - u[0]) / u[1] + 0.5, (most_u - u[0]) / u[1] + 0.5
-    bottom_row, first, last = 0, 0, -1
+    first, last, are_joined = 0, -1, False
     # not beside the window
     if max(rightmost, rightmost - step * R) > -1.0 and min(leftmost, leftmost - step * R) < lattice.columns:
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
@@ -169,15 +202,31 @@ def find_strip(work, plane_echo, lattice, strips, p, q_unseen):
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
+        n_faces, low_row, high_row = 0, V_RAY, V_RAY
+        if face_id.shape[0] > 0 and piece_rad > 0.0:
+            if not strips.are_cones:
+                _find_upright(work, lattice, middle, bottom_row, n)
+            n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
+        are_joined = 0 < n_faces <= JOINED_SHARE * n
+        if are_joined:
+            if not strips.are_cones:
+                work[LINE_U, 0] = middle
+            most_rows = max(int(piece_rad / rise), 1)
+            n, first, last = _gather_pieces(
+                work, plane_echo, lattice, bottom_row, n_faces, most_rows, strips.are_cones
+            )
+            low_row, high_row = V_LOWEST, V_HIGHEST
         else:
-            _lay_upright(work, lattice, middle, bottom_row, n)
-        first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
+            if not strips.are_cones:
+                _lay_upright(work, lattice, middle, bottom_row, n)
+            first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
             work[BORDER, 0], work[BORDER, n] = v_low, v_high
-            _find_borders(work, max(first, 1), min(last + 2, n), q_unseen, v_low, v_high)
+            limits = q_unseen, v_low, v_high
+            _find_borders(work, max(first, 1), min(last + 2, n), work[high_row], work[low_row], limits)
     last = max(last + 1, first)
     geometry = strips.are_cones, lattice.sine, lattice.cosine
-    return Strip(strips.column[p], strips.width[p], bottom_row, first, last, *geometry)
+    return Strip(strips.column[p], strips.width[p], first, last, are_joined, *geometry)
 
 
 @compiled
@@ -195,13 +244,13 @@ def _u_on_cone(k, w, sine, cosine):
 @compiled
 def _lay_upright(work, lattice, middle, bottom_row, n):
     """Find the samples nearest to an upright strip, n rows from `bottom_row` on."""
-    sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
+    sample, row, line_u, tilt, v_ray = work[SAMPLE], work[ROW], work[LINE_U], work[TILT], work[V_RAY]
     u, v = lattice.u, lattice.v
     nearest, step, v0, vi, vj = (middle - u[0]) / u[1] + 0.5, u[2] / u[1], v[0], v[1], v[2]
     for m in range(uint64(n)):
         j = np.int32(m) + np.int32(bottom_row)
         i = np.int32(nearest - step * j)
-        sample[m] = i
+        sample[m], row[m] = i, j
         line_u[m], tilt[m] = middle, 0.0
         v_ray[m] = v0 + vi * i + vj * j
 
@@ -213,7 +262,7 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
     Along the cone, x and all of sine, cosine, u and v as in `_u_on_cone`, dv is −(cosine (1 + v²) + sine u) du over
     (sine − cosine u) v.
     """
-    sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
+    sample, row, line_u, tilt, v_ray = work[SAMPLE], work[ROW], work[LINE_U], work[TILT], work[V_RAY]
     u, v, sine, cosine = lattice.u, lattice.v, lattice.sine, lattice.cosine
     u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
     square, k2, rise = sine * sine, k * k, vi / ui
@@ -237,8 +286,106 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
         under = sine * cosine + root if is_aside else cosine * cosine - k2
         uc = over / under
         slope = -(sine - cosine * uc) * vc / max(cosine * w + sine * uc, LEAST_AHEAD)
-        sample[m], v_ray[m] = i, vc
+        sample[m], row[m], v_ray[m] = i, j, vc
         line_u[m], tilt[m] = uc - slope * vc, slope
+
+
+@compiled
+def _find_upright(work, lattice, middle, bottom_row, n):
+    """Find the columns alone of the samples nearest to an upright strip, n rows from `bottom_row` on."""
+    sample, u = work[SAMPLE], lattice.u
+    nearest, step = (middle - u[0]) / u[1] + 0.5, u[2] / u[1]
+    for m in range(uint64(n)):
+        sample[m] = np.int32(nearest - step * (np.int32(m) + np.int32(bottom_row)))
+
+
+@compiled
+def _find_faces(work, face_id, columns, bottom_row, n):
+    """Find in which of a strip's rows another face begins than in the row below; return how many."""
+    sample, start = work[SAMPLE], work[START]
+    n_faces, before, place = 0, np.int32(0), 0.0
+    for m in range(uint64(n)):
+        i, face = np.int64(sample[m]), np.int32(NOTHING)
+        if 0 <= i < columns:
+            face = face_id[uint64(np.int64(m) + bottom_row), uint64(i)]
+        start[uint64(n_faces)] = place  # overwritten if none begins here
+        n_faces += (face != before) | (m == uint64(0))
+        before, place = face, place + 1.0
+    start[n_faces] = n
+    return n_faces
+
+
+@compiled
+def _untried_after(untried, is_tried, strip):
+    """Return for how many strips no rows are to be joined, after a strip where that was tried or not."""
+    if strip.are_joined:
+        return 0
+    return UNTRIED_STRIPS if is_tried else max(untried - 1, 0)
+
+
+@compiled
+def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, most_rows, are_cones):
+    """Gather what stands for the rows of each face, in pieces of up to `most_rows`.
+
+    The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
+    last row by Simpson's rule, as it may change with shading normals.
+
+    Returns
+    -------
+    number of pieces, the first and the last with an echo
+    """
+    start, sample, v_ray = work[START], work[SAMPLE], work[V_RAY]
+    line_u, tilt, v_lowest, v_highest = work[LINE_U], work[TILT], work[V_LOWEST], work[V_HIGHEST]
+    q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
+    u, v, columns = lattice.u, lattice.v, lattice.columns
+    u0, ui, uj, v0, vi, vj, first, last, n = u[0], u[1], u[2], v[0], v[1], v[2], 0, -1, 0
+    line, lean = line_u[0], 0.0
+    # in place: no row is read after a piece is written there, since each piece has a row of its own
+    for face in range(uint64(n_faces)):
+        begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
+        n_pieces, length, longer = 1, past - begin, 0  # the first pieces are longer by a row
+        if length > most_rows:
+            n_pieces = (length + most_rows - 1) // most_rows
+            length, longer = length // n_pieces, length % n_pieces
+        low = begin
+        for piece in range(n_pieces):
+            high = low + length - (1 if piece >= longer else 0)
+            m, at = uint64((low + high) >> 1), uint64(n)
+            i, i_low, i_high = (
+                np.int64(sample[m]),
+                np.int64(sample[uint64(low)]),
+                np.int64(sample[uint64(high)]),
+            )
+            j, j_low, j_high = np.int64(m) + bottom_row, low + bottom_row, high + bottom_row
+            if are_cones:
+                line, lean, v_middle = line_u[m], tilt[m], v_ray[m]
+                v_lowest[at], v_highest[at] = v_ray[uint64(low)], v_ray[uint64(high)]
+            else:
+                v_middle = v0 + vi * i + vj * j
+                v_lowest[at], v_highest[at] = v0 + vi * i_low + vj * j_low, v0 + vi * i_high + vj * j_high
+            near = mean_echo = slope_u = slope_v = echo_rise = 0.0
+            if 0 <= i < columns:
+                row, column = uint64(j), uint64(i)
+                near, slope_u = plane_echo[row, column, 0], plane_echo[row, column, 1]
+                slope_v, mean_echo = plane_echo[row, column, 2], plane_echo[row, column, 3]
+                if high > low and near > 0.0:
+                    below = plane_echo[uint64(j_low), uint64(i_low), 3]
+                    above = plane_echo[uint64(j_high), uint64(i_high), 3]
+                    mean_echo = (
+                        (below + 4.0 * mean_echo + above) / 6.0 if high > low + 1 else (below + above) / 2
+                    )
+                    per_row = (above - below) / (2.0 * np.float64(high - low) * max(mean_echo, LEAST_POWER))
+                    echo_rise = per_row * np.float64(high - low + 1)
+            if near > 0.0 and mean_echo > 0.0:
+                first, last = first if last >= 0 else n, n
+            else:
+                mean_echo = 0.0
+            q[at], along_u[at], echo[at], work[ECHO_RISE, at] = near, slope_u, mean_echo, echo_rise
+            rest[at] = near + slope_u * (line - u0 - ui * i - uj * j) - slope_v * v_middle
+            along[at] = slope_v + slope_u * lean
+            sample[at], work[ROW, at], line_u[at], tilt[at], v_ray[at] = i, j, line, lean, v_middle
+            n, low = n + 1, high + 1
+    return n, first, last
 
 
 @compiled
@@ -279,12 +426,16 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
 
 
 @compiled
-def _find_borders(work, first, last, q_unseen, v_low, v_high):
-    """Find v where each of a strip's footprints begins, from `first` to before `last`."""
-    q, rest, along, v_ray, border = work[Q], work[REST], work[ALONG], work[V_RAY], work[BORDER]
+def _find_borders(work, first, last, v_highest, v_lowest, limits):
+    """Find v where each of a strip's footprints begins, from `first` to before `last`.
+
+    v_highest, v_lowest : of the rays of each sample, which are one where no rows are joined
+    limits : `q_unseen` of BinTable, v of the strip's ends
+    """
+    q, rest, along, border, (q_unseen, v_low, v_high) = work[Q], work[REST], work[ALONG], work[BORDER], limits
     for m in range(uint64(first), uint64(last)):
         below = uint64(m - 1)
-        low, high = v_ray[below], v_ray[m]
+        low, high = v_highest[below], v_lowest[m]
         met_low, met_high = q[below] > 0.0, q[m] > 0.0
         border_here = (low + high) / 2
         # two planes that meet between their rays make an edge there, otherwise the border is half way;
@@ -327,8 +478,14 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
-    # `_find_intervals` writes the last two rows later
-    energy, slant, inverse_length, power = work[ENERGY], work[SLANT], work[NEAR], work[FAR]
+    # `_find_intervals` writes the last three rows later
+    energy, slant, inverse_length, power, change = (
+        work[ENERGY],
+        work[SLANT],
+        work[NEAR],
+        work[FAR],
+        work[NEAR_BIN],
+    )
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
@@ -345,30 +502,67 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         work[S, m] = at * one_over_L
         work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * across / 2
         work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
-        slant[m], inverse_length[m] = 0.0, one_over_L
+        slant[m], inverse_length[m], change[m] = 0.0, one_over_L, 0.0
+    if strip.are_joined:
+        _bend_footprints(work, first, last, per_metre)
     n = elevation_pattern.shape[0]
-    if n == 0:
+    if n == 0 and not strip.are_joined:
         return
     # two loops, since compilers do not vectorise one that reads a table
     middle, last_step = (n - 1) / 2, np.int32(n - 2)
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(first), uint64(last if n else first)):
         place = middle + middle * (border[m] + border[uint64(m + 1)]) / 2 * inverse_length[m]
         i = uint64(min(max(np.int32(place), np.int32(0)), last_step))
         step = elevation_pattern[i + uint64(1)] - elevation_pattern[i]
         power[m] = elevation_pattern[i] + (place - i) * step
         slant[m] = step * middle
-    for m in range(uint64(first), uint64(last)):
-        low, high = border[m], border[uint64(m + 1)]
-        vc, one_over_L, s, b = (low + high) / 2, inverse_length[m], work[S, m], work[B, m]
+    for m in range(uint64(first), uint64(last if n else first)):
+        vc, one_over_L = (border[m] + border[uint64(m + 1)]) / 2, inverse_length[m]
         uc = line_u[m] + tilt[m] * vc
         energy[m] *= power[m]
         # from the middle to the upper end the sine rises by `rise`
-        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L * (high - low) / 2
-        change = slant[m] * rise / max(power[m], LEAST_POWER)
-        change = min(max(change, -1.0), 1.0)  # no more than leaves all densities positive
+        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L
+        rise *= (border[uint64(m + 1)] - border[m]) / 2
+        change[m] += slant[m] * rise / max(power[m], LEAST_POWER)
+    for m in range(uint64(first), uint64(last)):
+        vc, one_over_L, s, b = (
+            (border[m] + border[uint64(m + 1)]) / 2,
+            inverse_length[m],
+            work[S, m],
+            work[B, m],
+        )
+        uc = line_u[m] + tilt[m] * vc
+        # no more than leaves all densities positive
+        rise = min(max(change[m], -1.0), 1.0)
         is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
         is_long = (2 * b * per_metre > s * s) & (work[A, m] < b) & (b < s)
-        slant[m] = (change if is_nearer_above else -change) if is_long else 0.0
+        slant[m] = (rise if is_nearer_above else -rise) if is_long else 0.0
+
+
+@compiled
+def _bend_footprints(work, first, last, per_metre):
+    """Let footprints of several rows end where their planes do, and follow the density in between.
+
+    With s = f(v) along the strip, f = (REST + ALONG v) / √w and w = 1 + (LINE_U + TILT v)² + v², the middle of both
+    ends is f + f″ h² / 2 for half the height h, and the mean f + f″ h² / 6. The solid angle per s is proportional to
+    1 / D, where D = f′ w^(3/2) is linear in v. An even footprint has its middle at the mean.
+    """
+    rest, along, border, line_u, tilt = work[REST], work[ALONG], work[BORDER], work[LINE_U], work[TILT]
+    energy, s, a, b, change = work[ENERGY], work[S], work[A], work[B], work[NEAR_BIN]
+    echo_rise = work[ECHO_RISE]
+    for m in range(uint64(first), uint64(last)):
+        low, high = border[m], border[uint64(m + 1)]
+        vc, half, line, lean = (low + high) / 2, max(high - low, 0.0) / 2, line_u[m], tilt[m]
+        uc, at, curve = line + lean * vc, rest[m] + along[m] * vc, 1.0 + lean * lean
+        over2 = 1.0 / (1.0 + uc * uc + vc * vc)
+        turn = vc + uc * lean  # half of the derivative of w
+        bend = 3.0 * at * turn * turn * over2 - 2.0 * along[m] * turn - at * curve
+        is_slanted = (2 * b[m] * per_metre > s[m] * s[m]) & (a[m] < b[m]) & (b[m] < s[m])
+        s[m] += bend * over2 * math.sqrt(over2) * half * half * (0.5 if is_slanted else 1 / 6)
+        energy[m] *= 1.0 + half * half / 2 * over2 * (5.0 * turn * turn * over2 - curve)
+        slope = along[m] * line * lean - rest[m] * curve
+        density = along[m] * (1.0 + line * line) - rest[m] * lean * line + vc * slope
+        change[m] = echo_rise[m] - half * slope / density
 
 
 @compiled
@@ -496,7 +690,7 @@ def _bin_points(work, sums, spans, u, strip, bins):
     """Add each of a strip's samples to the one bin that holds the range of its ray."""
     c = strip.column
     for m in range(strip.first, strip.last):
-        j = strip.bottom_row + m
+        j = work[ROW, m]
         u_ray, v_ray = u[0] + u[1] * work[SAMPLE, m] + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
         k = (1.0 / s - bins.first_m) * bins.per_metre
@@ -506,7 +700,7 @@ def _bin_points(work, sums, spans, u, strip, bins):
 
 
 @compiled
-def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern, sums, spans):
+def sum_footprints(plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern, sums, spans):
     """Sum some of one sector's samples into columns and bins.
 
     The surface in a sample's rectangle is the plane that its ray met. There 1/r is linear in (u, v) but for
@@ -515,7 +709,7 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
 
     Parameters
     ----------
-    plane_echo : (R, C, 4) float32, as the shader writes it; contiguous, see `whole_rows`
+    plane_echo, face_id : as in `find_strip`
     lattice, strips, bins : tuples of Lattice, StripTable and BinTable
     spread : True spreads each sample over its footprint, False adds it to one bin
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
@@ -524,8 +718,12 @@ def sum_footprints(plane_echo, lattice, strips, bins, spread, elevation_pattern,
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
+    untried = 0
     for p in range(strips.middle.shape[0]):
-        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        is_tried = spread and untried == 0
+        piece_rad = bins.piece_rad if is_tried else 0.0
+        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece_rad)
+        untried = _untried_after(untried, is_tried, strip)
         if strip.first == strip.last:
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
@@ -789,7 +987,7 @@ def atan(t):
 
 @inlined
 def _find_angles(work, strip):
-    """Find elevation and incidence of the middles of a strip's footprints."""
+    """Find elevation and incidence of a strip's footprints."""
     rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
     line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
     first, last = strip.first, strip.last
@@ -806,17 +1004,43 @@ def _find_angles(work, strip):
         level = math.sqrt(1.0 + uc * uc)
         angle = atan(min(vc, level) / max(vc, level))
         elevation[m] = math.pi / 2 - angle if vc > level else angle
+        work[ELEVATION_RISE, m] = work[INCIDENCE_RISE, m] = 0.0
     for m in range(uint64(first), uint64(last)):
         elevation[m] = -elevation[m] if border[m] + border[uint64(m + 1)] < 0.0 else elevation[m]
+    if strip.are_joined:
+        _find_rises(work, strip)
+
+
+@inlined
+def _find_rises(work, strip):
+    """Find how elevation and incidence change with s within footprints of several rows."""
+    rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
+    line_u, tilt, a, b, incidence = work[LINE_U], work[TILT], work[A], work[B], work[INCIDENCE]
+    for m in range(uint64(strip.first), uint64(strip.last)):
+        if b[m] <= 1e-9 * s[m]:
+            continue
+        x, along_v = rest[m] - along_u[m] * line_u[m], along[m] - along_u[m] * tilt[m]
+        plane2 = x * x + along_u[m] * along_u[m] + along_v * along_v
+        # by linear regression, if s changes across the strip, too
+        share = b[m] * b[m] / (a[m] * a[m] + b[m] * b[m])
+        # cos θ is s over the length of the plane's vector
+        rise = -1.0 / math.sqrt(max(plane2 - s[m] * s[m], 1e-12 * plane2))
+        work[INCIDENCE_RISE, m] = share * max(rise, -incidence[m] / b[m])
+        low, high = border[m], border[uint64(m + 1)]
+        vc, uc = (low + high) / 2, line_u[m] + tilt[m] * (low + high) / 2
+        level2 = 1.0 + uc * uc
+        rise = share * (high - low) / 2 * math.sqrt(level2) / (level2 + vc * vc) / b[m]
+        is_nearer_above = along[m] * (level2 + vc * vc) > (rest[m] + along[m] * vc) * (vc + uc * tilt[m])
+        work[ELEVATION_RISE, m] = rise if is_nearer_above else -rise
 
 
 @inlined
 def _find_numbers(work, strip, columns, body_id, numbers):
     """Find the body of each of a strip's samples, whether it has energy or not: to ask would be a branch."""
-    sample, bottom_row = work[SAMPLE], strip.bottom_row
+    sample, row = work[SAMPLE], work[ROW]
     for m in range(uint64(strip.first), uint64(strip.last)):
         i = min(max(np.int64(sample[m]), 0), columns - 1)
-        numbers[m] = body_id[uint64(i), uint64(np.int64(m) + bottom_row)]
+        numbers[m] = body_id[uint64(i), uint64(row[m])]
 
 
 @inlined
@@ -900,6 +1124,14 @@ def _below_range(s, middle, wide, thin):
 
 
 @inlined
+def _angles_at(work, m, s):
+    """Return elevation and incidence of a footprint at s, float32."""
+    off = s - work[S, m]
+    elevation = work[ELEVATION, m] + work[ELEVATION_RISE, m] * off
+    return np.float32(elevation), np.float32(work[INCIDENCE, m] + work[INCIDENCE_RISE, m] * off)
+
+
+@inlined
 def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m, first_m, per_metre):
     """As `_spread_trapezoid`, with moments; return first and last bin."""
     K, energy, s = middle_m.shape[0], work[ENERGY, m], work[S, m]
@@ -914,13 +1146,13 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
     rise = work[SLANT, m] / wide
-    elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
     for k in range(first, uint64(last + 1)):
         edge = bins_s[uint64(k + 1)] if k < last else low
         further, range_further = _below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
         slanted, even_echo = _slanted(rise, s, high, edge, wide), scale * max(nearer - further, 0.0)
         echo = even_echo * slanted
         sums[row, k] += np.float32(echo)
+        elevation, incidence = _angles_at(work, m, min(max((high + edge) / 2, s - wide), s + wide))
         range_ = np.float32((scale * (range_nearer - range_further) - even_echo * middle_m[k]) * slanted)
         _add_moments(cells, slot, k, np.float32(echo), elevation, incidence, range_)
         nearer, range_nearer, high = further, range_further, edge
@@ -947,9 +1179,9 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
         near, far, half_height = work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m]
         if near <= far:
             continue
-        elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
         first, last = uint64(np.int32(work[NEAR_BIN, m])), uint64(min(np.int32(work[FAR_BIN, m]), K - 1))
         lowest, highest = min(lowest, first), max(highest, last)
+        elevation, incidence = np.float32(work[ELEVATION, m]), np.float32(work[INCIDENCE, m])
         if first >= last:
             echo, part = half_height * (near - far) * (near + far), half_height * (near - far)
             sums[row, last] += np.float32(echo)
@@ -962,12 +1194,12 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
         echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
         range_ = np.float32((2 * half_height * (near - inner) - even_echo * middle_m[first]) * slanted)
-        _add_moments(cells, slot, first, np.float32(echo), elevation, incidence, range_)
+        _add_moments(cells, slot, first, np.float32(echo), *_angles_at(work, m, (near + inner) / 2), range_)
         slanted, even_echo = 1.0 + rise * ((outer + far) / 2 - s), half_height * (outer**2 - far * far)
         echo = even_echo * slanted
         sums[row, last] += np.float32(echo)
         range_ = np.float32((2 * half_height * (outer - far) - even_echo * middle_m[last]) * slanted)
-        _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
+        _add_moments(cells, slot, last, np.float32(echo), *_angles_at(work, m, (outer + far) / 2), range_)
         height, middle_s = np.float32(2 * half_height), np.float32(s)
         steepness = np.float32(2 * half_height * rise)
         # not in the loop below: there the product would be rounded before it is added, and sums have other bits
@@ -977,11 +1209,16 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
         else:
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
+        elevation_rise, incidence_rise = (
+            np.float32(work[ELEVATION_RISE, m]),
+            np.float32(work[INCIDENCE_RISE, m]),
+        )
         for k in range(uint64(first + 1), last):
-            echo32 = (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
+            off = middle_s32[k] - middle_s
+            echo32 = (height + steepness * off) * density32[k]
             cells[slot, CELL_ECHO, k] += echo32
-            cells[slot, CELL_ELEVATION, k] += echo32 * elevation
-            cells[slot, CELL_INCIDENCE, k] += echo32 * incidence
+            cells[slot, CELL_ELEVATION, k] += echo32 * (elevation + elevation_rise * off)
+            cells[slot, CELL_INCIDENCE, k] += echo32 * (incidence + incidence_rise * off)
     return int(lowest), int(highest) + 1 if lowest <= highest else 0
 
 
@@ -992,7 +1229,7 @@ def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
     K = middle_m.shape[0]
     lowest, highest = K, 0
     for m in range(start, stop):
-        j = strip.bottom_row + m
+        j = work[ROW, m]
         u_ray, v_ray = u[0] + u[1] * work[SAMPLE, m] + u[2] * j, work[V_RAY, m]
         s = work[Q, m] / math.sqrt(1.0 + u_ray * u_ray + v_ray * v_ray)
         bin_ = (1.0 / s - bins.first_m) * bins.per_metre
@@ -1008,6 +1245,7 @@ def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
 @compiled
 def sum_bodies(
     plane_echo,
+    face_id,
     body_id,
     lattice,
     strips,
@@ -1024,7 +1262,7 @@ def sum_bodies(
 
     Parameters
     ----------
-    plane_echo, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
     body_id : (C, R) uint16, column by column, as a strip reads it
     label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : of ColumnBodies, zeros before and after
@@ -1037,10 +1275,13 @@ def sum_bodies(
     """
     lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
     work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
-    numbers = np.empty(plane_echo.shape[0] + 1, np.int64)
+    numbers, untried = np.empty(plane_echo.shape[0] + 1, np.int64), 0
     bodies, joined = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.middle.shape[0]):
-        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        is_tried = spread and untried == 0
+        piece_rad = bins.piece_rad if is_tried else 0.0
+        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece_rad)
+        untried = _untried_after(untried, is_tried, strip)
         start, last = strip.first, strip.last
         if start == last:
             continue
@@ -1447,7 +1688,7 @@ class ViewIndex(NamedTuple):
 def view_index(view: ViewSamples) -> ViewIndex:
     """Return the index of a view, of its own arrays."""
     rows = []
-    for (sector, _, _), left in zip(view.sectors, view.left, strict=True):
+    for (sector, *_), left in zip(view.sectors, view.left, strict=True):
         u, v = sector.u.tolist(), sector.v.tolist()
         scale = 1.0 / (u[1] * v[2] - u[2] * v[1])
         inverse = scale * v[2], -scale * u[2], -scale * v[1], scale * u[1]
@@ -1848,12 +2089,12 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
     reflection = Reflection(*reflection)
     frame = _sector_frame(reflection)
     view, other_view = reflection.index, reflection.other_index
-    R = plane_echo.shape[0]
+    R, no_face_id = plane_echo.shape[0], np.empty((0, 0), np.int32)
     work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
     leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
     is_reflected = False
     for p in range(strips.middle.shape[0]):
-        strip = find_strip(work, plane_echo, lattice, strips, p, bins.q_unseen)
+        strip = find_strip(work, plane_echo, no_face_id, lattice, strips, p, bins.q_unseen, 0.0)
         if strip.first == strip.last:
             continue
         _find_other_leg(work, other_leg, strip, frame.other)

@@ -204,7 +204,7 @@ class Labeller:
         def work(half):
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
             for one, body_id, mine in zip(samples, numbers, strips[half], strict=True):
-                arrays = whole_rows(one.plane_echo), body_id, one.lattice
+                arrays = whole_rows(one.plane_echo), whole_rows(one.face_id), body_id, one.lattice
                 cells, store = kernels.sum_bodies(
                     *arrays, mine, *settings, cells, store, columns.all_sums, columns.all_spans
                 )

@@ -66,7 +66,7 @@ def sample_noise() -> SampleNoise:
     made_of = Scene([wall]), sonar, Acoustics.ideal(), Sampling(4, 100)
     with Simulator(*made_of) as simulator, simulator.run.drawing():
         (view,) = simulator.run.sampler.resolution.stage.draw([pose()], [None])
-        ((sector, plane_echo, _),) = view.sectors
+        ((sector, plane_echo, *_),) = view.sectors
         samples = plane_echo[..., :3].astype(float)
     u, v = sector.sample_coordinates()
     inside = samples[..., 0] > 0

@@ -318,6 +318,6 @@ def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips
             is_body=source.reflector.body is not None,
             loss=source.reflector.reflection_coefficient,
         )
-        for sector, _, _ in sectors
+        for sector, *_ in sectors
     )
     return ImageSourceView(sectors, reflections, strips)

@@ -82,7 +82,7 @@ def _why_nearest_has_no_echo(sonar: Sonar, true_range: Sonar, true_range_m: floa
 def _nearest_in_view(samples):
     """Return (range, echo) of the nearest sample inside the aperture, or None."""
     best = None
-    for sector, plane_echo, _ in samples:
+    for sector, plane_echo, *_ in samples:
         u, v = sector.sample_coordinates()
         seen = sector.holds_elevation(u, v) & (plane_echo[..., 0] > 0)
         if seen.any():

@@ -61,7 +61,7 @@ class Stage:
         ]
 
     def _with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
-        points = attenuate_behind_bubbles(view_index(view), bubbles, pose, self.fan)
+        points = attenuate_behind_bubbles(view_index(view), view.face_id, bubbles, pose, self.fan)
         return replace(view, bubbles=points)
 
 

@@ -153,7 +153,7 @@ def is_unobstructed(
     has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
     below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
     sphere = _sphere_about(edges.reshape(-1, 3))
-    for (sector, plane_echo, body_id), received in zip(samples, reception.received_u, strict=True):
+    for (sector, plane_echo, body_id, _), received in zip(samples, reception.received_u, strict=True):
         rotation = sector.rotation()
         frustum = _frustum(sector, rotation, sonar.range_max_m)
         if frustum.is_beside(sphere.centre, sphere.radius_m):

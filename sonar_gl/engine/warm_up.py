@@ -34,7 +34,8 @@ def warm_up(run: Run) -> None:
         (view,) = stage.renderer.render([pose], full=True)
         if has_bubbles:
             view = replace(
-                view, bubbles=attenuate_behind_bubbles(view_index(view), A_BUBBLE, pose, stage.fan)
+                view,
+                bubbles=attenuate_behind_bubbles(view_index(view), view.face_id, A_BUBBLE, pose, stage.fan),
             )
         stage.beamformer.sum_view(view, gain)
     _warm.update(needed)

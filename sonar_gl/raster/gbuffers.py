@@ -12,7 +12,7 @@ from sonar_gl.sonar.samples import ViewSamples
 def gbuffers_of(view: ViewSamples) -> list[GBuffer]:
     """Return samples that were drawn with bodies as one `GBuffer` a sector."""
     out = []
-    for sector, plane_echo, body_id in view.sectors:
+    for sector, plane_echo, body_id, _ in view.sectors:
         u, v = sector.sample_coordinates()
         q, slopes = np.split(plane_echo[..., :3].astype(np.float64), [1], axis=-1)
         q = q[..., 0]

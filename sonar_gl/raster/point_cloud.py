@@ -30,7 +30,7 @@ def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, row
     renderer = engine.make_renderer(fan, False, engine.make_workspace())
     (view,) = renderer.render([head_pose], [_diffuse(engine.meshes)], full=True)
     points, echoes = [], []
-    for sector, plane_echo, _ in view.sectors:
+    for sector, plane_echo, *_ in view.sectors:
         u, v = sector.sample_coordinates()
         q = plane_echo[..., 0]
         missed = (q <= 0) | ~sector.holds_elevation(u, v)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.raster.cull import SectorGeometry
-from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.samples import NO_FACES, SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
 # Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
@@ -146,14 +146,19 @@ def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarr
 
 
 def samples_of(
-    views: Sequence[SectorView], windows: Sequence[Window], plane_echo: np.ndarray, body_id: np.ndarray
+    views: Sequence[SectorView],
+    windows: Sequence[Window],
+    plane_echo: np.ndarray,
+    body_id: np.ndarray,
+    face_id: np.ndarray = NO_FACES,
 ) -> ViewSamples:
     """Return the samples of a view.
 
     Parameters
     ----------
     windows : of each sector, which lie in the image side by side
-    plane_echo, body_id : (H, W, 4) float32 and (H, W) uint16 of `SectorSamples`; body_id of no size without bodies
+    plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id and face_id of
+        no size if they are not known
     """
     out, lefts, left = [], [], 0
     for view, window in zip(views, windows, strict=True):
@@ -162,7 +167,9 @@ def samples_of(
             out.append(SectorSamples(sector, NO_SAMPLES, NO_BODIES))
         else:
             here = (slice(0, window.rows), slice(left, left + columns))
-            out.append(SectorSamples(sector, plane_echo[here], body_id[here] if body_id.size else NO_BODIES))
+            bodies = body_id[here] if body_id.size else NO_BODIES
+            faces = face_id[here] if face_id.size else NO_FACES
+            out.append(SectorSamples(sector, plane_echo[here], bodies, faces))
         lefts.append(left)
         left += columns
-    return ViewSamples(tuple(out), plane_echo, tuple(lefts))
+    return ViewSamples(tuple(out), plane_echo, tuple(lefts), face_id)

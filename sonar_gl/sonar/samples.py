@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.sonar.sector import Sector
+
+NO_FACES = np.empty((0, 0), np.int32)
 
 
 class SectorSamples(NamedTuple):
@@ -20,11 +22,14 @@ class SectorSamples(NamedTuple):
     plane_echo : (R, C, 4) float32: 1/x of the surface on the ray, 0 where it met nothing; slopes of 1/x along
         u and v; μ cos θ times slant range
     body_id : (R, C) uint16, number of the body, 0 where none; empty if it was not read
+    face_id : (R, C) int32, number of the face, by which one sample may stand for neighbours in other rows; −1 where
+        none, −2 − row where the echo changes too quickly for that; empty if it is not known
     """
 
     sector: Sector
     plane_echo: np.ndarray
     body_id: np.ndarray
+    face_id: np.ndarray = NO_FACES
 
     @property
     def lattice(self) -> tuple:
@@ -57,10 +62,12 @@ class ViewSamples:
     sectors : SectorSamples of the fan's sectors
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin
+    face_id : (H, W) int32, of the same image; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
     """
 
     sectors: tuple[SectorSamples, ...]
     plane_echo: np.ndarray | None = None
     left: tuple[int, ...] = ()
+    face_id: np.ndarray = field(default_factory=lambda: NO_FACES)
     bubbles: np.ndarray | None = None

@@ -198,7 +198,9 @@ def test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes():
         # within 2e-3, by which joined columns may be uneven
         np.testing.assert_allclose(both.body_echo.sum(), both.intensity.sum(dtype=float), rtol=2e-3)
         assert alone.body_echo[1] == pytest.approx(alone.intensity.sum(dtype=float), rel=2e-3)
-        assert both.body_echo[1] == pytest.approx(alone.body_echo[1], rel=1e-5)
+        # rows of a strip are joined or not by all that it meets, which moves the echo of a body by less than a tenth of
+        # what joined columns do
+        assert both.body_echo[1] == pytest.approx(alone.body_echo[1], rel=1e-4)
 
 
 @pytest.mark.parametrize("azimuth_deg", [21.25, 22.125, 22.25, 22.875])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.beamform.kernels import BORDER, FOOTPRINT_ROWS, Lattice, StripTable, bin_table, find_strip
+from sonar_gl.sonar.samples import NO_FACES
 
 EDGES = np.linspace(0.5, 30.0, 100)
 ROWS, STEP = 40, 0.01  # upright lattice of one column, v from -0.195 to 0.195
@@ -35,7 +36,7 @@ def borders(samples, width=STEP, u=0.0):
     strips = StripTable(np.array([0]), np.array([u]), np.array([width]), -top, top, False)
     work = np.full((FOOTPRINT_ROWS, ROWS + 1), np.nan)
     image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)
-    strip = find_strip(work, image, lattice, strips, 0, bin_table(EDGES).q_unseen)
+    strip = find_strip(work, image, NO_FACES, lattice, strips, 0, bin_table(EDGES).q_unseen, 0.0)
     return strip, work[BORDER]
 
 

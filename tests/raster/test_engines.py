@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.beamform import kernels
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
 from sonar_gl.raster.cull import SectorGeometry
@@ -33,7 +34,7 @@ def draw_sectors(scene, sonar, pose, engine, sampling=SAMPLING):
             renderer = run.sampler.resolution.stage.renderer
             (view,) = renderer.render([pose], with_bodies=True, full=True)
             # OpenGL does not define the body number of an empty sample
-            return [(s, p.copy(), np.where(p[..., 0] > 0, b, 0)) for s, p, b in view.sectors]
+            return [(s, p.copy(), np.where(p[..., 0] > 0, b, 0)) for s, p, b, _ in view.sectors]
 
 
 def project_vertices(scene, pose, sector):
@@ -135,14 +136,18 @@ def test_bundled_scenes(name):
     assert hits > 20_000
     assert others == 0
     assert echoes <= 2e-4 * hits
-    sums = [sum(float(plane_echo[..., 3].sum()) for _, plane_echo, _ in views) for views in (samples, drawn)]
+    sums = [sum(float(plane_echo[..., 3].sum()) for _, plane_echo, *_ in views) for views in (samples, drawn)]
     assert sums[0] == pytest.approx(sums[1], rel=1e-4)
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.slow
-def test_images_of_bundled_scenes(name):
-    """The same sums of both engines' samples: images differ by less than 1.5e-4 of the echo."""
+def test_images_of_bundled_scenes(name, monkeypatch):
+    """The same sums of both engines' samples: images differ by less than 1.5e-4 of the echo.
+
+    The faces that join rows are known of one engine alone; tests/beamform/test_joined_rows.py has what they change.
+    """
+    monkeypatch.setattr(kernels, "piece_height_rad", lambda *_: 0.0)
     scene, sonar, images = sg.load_scene(name), sg.load_sonar("p900-45"), []
     for engine in ("cpu", "opengl"):
         with sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 100), engine=engine) as simulator:

@@ -18,9 +18,9 @@ def draw_window(scene, sonar, pose, sampling):
         stage = simulator.run.sampler.resolution.stage
         sectors = simulator.fan.sectors
         (view,) = stage.renderer.render([pose])
-        windows = [(sector, plane_echo.copy()) for sector, plane_echo, _ in view.sectors]
+        windows = [(sector, plane_echo.copy()) for sector, plane_echo, *_ in view.sectors]
         (view,) = stage.renderer.render([pose], full=True)
-        full_sectors = [plane_echo.copy() for _, plane_echo, _ in view.sectors]
+        full_sectors = [plane_echo.copy() for _, plane_echo, *_ in view.sectors]
     in_window, in_full, n_outside = [], [], 0
     for (window, part), sector, full in zip(windows, sectors, full_sectors, strict=True):
         # the window's offset follows from its first ray

@@ -108,18 +108,22 @@ class _Image:
     """Samples of one view, side by side."""
 
     def __init__(self):
-        self._plane_echo, self._body_id = _Array(np.float32, 4), _Array(np.uint16)
+        self._plane_echo, self._body_id, self._face_id = (
+            _Array(np.float32, 4),
+            _Array(np.uint16),
+            _Array(np.int32),
+        )
 
-    def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return (H, W, 4) and (H, W), or of no size what is not wanted."""
-        plane_echo = self._plane_echo.take(width * height).reshape(height, width, 4)
-        if not with_bodies:
-            return plane_echo, NO_BODIES
-        return plane_echo, self._body_id.take(width * height).reshape(height, width)
+    def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return plane_echo, body_id and face_id of `SectorSamples`; body_id of no size if it is not wanted."""
+        size, shape = width * height, (height, width)
+        plane_echo = self._plane_echo.take(size).reshape(*shape, 4)
+        body_id = self._body_id.take(size).reshape(shape) if with_bodies else NO_BODIES
+        return plane_echo, body_id, self._face_id.take(size).reshape(shape)
 
     def drop_large(self) -> None:
-        self._plane_echo.drop(MAX_KEPT_SAMPLES)
-        self._body_id.drop(MAX_KEPT_SAMPLES)
+        for one in (self._plane_echo, self._body_id, self._face_id):
+            one.drop(MAX_KEPT_SAMPLES)
 
 
 class _HalfWorkspace:
@@ -129,7 +133,7 @@ class _HalfWorkspace:
         self._depth, self._triangle = _Array(np.float32), _Array(np.int32)
         self._planes, self._bodies, self._normals = (
             _Array(np.float32, 4),
-            _Array(np.int32, 2),
+            _Array(np.int32, 3),
             _Array(float, 9),
         )
         self._chosen: list[np.ndarray] = []
@@ -296,7 +300,8 @@ class CpuRenderer:
                     rasterize(chosen, *shared, triangles)
                 else:
                     buffer[0][:] = 0.0
-                shade(buffer, triangles, view.geometry, extent, placed[1], left + first, has_lobes, *samples)
+                shared = view.geometry, extent, placed[1], left + first, has_lobes
+                shade(buffer, triangles, *shared, *samples)
             left += columns
 
 

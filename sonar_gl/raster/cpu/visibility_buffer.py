@@ -21,6 +21,10 @@ from sonar_gl.core.compiled import compiled, inlined
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
 FEW = 16
+NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
+BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
+# of a sample's echo: a lobe that is less may change from sample to sample as it likes
+FAINT_LOBE = 1e-2
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
@@ -74,7 +78,8 @@ class Triangles(NamedTuple):
     """The triangles of a visibility buffer; overwritten.
 
     planes : (T, 4) float32: slopes of 1/x along u and v, distance of the plane (cos θ times range), reflectivity
-    bodies : (T, 2) int32: index of the body; row of `normals`, -1 for a flat triangle
+    bodies : (T, 3) int32: index of the body; row of `normals`, -1 for a flat triangle; number of the face among those
+        of all bodies
     normals : (T', 9) normal over x, as a linear form of the sample's column and row, in the sector's frame; T' is T
         where meshes have shading normals, else 0
     """
@@ -481,6 +486,8 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
             planes[n, 3] = body_rows[body, 12]
             if reflectivity.shape[0]:
                 planes[n, 3] *= reflectivity[uint64(start) + a]
+            # the same whichever window is drawn; that two neighbours share it by chance is one case in 2^31
+            bodies[n, 2] = np.int32((np.int64(f) + np.int64(body) * BODY_STEP) & 0x7FFFFFFF)
             bodies[n, 0], bodies[n, 1] = body, -1
             if smooth:
                 bodies[n, 1] = n
@@ -530,7 +537,7 @@ def lobe_times_range(echo, range_m, strength, slope):
 
 
 @compiled
-def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_echo, body_id):
+def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_echo, body_id, face_id):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
     Parameters
@@ -539,8 +546,8 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
     body_rows : of PlacedBodies
     left : column of the image at which the window begins
     has_lobes : whether any body has a specular lobe
-    plane_echo, body_id : (H, W, 4) float32 and (H, W) uint16 of `SectorSamples`; body_id of no length if it is not
-        wanted
+    plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id of no length
+        if it is not wanted
     """
     depth, triangle = buffer
     planes, bodies, normal_forms = triangles
@@ -554,7 +561,9 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
             if q <= zero:
                 for k in range(uint64(4)):
                     plane_echo[j, at, k] = zero
+                face_id[j, at] = NOTHING
                 continue
+            face_id[j, at] = bodies[t, 2]
             plane_echo[j, at, 0] = q
             plane_echo[j, at, 1] = planes[t, 0]
             plane_echo[j, at, 2] = planes[t, 1]
@@ -578,7 +587,10 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
                 lobe, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
                 if has_lobes and lobe > zero:
                     range_m = math.sqrt(1.0 + u * u + v * v) / q
-                    plane_echo[j, at, 3] += lobe_times_range(echo, range_m, lobe, slope)
+                    of_lobe = lobe_times_range(echo, range_m, lobe, slope)
+                    plane_echo[j, at, 3] += of_lobe
+                    if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
+                        face_id[j, at] = SINGLE - np.int64(j)
             else:
                 plane_echo[j, at, 3] = planes[t, 3] * echo
     if body_id.shape[0]:

@@ -53,7 +53,7 @@ class MeanRaster(Rival):
             def work(half):
                 columns = self.halves[half]
                 self.sums[columns] = 0
-                for sector, plane_echo, _ in samples:
+                for sector, plane_echo, *_ in samples:
                     strips = sector.strips
                     mine = slice(*np.searchsorted(strips.column, [columns.start, columns.stop]))
                     mean_bins(

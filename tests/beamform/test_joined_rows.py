@@ -1,0 +1,113 @@
+"""Rows of one face are summed as one footprint: what that changes, and what whole faces at once would."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.beamform import kernels
+
+SONAR = sg.Sonar("fan", 900e3, 64, 300, 45.0, 20.0, 1.0, 0.5, 15.0)
+IDEAL = sg.Acoustics.ideal()
+# a tank: walls face on and aside, a floor, all at some angle to the sonar
+HERE = sg.pose(-5.6, 0.2, -1.5, 0.02, 0.15, 0.05)
+TANK = sg.Body("tank", trimesh.creation.box((12.0, 8.0, 4.0)), sg.pose(z=-2.0), 0.6)
+
+
+def ping_of(bodies, acoustics=IDEAL, sampling=None, pose=HERE, sonar=SONAR, **settings):
+    scene = sg.Scene(bodies)
+    with sg.Simulator(scene, sonar, acoustics, sampling or sg.Sampling(2, 160), engine="cpu") as simulator:
+        return simulator.ping(pose, **settings)
+
+
+@pytest.fixture
+def piece_height(monkeypatch):
+    """Return a function that sets the height of a piece, radians; 0 joins no rows."""
+    return lambda height_rad: monkeypatch.setattr(kernels, "piece_height_rad", lambda *_: height_rad)
+
+
+def difference(ping, other):
+    """Return the share of the echo that lies in other bins."""
+    return np.abs(ping.intensity - other.intensity).sum(dtype=float) / other.intensity.sum(dtype=float)
+
+
+@pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()], ids=["ideal", "physical"])
+def test_joined_rows_of_planes_change_little_and_whole_faces_much(acoustics, piece_height):
+    """A fortieth of a bin, by which pieces may be off in range, moves less than 3e-3 of the echo.
+
+    The walls begin in bins that their echo fills in part, some of them face on; there alone range counts.
+    """
+    joined = ping_of([TANK], acoustics)
+    piece_height(0.0)
+    rows = ping_of([TANK], acoustics)
+    piece_height(0.35)
+    whole = ping_of([TANK], acoustics)
+    assert 0 < difference(joined, rows) < 3e-3
+    assert joined.intensity.sum(dtype=float) == pytest.approx(rows.intensity.sum(dtype=float), rel=5e-4)
+    assert difference(whole, rows) > 5 * difference(joined, rows)
+
+
+def test_joined_rows_err_as_single_ones_do(piece_height):
+    """By an echo of samples five times finer in both directions, none of them joined."""
+    joined = ping_of([TANK])
+    piece_height(0.0)
+    rows, fine = ping_of([TANK]), ping_of([TANK], sampling=sg.Sampling(10, 800))
+    assert difference(rows, fine) < 2e-3
+    assert difference(joined, fine) < difference(rows, fine) + 2e-3  # a fifth of the tolerance by default
+
+
+def test_a_smooth_ball_keeps_its_echo(piece_height):
+    """Its echo changes over each face by its shading normals: one value for a piece would differ by 1.3e-2."""
+    mesh = trimesh.creation.icosphere(2, 1.0)
+    ball = sg.Body("ball", mesh, sg.pose(6.0), 0.8, np.asarray(mesh.vertices, np.float32))
+    joined = ping_of([ball], pose=sg.pose())
+    piece_height(0.0)
+    rows = ping_of([ball], pose=sg.pose())
+    assert 0 < difference(joined, rows) < 5e-3
+
+
+def test_labels_do_not_change_the_bits_of_joined_rows():
+    for acoustics in (IDEAL, sg.Acoustics.physical()):
+        plain, labelled = ping_of([TANK], acoustics), ping_of([TANK], acoustics, labels=True)
+        assert plain.intensity.tobytes() == labelled.intensity.tobytes()
+
+
+def test_elevation_and_incidence_change_within_a_joined_footprint(piece_height):
+    """On a level floor the sine of both follows from range; pieces are 1.3° high, and bins far less."""
+    floor = sg.Body("floor", trimesh.creation.box((80.0, 80.0, 0.2)), sg.pose(z=-2.1), 0.5)
+    narrow = sg.Sonar("narrow", 900e3, 8, 1400, 4.0, 20.0, 1.0, 0.5, 15.0)
+    got = ping_of(
+        [floor], sonar=narrow, pose=sg.pose(pitch=np.radians(20)), sampling=sg.Sampling(1, 400), labels=True
+    )
+    # bins that the floor fills: those at the ends of the aperture hold a part of a bin
+    lit = np.flatnonzero((got.intensity > 0).all(axis=0))[2:-2]
+    assert len(lit) > 500
+    below = np.arcsin(2.0 / got.true_range_m[:, lit])
+    # azimuths of up to 2 degrees turn the elevation in the pitched frame by 1e-4
+    expected = np.radians(20) - below
+    np.testing.assert_allclose(got.elevation_rad[:, lit], expected, atol=1.5e-3)
+    np.testing.assert_allclose(got.incidence_rad[:, lit], np.pi / 2 - below, atol=1.5e-3)
+    assert kernels.piece_height_rad(narrow.bin_edges_m) > 3 * 1.5e-3
+
+
+def test_two_coplanar_bodies_end_where_they_do():
+    """Tiles of one plane and one reflectivity: each bin shows the body that lies there."""
+    tiles = [
+        sg.Body(f"tile {n}", trimesh.creation.box((1.0, 60.0, 0.2)), sg.pose(x=2.5 + n, z=-2.1), 0.5)
+        for n in range(12)
+    ]
+    narrow = sg.Sonar("narrow", 900e3, 8, 600, 4.0, 20.0, 1.0, 0.5, 15.0)
+    got = ping_of(
+        tiles, sonar=narrow, pose=sg.pose(pitch=np.radians(15)), sampling=sg.Sampling(1, 300), labels=True
+    )
+    along = np.sqrt(np.maximum(got.true_range_m**2 - 4.0, 0)) * np.cos(got.azimuth_rad)[:, None]
+    inside = (got.body_id > 0) & (np.abs((along - 2.0) % 1.0 - 0.5) < 0.45)
+    assert inside.sum() > 1500
+    np.testing.assert_array_equal(got.body_id[inside], np.floor(along[inside] - 2.0) + 1)
+
+
+def test_pieces_follow_from_bins_range_and_aperture():
+    edges = np.linspace(1.0, 31.0, 601)
+    height_rad = kernels.piece_height_rad(edges)
+    assert 31.0 * height_rad**2 / 8 == pytest.approx(0.05 / 40)
+    assert kernels.piece_height_rad(edges, np.radians(4.0)) == pytest.approx(np.radians(4.0) / 16)
