@@ -26,6 +26,7 @@ from sonar_gl.sonar.sonar import Sonar
 # column's bin with its weight: less is done in one thread.
 FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
+HALF_POWER_TWO_WAY = 0.25
 # Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
 # where the aperture is 4 degrees or more.
 ELEVATIONS = 8193
@@ -283,7 +284,9 @@ class Beamformer:
         self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
         n_tiles = len(self._tiles[0])
         self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
-        fov_rad = math.inf if is_even else math.radians(fan.sonar.elevation_fov_deg)
+        # the fan may be higher, to hold the side lobes of the pattern
+        is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
+        fov_rad = math.inf if is_even else float(np.ptp(np.arcsin(sines[is_main_lobe])))
         self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m, fov_rad))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes

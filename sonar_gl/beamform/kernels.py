@@ -67,7 +67,7 @@ class BinTable(NamedTuple):
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
     first_m, per_metre : where the first bin begins, and bins per metre
-    piece_rad : how high a footprint of several rows may be, see `piece_height_rad`
+    piece_rad, piece_m : how high a footprint of several rows may be, and its square times range
     """
 
     edges_m: np.ndarray
@@ -80,6 +80,7 @@ class BinTable(NamedTuple):
     first_m: float
     per_metre: float
     piece_rad: float
+    piece_m: float
 
 
 class Strip(NamedTuple):
@@ -140,29 +141,29 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
     per_metre = len(density) / (last_m - first_m)
     density32, middle_s32 = density.astype(np.float32), ((s[:-1] + s[1:]) / 2).astype(np.float32)
     arrays = bin_edges_m, s, density, density32, middle_s32, middle_m
-    piece_rad = piece_height_rad(bin_edges_m, elevation_fov_rad)
-    return BinTable(*arrays, q_unseen, first_m, per_metre, piece_rad)
+    limits = piece_limits(bin_edges_m, elevation_fov_rad)
+    return BinTable(*arrays, q_unseen, first_m, per_metre, *limits)
 
 
-# Of a bin: how far off a footprint of several rows may be in range. And into how many the aperture in elevation is
-# divided at least, as the beam pattern is linear within each.
-PIECE_ERROR, PIECES_PER_FOV = 1 / 40, 16
+# Of a bin: how far off a footprint of several rows may be in range. Into how many the aperture in elevation is divided
+# at least, as the beam pattern is linear within each. And what is low enough for derivatives, radians.
+PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 40, 16, 1 / 16
 
 
-def piece_height_rad(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> float:
-    """Return how high a footprint of several rows of one plane may be; arguments as of `bin_table`.
+def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> tuple[float, float]:
+    """Return `piece_rad` and `piece_m` of BinTable; arguments as of `bin_table`.
 
-    Between its ends, where range is exact, the range of a plane deviates from the footprint's by r h² / 8.
+    Between its ends, where range is exact, the range of a plane deviates from that of a footprint by r h² / 8.
     """
     bin_m = (bin_edges_m[-1] - bin_edges_m[0]) / (len(bin_edges_m) - 1)
-    return min(math.sqrt(8 * PIECE_ERROR * bin_m / bin_edges_m[-1]), elevation_fov_rad / PIECES_PER_FOV)
+    return min(HIGHEST_PIECE_RAD, elevation_fov_rad / PIECES_PER_FOV), float(8 * PIECE_ERROR * bin_m)
 
 
 # ---- strips ------------------------------------------------------------------------------------------
 
 
 @compiled
-def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece_rad):
+def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     """Return the Strip number `p` of a sector, with its samples and their borders in `work`.
 
     A sample stands for a rectangle of a strip of the image plane, or of its tangent if the strip is curved. Of each
@@ -177,7 +178,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece_ra
     work : (rows, R + 1) float64, overwritten
     plane_echo, face_id : (R, C, 4) float32 and (R, C) int32, as in `SectorSamples`; contiguous, see `whole_rows`
     lattice, strips : Lattice and StripTable
-    q_unseen, piece_rad : of BinTable; a `piece_rad` of 0 joins no rows
+    q_unseen, piece : of BinTable; `piece` is (piece_rad, piece_m), of which a `piece_rad` of 0 joins no rows
     """
     u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
     v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
@@ -202,18 +203,21 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece_ra
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
-        n_faces, low_row, high_row = 0, V_RAY, V_RAY
-        if face_id.shape[0] > 0 and piece_rad > 0.0:
+        low_row = high_row = V_RAY
+        if face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
             if not strips.are_cones:
                 _find_upright(work, lattice, middle, bottom_row, n)
             n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
-        are_joined = 0 < n_faces <= JOINED_SHARE * n
+            # pieces that a face as far as the middle one would have, and one more for each
+            i = min(max(np.int64(work[SAMPLE, uint64(n >> 1)]), 0), lattice.columns - 1)
+            nearness = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
+            height = min(piece[0], math.sqrt(piece[1] * nearness)) if nearness > 0.0 else piece[0]
+            are_joined = n_faces + n * rise / height <= JOINED_SHARE * n
         if are_joined:
             if not strips.are_cones:
                 work[LINE_U, 0] = middle
-            most_rows = max(int(piece_rad / rise), 1)
             n, first, last = _gather_pieces(
-                work, plane_echo, lattice, bottom_row, n_faces, most_rows, strips.are_cones
+                work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise), strips.are_cones
             )
             low_row, high_row = V_LOWEST, V_HIGHEST
         else:
@@ -324,11 +328,15 @@ def _untried_after(untried, is_tried, strip):
 
 
 @compiled
-def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, most_rows, are_cones):
-    """Gather what stands for the rows of each face, in pieces of up to `most_rows`.
+def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
+    """Gather what stands for the rows of each face, in pieces.
 
     The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
     last row by Simpson's rule, as it may change with shading normals.
+
+    Parameters
+    ----------
+    limits : `piece_rad` and `piece_m` of BinTable, height of a row in v
 
     Returns
     -------
@@ -339,14 +347,19 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, most_rows, ar
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
     u, v, columns = lattice.u, lattice.v, lattice.columns
     u0, ui, uj, v0, vi, vj, first, last, n = u[0], u[1], u[2], v[0], v[1], v[2], 0, -1, 0
-    line, lean = line_u[0], 0.0
+    line, lean, (piece_rad, piece_m, rise) = line_u[0], 0.0, limits
     # in place: no row is read after a piece is written there, since each piece has a row of its own
     for face in range(uint64(n_faces)):
         begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
         n_pieces, length, longer = 1, past - begin, 0  # the first pieces are longer by a row
-        if length > most_rows:
-            n_pieces = (length + most_rows - 1) // most_rows
-            length, longer = length // n_pieces, length % n_pieces
+        if length > 1:
+            middle = (begin + past) >> 1
+            i = min(max(np.int64(sample[uint64(middle)]), 0), columns - 1)
+            nearness = np.float64(plane_echo[uint64(middle + bottom_row), uint64(i), 0])
+            most_rows = max(int(min(piece_rad, math.sqrt(piece_m * nearness)) / rise), 1)
+            if nearness > 0.0 and length > most_rows:
+                n_pieces = (length + most_rows - 1) // most_rows
+                length, longer = length // n_pieces, length % n_pieces
         low = begin
         for piece in range(n_pieces):
             high = low + length - (1 if piece >= longer else 0)
@@ -721,8 +734,8 @@ def sum_footprints(plane_echo, face_id, lattice, strips, bins, spread, elevation
     untried = 0
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
-        piece_rad = bins.piece_rad if is_tried else 0.0
-        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece_rad)
+        piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
+        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
         untried = _untried_after(untried, is_tried, strip)
         if strip.first == strip.last:
             continue
@@ -1279,8 +1292,8 @@ def sum_bodies(
     bodies, joined = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
-        piece_rad = bins.piece_rad if is_tried else 0.0
-        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece_rad)
+        piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
+        strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
         untried = _untried_after(untried, is_tried, strip)
         start, last = strip.first, strip.last
         if start == last:
@@ -2094,7 +2107,7 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
     leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
     is_reflected = False
     for p in range(strips.middle.shape[0]):
-        strip = find_strip(work, plane_echo, no_face_id, lattice, strips, p, bins.q_unseen, 0.0)
+        strip = find_strip(work, plane_echo, no_face_id, lattice, strips, p, bins.q_unseen, (0.0, 0.0))
         if strip.first == strip.last:
             continue
         _find_other_leg(work, other_leg, strip, frame.other)

@@ -23,7 +23,7 @@ class SectorSamples(NamedTuple):
         u and v; μ cos θ times slant range
     body_id : (R, C) uint16, number of the body, 0 where none; empty if it was not read
     face_id : (R, C) int32, number of the face, by which one sample may stand for neighbours in other rows; −1 where
-        none, −2 − row where the echo changes too quickly for that; empty if it is not known
+        nothing returns an echo, −2 − row where the echo changes too quickly for that; empty if it is not known
     """
 
     sector: Sector

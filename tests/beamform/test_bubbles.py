@@ -279,7 +279,8 @@ def test_shadows_lie_behind_the_bubbles():
     left = got.intensity[:, far].sum(axis=1) / clear.intensity[:, far].sum(axis=1)
     azimuth = np.degrees(got.azimuth_rad)
     assert (left[np.abs(azimuth - 3) < 0.6] < 0.6).all()
-    assert (left[np.abs(azimuth - 3) > 4.0] == 1).all()
+    # rows of strips beside those that bubbles change may be joined or not, which moves some of the echo
+    np.testing.assert_allclose(left[np.abs(azimuth - 3) > 4.0], 1, atol=1e-3)
     assert left.argmin() == pytest.approx(np.abs(azimuth - 3).argmin(), abs=1)
     near = got.range_m < 3.8
     assert (got.intensity[:, near] == clear.intensity[:, near]).all()

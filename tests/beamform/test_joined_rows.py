@@ -23,7 +23,7 @@ def ping_of(bodies, acoustics=IDEAL, sampling=None, pose=HERE, sonar=SONAR, **se
 @pytest.fixture
 def piece_height(monkeypatch):
     """Return a function that sets the height of a piece, radians; 0 joins no rows."""
-    return lambda height_rad: monkeypatch.setattr(kernels, "piece_height_rad", lambda *_: height_rad)
+    return lambda height_rad: monkeypatch.setattr(kernels, "piece_limits", lambda *_: (height_rad, np.inf))
 
 
 def difference(ping, other):
@@ -87,7 +87,8 @@ def test_elevation_and_incidence_change_within_a_joined_footprint(piece_height):
     expected = np.radians(20) - below
     np.testing.assert_allclose(got.elevation_rad[:, lit], expected, atol=1.5e-3)
     np.testing.assert_allclose(got.incidence_rad[:, lit], np.pi / 2 - below, atol=1.5e-3)
-    assert kernels.piece_height_rad(narrow.bin_edges_m) > 3 * 1.5e-3
+    piece_rad, piece_m = kernels.piece_limits(narrow.bin_edges_m)
+    assert min(piece_rad, np.sqrt(piece_m / 15.0)) > 3 * 1.5e-3
 
 
 def test_two_coplanar_bodies_end_where_they_do():
@@ -108,6 +109,6 @@ def test_two_coplanar_bodies_end_where_they_do():
 
 def test_pieces_follow_from_bins_range_and_aperture():
     edges = np.linspace(1.0, 31.0, 601)
-    height_rad = kernels.piece_height_rad(edges)
-    assert 31.0 * height_rad**2 / 8 == pytest.approx(0.05 / 40)
-    assert kernels.piece_height_rad(edges, np.radians(4.0)) == pytest.approx(np.radians(4.0) / 16)
+    _, piece_m = kernels.piece_limits(edges)
+    assert piece_m / 8 == pytest.approx(0.05 / 40)  # r h² / 8
+    assert kernels.piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))

@@ -36,7 +36,7 @@ def borders(samples, width=STEP, u=0.0):
     strips = StripTable(np.array([0]), np.array([u]), np.array([width]), -top, top, False)
     work = np.full((FOOTPRINT_ROWS, ROWS + 1), np.nan)
     image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)
-    strip = find_strip(work, image, NO_FACES, lattice, strips, 0, bin_table(EDGES).q_unseen, 0.0)
+    strip = find_strip(work, image, NO_FACES, lattice, strips, 0, bin_table(EDGES).q_unseen, (0.0, 0.0))
     return strip, work[BORDER]
 
 

@@ -147,7 +147,7 @@ def test_images_of_bundled_scenes(name, monkeypatch):
 
     The faces that join rows are known of one engine alone; tests/beamform/test_joined_rows.py has what they change.
     """
-    monkeypatch.setattr(kernels, "piece_height_rad", lambda *_: 0.0)
+    monkeypatch.setattr(kernels, "piece_limits", lambda *_: (0.0, 0.0))
     scene, sonar, images = sg.load_scene(name), sg.load_sonar("p900-45"), []
     for engine in ("cpu", "opengl"):
         with sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 100), engine=engine) as simulator:
