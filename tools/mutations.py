@@ -785,11 +785,20 @@ MUTATIONS = (
     ),
     Mutation(
         "noise/phase of cross-faded cells",
-        "(4 * np.pi / wavelength_m * along_m)",
-        "(2 * np.pi / wavelength_m * along_m)",
+        "(4 * np.pi / shape.wavelength_m * along_m)",
+        "(2 * np.pi / shape.wavelength_m * along_m)",
         NOISE,
+        (("(4 * np.pi / wavelength_m * along_m)", "(2 * np.pi / wavelength_m * along_m)"),),
     ),
-    Mutation("noise/phase of waves", "c * x[k] - s * y[k]", "c * x[k] + s * y[k]", NOISE),
+    Mutation(
+        "noise/phase of waves",
+        "c * ak - s * bk",
+        "c * ak + s * bk",
+        NOISE,
+        (("c * x[k] - s * y[k]", "c * x[k] + s * y[k]"),),
+    ),
+    Mutation("noise/waves of the second beam", "w = wave - from_other", "w = wave - from_one", NOISE),
+    Mutation("noise/window between nodes", "(KAISER / 2) ** n", "(KAISER / 4) ** n", NOISE),
     Mutation(
         "noise/mirrored beams",
         "weight[k] * (even[b, k] - odd[b, k])",
