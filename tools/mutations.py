@@ -801,9 +801,10 @@ MUTATIONS = (
     Mutation("noise/window between nodes", "(KAISER / 2) ** n", "(KAISER / 4) ** n", NOISE),
     Mutation(
         "noise/mirrored beams",
-        "weight[k] * (even[b, k] - odd[b, k])",
-        "weight[k] * (even[b, k] + odd[b, k])",
+        "weight[k] * (e[k] - o[k])",
+        "weight[k] * (e[k] + o[k])",
         NOISE,
+        (("weight[k] * (even[b, k] - odd[b, k])", "weight[k] * (even[b, k] + odd[b, k])"),),
     ),
     Mutation(
         "noise/cross-talk keeps the sum",
