@@ -12,6 +12,7 @@ from sonar_gl.acoustics.beam_pattern import HAMMING, aperture_field
 from sonar_gl.core.checks import check_choice
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
+from sonar_gl.core.worker import SecondThread, run_rows
 
 # F₁, F₂, … of the weights 1 + 2 Σ F_m cos(2πmf/B) of a spectrum, |f| <= B/2
 PULSE_TAPERS = {"uniform": (), "hamming": (HAMMING,)}
@@ -23,6 +24,8 @@ MAX_FIELD_NULLS = 50  # or the length, in c/2B, at which `field_weights` end
 INTERVALS_PER_NULL = 2  # of integration per c/2B, each with these nodes: accurate to 1e-9
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(8)
 MAX_HALF_LENGTH = 1 << 16  # bins to each side of a kernel's centre
+SILENCE = uint64(64)  # bins without an echo that a convolution leaves out at a time
+FEW_PRODUCTS = 1_000_000  # of a convolution: 0.1 ms, as a hand-over to another thread may take
 
 
 def _taper_series(taper: str) -> tuple[float, ...]:
@@ -220,29 +223,52 @@ def _read_only_float32(kernel: np.ndarray) -> np.ndarray:
 
 
 @compiled
+def _is_silent(bits):
+    """Return whether float32 numbers, (n,) given as int32, are all 0."""
+    found = 0
+    for k in range(uint64(len(bits))):
+        found |= bits[k]
+    return found == 0
+
+
+@compiled
 def _convolve(rows, before, weights, out):
     """Convolve rows (R, L), with `before` zeros before each and zeros behind, with n weights into out (R, K).
 
-    n is a multiple of 4.
+    n is a multiple of 4. Zeros at both ends of a row are left out, since specular echoes fill few bins.
     """
-    last, length = uint64(out.shape[1]), uint64(rows.shape[1])
+    last, length, n = uint64(out.shape[1]), uint64(rows.shape[1]), uint64(len(weights))
     # one row stays in the cache
-    row = np.zeros(max(last, length + uint64(before)) + uint64(len(weights)), np.float32)
+    row = np.zeros(max(last, length + uint64(before)) + n, np.float32)
     for r in range(uint64(len(rows))):
-        to, from_ = out[r], rows[r]
+        from_, bits = rows[r], rows[r].view(np.int32)
+        start, end = uint64(0), length
+        while start < end and _is_silent(bits[start : min(start + SILENCE, end)]):
+            start += SILENCE
+        while start < end and _is_silent(bits[max(start + SILENCE, end) - SILENCE : end]):
+            end = max(start + SILENCE, end) - SILENCE
         for k in range(length):
             row[uint64(before) + k] = from_[k]
         for k in range(last):
-            to[k] = 0
+            out[r, k] = 0
+        end = min(end + uint64(before), last)
+        start = min(start + uint64(before) - min(start + uint64(before), n - uint64(1)), end)
+        to, near = out[r, start:end], row[start:]
         # four at a time, since out is then read and written less often
-        for j in range(0, uint64(len(weights)), 4):
+        for j in range(uint64(0), n, uint64(4)):
             a, b, c, d = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
-            one, two, three, four = row[j:], row[j + 1 :], row[j + 2 :], row[j + 3 :]
-            for k in range(last):
+            one, two, three, four = near[j:], near[j + 1 :], near[j + 2 :], near[j + 3 :]
+            for k in range(end - start):
                 to[k] += a * one[k] + b * two[k] + c * three[k] + d * four[k]
 
 
-def convolve(rows: np.ndarray, weights: np.ndarray, before: int = 0, after: int = 0) -> np.ndarray:
+def convolve(
+    rows: np.ndarray,
+    weights: np.ndarray,
+    before: int = 0,
+    after: int = 0,
+    thread: SecondThread | None = None,
+) -> np.ndarray:
     """Return rows convolved with weights, without the ends.
 
     Parameters
@@ -250,6 +276,7 @@ def convolve(rows: np.ndarray, weights: np.ndarray, before: int = 0, after: int 
     rows : (R, L) float32
     weights : (n,) float32, symmetric
     before, after : zeros that are thought before and behind each row
+    thread : does half of the rows, unless they are few
 
     Returns
     -------
@@ -257,17 +284,25 @@ def convolve(rows: np.ndarray, weights: np.ndarray, before: int = 0, after: int 
     """
     n = len(weights)
     out = np.empty((len(rows), before + rows.shape[1] + after - n + 1), np.float32)
-    _convolve(rows, before, np.concatenate([weights, np.zeros(-n % 4, np.float32)]), out)
+    weights = np.concatenate([weights, np.zeros(-n % 4, np.float32)])
+
+    def work(part: slice) -> None:
+        _convolve(rows[part], before, weights, out[part])
+
+    run_rows(thread if n * out.size > FEW_PRODUCTS else None, work, 0, len(rows))
     return out
 
 
-def matched_filter(intensity: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def matched_filter(
+    intensity: np.ndarray, weights: np.ndarray, thread: SecondThread | None = None
+) -> np.ndarray:
     """Return echoes spread along range by the pulse; energy that leaves the first or the last bin is lost.
 
     Parameters
     ----------
     intensity : (B, K) float32, linear power
     weights : (n,) float32 of `bin_weights`, any odd n
+    thread : does half of the beams, unless they are few
 
     Returns
     -------
@@ -279,4 +314,4 @@ def matched_filter(intensity: np.ndarray, weights: np.ndarray) -> np.ndarray:
     half_length = min(len(weights) // 2, intensity.shape[1] - 1)
     centre = len(weights) // 2
     weights = weights[centre - half_length : centre + half_length + 1]
-    return convolve(intensity, weights, before=half_length, after=half_length)
+    return convolve(intensity, weights, before=half_length, after=half_length, thread=thread)

@@ -178,3 +178,20 @@ class SecondThread:
         """Stop the thread; a second call does nothing."""
         self._is_closed = True
         self._thread.close()
+
+
+def run_halves(thread: SecondThread | None, work: Callable[[int], object]) -> tuple:
+    """Return (work(0), work(1)), the second from the thread if there is one."""
+    return (work(0), work(1)) if thread is None else thread.run_halves(work)
+
+
+def run_rows(thread: SecondThread | None, work: Callable[[slice], object], first: int, past: int) -> None:
+    """Have work(rows) done for rows first to past − 1: for half of them by the thread, if there is one.
+
+    Each row must be a result of its own, so that bits do not depend on the thread.
+    """
+    if thread is None:
+        work(slice(first, past))
+        return
+    middle = (first + past) // 2
+    thread.run_halves(lambda half: work(slice(middle, past) if half else slice(first, middle)))

@@ -218,7 +218,7 @@ def assemble(
     """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
 
     Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
-    noise.
+    matched filter and the noise.
     """
     setup = received.drawn.setup
     echo = (
@@ -228,7 +228,7 @@ def assemble(
     few = None if setup.acoustics.scatterer_density_m3 is None else received.volume
     parts = echo, received.lobes, received.texture, few
     intensity, coherent, texture, volume = (
-        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse)
+        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse, thread)
         for one in (part and part.intensity for part in parts)
     )
     if texture is not None and coherent is not None:  # specular lobes are in both views

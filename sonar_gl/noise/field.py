@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache
+from collections.abc import Callable
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.acoustics.beam_pattern import taper_series
 from sonar_gl.acoustics.pulse import PulseResponse, field_weights
 from sonar_gl.core.errors import Error
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import SecondThread, run_rows
 from sonar_gl.noise.k_distribution import multiply_by_texture
-from sonar_gl.noise.place_locked_speckle import WaveCache, place_locked_field
+from sonar_gl.noise.place_locked_speckle import FieldShape, WaveCache, place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference, common_noise_pattern, receiver_levels_db
 from sonar_gl.noise.scatterers import Scatterers, add_scatterers, scatterers_of
@@ -25,41 +27,67 @@ MAX_POWER = 1e30  # noise beyond it is cut off, so that float32 sums stay finite
 # A sonar within a cell takes 1 to 20 MB of its waves; near a corner it takes those of four cells, of up to 100 MB each
 # for the widest fans, most of which are then made anew in each ping.
 _WAVES = WaveCache(64 << 20)
+MANY_BINS = 200_000  # real and imaginary parts of a look that two threads finish: 0.15 ms of work
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 
 
-@lru_cache(maxsize=2)  # speckle and texture of a sonar that stands still
-def _field_at(
-    correlation: FieldCorrelation,
-    n_bins: int,
-    bin_size_m: float,
-    wavelength_m: float,
-    pulse: PulseResponse | None,
-    place: bytes,
-    key: tuple[int, str, int],
-) -> np.ndarray:
-    """Return a place-locked field, (B, 2, K), read-only.
+class FieldKey(NamedTuple):
+    """What determines a place-locked field.
+
+    Attributes
+    ----------
+    shape : FieldShape
+    place : the first two rows of the pose, float64
+    random : seed, term and look
+    """
+
+    shape: FieldShape
+    place: bytes
+    random: tuple[int, str, int]
+
+    def make(self, thread: SecondThread | None, beside: Callable[[], None] | None) -> np.ndarray:
+        """Return the field, (B, 2, K), read-only; parameters as for `place_locked_field`."""
+        seed, term, look = self.random
+
+        def waves(cell_x, cell_y, chunks, n_wave_bins):
+            def generator(chunk):
+                return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+
+            return _WAVES.waves((self.random, cell_x, cell_y), chunks, n_wave_bins, generator)
+
+        pose = np.frombuffer(self.place).reshape(2, 4)
+        out = place_locked_field(self.shape, pose, waves, thread, beside)
+        out.setflags(write=False)
+        return out
+
+
+class RecentFields:
+    """The last place-locked fields: a sonar that stands still sees the same again.
 
     Parameters
     ----------
-    correlation : without the pulse, which is given by itself
-    place : the first two rows of the pose, float64
-    key : seed, term and look
+    most : how many are kept
     """
-    if pulse is not None:
-        correlation = correlation._replace(pulse_weights=field_weights(bin_size_m, *pulse))
-    seed, term, look = key
 
-    def waves(cell_x, cell_y, chunks, n_wave_bins):
-        def generator(chunk):
-            return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+    def __init__(self, most: int):
+        self._most, self._kept = most, ()
 
-        return _WAVES.waves((key, cell_x, cell_y), chunks, n_wave_bins, generator)
+    def field(
+        self, key: FieldKey, thread: SecondThread | None = None, beside: Callable[[], None] | None = None
+    ) -> np.ndarray:
+        """Return the field of a key, (B, 2, K), read-only; `beside` is done in any case."""
+        kept = self._kept
+        found = [field for known, field in kept if known == key]
+        if not found:
+            found = [key.make(thread, beside)]
+        elif beside is not None:
+            beside()
+        others = [pair for pair in kept if pair[0] != key]
+        self._kept = ((key, found[0]), *others)[: self._most]  # at once, for other threads and interrupts
+        return found[0]
 
-    pose = np.frombuffer(place).reshape(2, 4)
-    out = place_locked_field(correlation, n_bins, bin_size_m, wavelength_m, pose, waves, pulse)
-    out.setflags(write=False)
-    return out
+
+_FIELDS = RecentFields(2)  # speckle and texture
 
 
 class FieldNoise:
@@ -71,7 +99,7 @@ class FieldNoise:
         sonar beams are independent; without acoustics bins are, and there is no TVG
     noise : Noise
     seed, ping_number : of `random_streams.stream`
-    thread : makes the field of the receiver's noise beside that of the speckle; None makes one after the other
+    thread : does a part of the work, with the same bytes; None: the caller does all
     """
 
     def __init__(
@@ -136,38 +164,41 @@ class FieldNoise:
         one field of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is
         even.
         """
-        noise, coherent, scatterers = self._noise, self._coherent_amplitude, self._scatterers
+        noise, scatterers, correlation = self._noise, self._scatterers, self._correlation
+        coherent = self._ping.coherent if noise.speckle else None
         is_one_field = noise.speckle and not noise.follow_motion
         if is_one_field and power is not None:
             intensity += power
         if coherent is None and scatterers is None and (is_one_field or power is None):
             self._multiply_by_speckle(intensity, "speckle", look)
             return
-        total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
-        if coherent is not None:
-            total[:, 0] = coherent
-        if scatterers is not None:
-            volume = self._ping.volume
-            add_scatterers(total, volume, scatterers, self._correlation, self._stream("scatterers"))
-        if is_one_field:
-            add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
-        elif not noise.speckle:
-            np.sqrt(intensity, out=total[:, 0])
-        correlation, receiver = self._correlation, self._stream("receiver")
+        total = np.empty((len(intensity), 2, intensity.shape[1]), np.float32)
 
-        def make_half(half: int) -> np.ndarray | None:
-            if half and power is not None and not is_one_field:
-                add_field(total, np.sqrt(power), correlation, receiver)
-            is_place_locked = not half and noise.speckle and not is_one_field
-            return self._place_locked_field("speckle", look) if is_place_locked else None
+        def add_others() -> None:
+            """Fill `total` by all but the place-locked speckle."""
+            total[:] = 0
+            if coherent is not None:  # a circular g takes no notice of its phase: 0 in all bins
+                np.sqrt(coherent, out=total[:, 0])
+            if scatterers is not None:
+                add_scatterers(total, self._ping.volume, scatterers, correlation, self._stream("scatterers"))
+            if is_one_field:
+                add_field(total, np.sqrt(intensity), correlation, self._stream("speckle"))
+            elif not noise.speckle:
+                np.sqrt(intensity, out=total[:, 0])
+            if power is not None and not is_one_field:
+                add_field(total, np.sqrt(power), correlation, self._stream("receiver"))
 
-        thread = self._thread
-        field, _ = (make_half(0), make_half(1)) if thread is None else thread.run_halves(make_half)
-        if field is None:
+        if is_one_field or not noise.speckle:
+            add_others()
             np.square(total, out=total)
             np.add(total[:, 0], total[:, 1], out=intensity)
-        else:
-            replace_by_look(field, total, intensity)
+            return
+        field = self._place_locked_field("speckle", look, add_others)
+
+        def replace_rows(rows: slice) -> None:
+            replace_by_look(field[rows], total[rows], intensity[rows])
+
+        run_rows(self._thread if total.size > MANY_BINS else None, replace_rows, 0, len(total))
 
     def _multiply_by_speckle(self, intensity, term: str, look: int = 0) -> None:
         """Multiply the intensity, in place, by |g|² of the term's field."""
@@ -176,13 +207,20 @@ class FieldNoise:
         else:
             multiply_by_speckle(intensity, self._correlation, self._stream(term))
 
-    def _place_locked_field(self, term: str, look: int) -> np.ndarray:
-        """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number."""
-        sonar, pose = self._required("sonar", PLACE_LOCKED), self._required("pose", PLACE_LOCKED)
-        shape = len(self._ping.range_m), self._ping.bin_size_m, self._sound_speed_m_s / sonar.frequency_hz
+    def _place_locked_field(
+        self, term: str, look: int, beside: Callable[[], None] | None = None
+    ) -> np.ndarray:
+        """Return the (B, 2, K) field that belongs to the ping's pose, whatever its number; `beside` is done, too."""
+        sonar, pose, ping = (
+            self._required("sonar", PLACE_LOCKED),
+            self._required("pose", PLACE_LOCKED),
+            self._ping,
+        )
         place = np.asarray(sonar.head_pose(pose), np.float64)[:2].tobytes()
-        correlation = self._correlation._replace(pulse_weights=None)
-        return _field_at(correlation, *shape, self._pulse, place, (self._seed, term, look))
+        wavelength_m = self._sound_speed_m_s / sonar.frequency_hz
+        correlation = self._correlation._replace(pulse_weights=None)  # an array, which keys may not have
+        shape = FieldShape(correlation, len(ping.range_m), ping.bin_size_m, wavelength_m, self._pulse)
+        return _FIELDS.field(FieldKey(shape, place, (self._seed, term, look)), self._thread, beside)
 
     def _stream(self, term: str) -> np.random.Generator:
         """Return the term's random generator, which continues from one look to the next."""
@@ -202,15 +240,6 @@ class FieldNoise:
         """Return the mean power of noise of these levels after the TVG, (K,) float32, up to MAX_POWER."""
         power = self._tvg * math.fsum(10 ** (db / 10) for db in levels_db)
         return np.minimum(power, MAX_POWER).astype(np.float32)
-
-    @cached_property
-    def _coherent_amplitude(self) -> np.ndarray | None:
-        """Amplitude of the echo that speckle spares, (B, K); None if there is none, or no speckle.
-
-        A circular g takes no notice of its phase, so that the phase may be 0 in all bins.
-        """
-        coherent = self._ping.coherent
-        return None if coherent is None or not self._noise.speckle else np.sqrt(coherent)
 
     @cached_property
     def _scatterers(self) -> Scatterers | None:

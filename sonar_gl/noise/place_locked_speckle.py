@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import partial
 from itertools import product
 from threading import Lock
 from typing import NamedTuple
@@ -11,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.pulse import PulseResponse, amplitude_response
+from sonar_gl.acoustics.pulse import PulseResponse, amplitude_response, field_weights
 from sonar_gl.core.compiled import compiled
-from sonar_gl.core.worker import held
+from sonar_gl.core.worker import SecondThread, held, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
 
@@ -25,8 +27,33 @@ CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
 # of the Kaiser window, and how many for each beam are worth it.
 OVERSAMPLING, TAPS, KAISER, MOST_NODES = 2.0, 8, 5.3, 0.8
+# The window I₀(KAISER √z) = Σ ((KAISER/2)² z)ⁿ / n!², z <= 1: the terms that count in float64
+KAISER_WINDOW = tuple(((KAISER / 2) ** n / math.factorial(n)) ** 2 for n in range(20))
 # least number of waves in an aperture; the outermost count in part, so that it slides smoothly
 MIN_WAVES = 64
+# Share of the nodes whose waves the caller sums while the second thread does other work, which takes about as long:
+# the field of the receiver's noise, which has about as many products.
+SHARE_BESIDE = 0.5
+FEW_WAVE_PRODUCTS = (
+    1_000_000  # of waves and bins, some 0.5 ms; for fewer a hand-over to another thread does not pay
+)
+
+
+class FieldShape(NamedTuple):
+    """What determines a place-locked field, besides the sonar's pose and the random waves.
+
+    Attributes
+    ----------
+    correlation : its beams have a width; its pulse weights do not count
+    n_bins, bin_size_m, wavelength_m : K, metres, metres
+    pulse : PulseResponse; None without one
+    """
+
+    correlation: FieldCorrelation
+    n_bins: int
+    bin_size_m: float
+    wavelength_m: float
+    pulse: PulseResponse | None = None
 
 
 class Cell(NamedTuple):
@@ -53,15 +80,17 @@ def _cells_at(position_m: float) -> list[Cell]:
     return [Cell(c, position_m - c * CELL_M, float(w)) for c, w in both if w > 1e-6]
 
 
-def _shift_weights(
-    correlation: FieldCorrelation, shift_bins: np.ndarray, response
-) -> tuple[np.ndarray, np.ndarray]:
+def _pulse_reach(shape: FieldShape) -> int:
+    """Return how many bins the pulse reaches to each side."""
+    return 0 if shape.pulse is None else len(field_weights(shape.bin_size_m, *shape.pulse)) // 2
+
+
+def _shift_weights(shape: FieldShape, shift_bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the interpolation that moves the fields of B beams along range.
 
     Parameters
     ----------
-    shift_bins : (B,) bins
-    response : function of bins, the pulse's amplitude response; None interpolates linearly
+    shift_bins : (B,) bins; without a pulse the interpolation is linear
 
     Returns
     -------
@@ -70,12 +99,13 @@ def _shift_weights(
     """
     first = np.floor(shift_bins).astype(np.int64)
     fraction = (shift_bins - first)[:, None]
-    if response is None:
+    if shape.pulse is None:
         weights = np.hstack([1 - fraction, fraction])
     else:
-        reach = len(correlation.pulse_weights) // 2 + 1
+        reach = _pulse_reach(shape) + 1
         first -= reach
-        weights = response(fraction - np.arange(-reach, reach + 1))
+        bins = fraction - np.arange(-reach, reach + 1)
+        weights = amplitude_response(bins * shape.bin_size_m, *shape.pulse)
     return (weights / np.sqrt((weights**2).sum(1, keepdims=True))).astype(np.float32), first
 
 
@@ -118,7 +148,7 @@ def _nodes(
     first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
     numbers = np.arange(first.min(), first.max() + TAPS)
     off = place[:, None] - first[:, None] - np.arange(TAPS)
-    window = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
+    window = np.polynomial.polynomial.polyval(np.maximum(1 - (2 * off / TAPS) ** 2, 0), KAISER_WINDOW)
     weights = np.sinc(off) * window
     weights /= weights.sum(1, keepdims=True)
     return Nodes(numbers * step, first - first.min(), weights.astype(np.float32), (most - 1) * step)
@@ -126,50 +156,100 @@ def _nodes(
 
 @compiled
 def _interpolate(fields, first, weights, out):
-    """Fill out (B, 2, K) with the fields (N, 2, K) of nodes, interpolated by weights (B, TAPS) from `first` on."""
-    n_bins = uint64(out.shape[2])
+    """Fill out (B, 2, K) with the fields (N, 2, K) of nodes, interpolated by weights (B, 8) from `first` on."""
     for b in range(uint64(len(out))):
+        n, a = first[b], weights[b]
         for part in range(2):
             to = out[b, part]
-            for k in range(n_bins):
-                to[k] = float32(0)
-            for t in range(uint64(weights.shape[1])):
-                a, row = weights[b, t], fields[uint64(first[b] + t), part]
-                for k in range(n_bins):
-                    to[k] += a * row[k]
+            p, q, r, s = fields[n, part], fields[n + 1, part], fields[n + 2, part], fields[n + 3, part]
+            t, u, v, w = fields[n + 4, part], fields[n + 5, part], fields[n + 6, part], fields[n + 7, part]
+            for k in range(uint64(len(to))):
+                x = a[1] * q[k] + a[0] * p[k]
+                x = a[2] * r[k] + x
+                x = a[3] * s[k] + x
+                x = a[4] * t[k] + x
+                x = a[5] * u[k] + x
+                x = a[6] * v[k] + x
+                to[k] = a[7] * w[k] + x
 
 
 @compiled
-def _sum_waves(coefficients, start, real, imaginary, shift, weights, out):
+def _shift(row, weights, out):
+    """Add to out (K,) the values in row (K + n − 1 or more,), interpolated by weights (n,), n a multiple of 4."""
+    for j in range(uint64(0), uint64(len(weights)), uint64(4)):
+        a, b, c, d = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
+        p, q, r, s = row[j:], row[j + 1 :], row[j + 2 :], row[j + 3 :]
+        for k in range(uint64(len(out))):
+            x = out[k] + a * p[k]
+            x = x + b * q[k]
+            x = x + c * r[k]
+            out[k] = x + d * s[k]
+
+
+@compiled
+def _sum_waves(coefficients, start, matrix, shift, weights, pairs, out):
     """Add to out (B, 2, K) the waves that the aperture of each beam receives, shifted along range.
+
+    Two beams are summed at a time, since each wave is then read once for both. They take its bins at the same places,
+    and those waves that only one of them receives count 0 for the other.
 
     Parameters
     ----------
     coefficients : (M, 2, N) float32, complex amplitudes of M waves at N bins
     start : (B,) number of each beam's first wave
-    real, imaginary : (B, W) float32, weights of each beam's W waves, W even
-    shift, weights : (B,) and (B, n), of `_shift_weights`
+    matrix : (B, 3, W) float32, weights of each beam's W waves, W even: real parts, imaginary parts, and these negative
+    shift, weights : (B,) and (B, n), of `_shift_weights`, n a multiple of 4, with zeros at the end
+    pairs : (P, 2) beams, both of whose waves start at even numbers, or at odd ones; a beam twice stands for itself
     """
-    n_bins = uint64(out.shape[2])
-    last = n_bins + uint64(weights.shape[1] - 1)  # bins that the interpolation takes
-    row = np.empty((2, last), np.float32)
-    for b in range(uint64(len(out))):
-        first, past = uint64(shift[b]), uint64(shift[b]) + last
-        for k in range(last):
-            row[0, k] = float32(0)
-            row[1, k] = float32(0)
-        for w in range(uint64(0), uint64(real.shape[1]), uint64(2)):  # two at a time: sums stay in registers
-            c, s, d, t = real[b, w], imaginary[b, w], real[b, w + 1], imaginary[b, w + 1]
-            one, other = coefficients[uint64(start[b] + w)], coefficients[uint64(start[b] + w + 1)]
-            x, y, p, q = one[0, first:past], one[1, first:past], other[0, first:past], other[1, first:past]
-            for k in range(last):
-                row[0, k] += (c * x[k] - s * y[k]) + (d * p[k] - t * q[k])
-                row[1, k] += (c * y[k] + s * x[k]) + (d * q[k] + t * p[k])
-        for j in range(uint64(weights.shape[1])):
-            a, x = weights[b, j], row[:, uint64(j) :]
-            for part in range(2):
-                for k in range(n_bins):
-                    out[b, part, k] += a * x[part, k]
+    n_bins, n_waves = uint64(out.shape[2]), uint64(matrix.shape[2])
+    n_weights = uint64(weights.shape[1])
+    row = np.zeros((4, uint64(coefficients.shape[2]) + n_weights), np.float32)
+    for pair in range(uint64(len(pairs))):
+        one, other = uint64(pairs[pair, 0]), uint64(pairs[pair, 1])
+        from_one, from_other = uint64(start[one]), uint64(start[other])
+        first = uint64(min(shift[one], shift[other]))
+        last = min(
+            uint64(max(shift[one], shift[other])) + n_bins + n_weights - uint64(1),
+            uint64(coefficients.shape[2]),
+        )
+        n = last - first
+        i, j, u, v = row[0], row[1], row[2], row[3]
+        for k in range(n):
+            i[k] = j[k] = u[k] = v[k] = float32(0)
+        # two waves at a time: sums stay in registers
+        for wave in range(min(from_one, from_other), max(from_one, from_other) + n_waves, uint64(2)):
+            c = s = m = d = t = o = float32(0)
+            w = wave - from_one  # wraps below 0
+            if w < n_waves:
+                c, s, m = matrix[one, 0, w], matrix[one, 1, w], matrix[one, 2, w]
+                w += uint64(1)
+                d, t, o = matrix[one, 0, w], matrix[one, 1, w], matrix[one, 2, w]
+            e = f = g = h = x = y = float32(0)
+            w = wave - from_other
+            if w < n_waves:
+                e, f, g = matrix[other, 0, w], matrix[other, 1, w], matrix[other, 2, w]
+                w += uint64(1)
+                h, x, y = matrix[other, 0, w], matrix[other, 1, w], matrix[other, 2, w]
+            a, b = coefficients[wave, 0, first:last], coefficients[wave, 1, first:last]
+            p, q = (
+                coefficients[wave + uint64(1), 0, first:last],
+                coefficients[wave + uint64(1), 1, first:last],
+            )
+            # The imaginary parts are differences, too: sums of two products are rounded in an order of LLVM's choice.
+            for k in range(n):
+                ak, bk, pk, qk = a[k], b[k], p[k], q[k]
+                ik = i[k] + ((c * ak - s * bk) + (d * pk - t * qk))
+                jk = j[k] + ((c * bk - m * ak) + (d * qk - o * pk))
+                uk = u[k] + ((e * ak - f * bk) + (h * pk - x * qk))
+                vk = v[k] + ((e * bk - g * ak) + (h * qk - y * pk))
+                i[k], j[k], u[k], v[k] = ik, jk, uk, vk
+        near = uint64(shift[one]) - first
+        _shift(i[near:], weights[one], out[one, 0])
+        _shift(j[near:], weights[one], out[one, 1])
+        if other != one:
+            near = uint64(shift[other]) - first
+            _shift(u[near:], weights[other], out[other, 0])
+            _shift(v[near:], weights[other], out[other, 1])
 
 
 RECENT_USES = 8  # of waves: two pings take those of four cells each
@@ -251,24 +331,103 @@ def _chunk_of(waves: Waves, chunk: int) -> np.ndarray:
     return waves.coefficients[first : first + CHUNK]
 
 
+class _Layout(NamedTuple):
+    """Where the waves of a place-locked field go.
+
+    Attributes
+    ----------
+    nodes : Nodes; None where the waves are summed for each beam
+    azimuth_rad : (N,) of the nodes, or of the beams, radians in the world
+    length : of the aperture, in waves
+    repeats : how often the field repeats in a full circle
+    """
+
+    nodes: Nodes | None
+    azimuth_rad: np.ndarray
+    length: float
+    repeats: int
+
+
+def _lay_out(shape: FieldShape, heading_rad: float) -> _Layout:
+    """Return the layout of a field for a sonar's heading."""
+    beams, width = np.asarray(shape.correlation.azimuth_rad), shape.correlation.beam_width_rad
+    taper_series = shape.correlation.taper_series
+    nodes = _nodes(heading_rad, beams, width, taper_series)
+    if nodes is None:
+        azimuth, span = heading_rad + beams, np.ptp(beams)
+    else:
+        azimuth, span = nodes.azimuth_rad, nodes.span_rad
+    # number of waves in an aperture, if the field repeats after one full circle ...
+    waves = aperture_width(taper_series) * 2 * np.pi / width
+    # ... and after the `repeats`-th part of it, which must be longer than the fan; the same at any heading
+    repeats = max(1, int(min(2 * np.pi / (1.2 * span + 12 * width), waves / MIN_WAVES)))
+    return _Layout(nodes, azimuth, waves / repeats, repeats)
+
+
+class _WaveSums(NamedTuple):
+    """What the apertures of N beams, or nodes, receive of the waves of a cell; arrays as `_sum_waves` takes them."""
+
+    coefficients: np.ndarray
+    start: np.ndarray
+    matrix: np.ndarray
+    shift: np.ndarray
+    weights: np.ndarray
+
+    def add_to(self, fields: np.ndarray, rows: slice) -> None:
+        """Add the waves of some beams to their fields (N, 2, K)."""
+        start, pairs = self.start[rows], []
+        for parity in (0, 1):
+            (numbers,) = np.nonzero(start % 2 == parity)
+            last = numbers[-1:] if len(numbers) % 2 else numbers[:0]  # which has no other
+            pairs.append(np.append(numbers, last).reshape(-1, 2))
+        arrays = start, self.matrix[rows], self.shift[rows], self.weights[rows], np.concatenate(pairs)
+        _sum_waves(self.coefficients, *arrays, fields[rows])
+
+
+def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], waves_of) -> _WaveSums:
+    """Return the sums over the waves of a cell of the sea; `waves_of` as for `place_locked_field`."""
+    (_, azimuth, length, repeats), ((cx, x, wx), (cy, y, wy)) = layout, cells
+    spacing_m = shape.wavelength_m * repeats / (2 * np.pi)
+    along_m = x * np.cos(azimuth) + y * np.sin(azimuth)
+    across_m = y * np.cos(azimuth) - x * np.sin(azimuth)
+    middle = 2 * across_m / spacing_m
+    start = np.ceil(middle - length / 2 - 0.5).astype(np.int64)
+    n_waves = int(np.ceil(length)) + 1
+    waves = start[:, None] + np.arange(n_waves + n_waves % 2)
+    position = waves - middle[:, None]
+    weight = np.clip(length / 2 + 0.5 - np.abs(position), 0, 1)  # the outermost waves count in part
+    weight *= aperture_weights(np.clip(position / length, -0.5, 0.5), shape.correlation.taper_series)
+    weight *= wx * wy * np.sqrt(0.5 / (weight**2).sum(1, keepdims=True))
+    # Less the phase of the way from the cell's middle to the sonar and back. The field of a cell would else turn by
+    # that from beam to beam, each cell by its own, and neighbours would not correlate where cells cross-fade.
+    phase = waves * repeats * azimuth[:, None] - (4 * np.pi / shape.wavelength_m * along_m)[:, None]
+    matrix = np.empty((len(weight), 3, weight.shape[1]), np.float32)
+    matrix[:, 0], matrix[:, 1] = weight * np.cos(phase), weight * np.sin(phase)
+    np.negative(matrix[:, 1], out=matrix[:, 2])
+    weights, shift = _shift_weights(shape, along_m / shape.bin_size_m)
+    margin = int(np.ceil(CELL_M / shape.bin_size_m)) + _pulse_reach(shape) + (1 if shape.pulse is None else 2)
+    chunks = range(int(waves.min()) // CHUNK, int(waves.max()) // CHUNK + 1)
+    chunks, coefficients = waves_of(cx, cy, chunks, shape.n_bins + 2 * margin)
+    weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
+    return _WaveSums(coefficients, start - chunks.start * CHUNK, matrix, shift + margin, weights)
+
+
 def place_locked_field(
-    correlation: FieldCorrelation,
-    n_bins: int,
-    bin_size_m: float,
-    wavelength_m: float,
+    shape: FieldShape,
     pose,
     waves_of: Callable[[int, int, range, int], Waves],
-    pulse: PulseResponse | None = None,
+    thread: SecondThread | None = None,
+    beside: Callable[[], None] | None = None,
 ) -> np.ndarray:
     """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
 
     Parameters
     ----------
-    correlation : its beams have a width; of its pulse weights only the length counts
-    n_bins, bin_size_m, wavelength_m : K, metres, metres
+    shape : FieldShape
     pose : (4, 4) world_from_sonar, or its first two rows; its heading and its horizontal position count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
-    pulse : PulseResponse; None without one
+    thread : does a part of the work, with the same bytes
+    beside : other work, which the thread does first; done in any case
 
     Returns
     -------
@@ -288,46 +447,32 @@ def place_locked_field(
     cell are uncorrelated. Pitch, roll and heave leave the pattern as it is. As an approximation, the bearing
     of a scatterer does not change as the sonar passes it; near ones would move by d / r.
     """
-    heading, beams = np.arctan2(pose[1, 0], pose[0, 0]), np.asarray(correlation.azimuth_rad)
-    width, taper_series = correlation.beam_width_rad, correlation.taper_series
-    nodes = _nodes(heading, beams, width, taper_series)
-    azimuth, span = (heading + beams, np.ptp(beams)) if nodes is None else (nodes.azimuth_rad, nodes.span_rad)
-    # number of waves in an aperture, if the field repeats after one full circle ...
-    waves = aperture_width(taper_series) * 2 * np.pi / width
-    # ... and after the `repeats`-th part of it, which must be longer than the fan; the same at any heading
-    repeats = max(1, int(min(2 * np.pi / (1.2 * span + 12 * width), waves / MIN_WAVES)))
-    length = waves / repeats
-    spacing_m = wavelength_m * repeats / (2 * np.pi)
-    response, reach = None, 1
-    if pulse is not None and correlation.pulse_weights is not None:
-        reach = len(correlation.pulse_weights) // 2 + 2
+    cells, *more = product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3]))
 
-        def response(bins):
-            return amplitude_response(bins * bin_size_m, *pulse)
+    def begin(half: int) -> tuple[_Layout, np.ndarray, _WaveSums, int] | None:
+        if half:
+            return beside()
+        layout = _lay_out(shape, np.arctan2(pose[1, 0], pose[0, 0]))
+        sums = _wave_sums(shape, layout, cells, waves_of)
+        fields = np.zeros((len(layout.azimuth_rad), 2, shape.n_bins), np.float32)
+        n_done = 0 if beside is None else int(SHARE_BESIDE * len(fields))
+        sums.add_to(fields, slice(n_done))
+        return layout, fields, sums, n_done
 
-    margin = int(np.ceil(CELL_M / bin_size_m)) + reach
-    out = np.zeros((len(azimuth), 2, n_bins), np.float32)
-    for (cx, x, wx), (cy, y, wy) in product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3])):
-        along_m = x * np.cos(azimuth) + y * np.sin(azimuth)
-        across_m = y * np.cos(azimuth) - x * np.sin(azimuth)
-        middle = 2 * across_m / spacing_m
-        start = np.ceil(middle - length / 2 - 0.5).astype(np.int64)
-        n_waves = int(np.ceil(length)) + 1
-        waves = start[:, None] + np.arange(n_waves + n_waves % 2)
-        position = waves - middle[:, None]
-        weight = np.clip(length / 2 + 0.5 - np.abs(position), 0, 1)  # the outermost waves count in part
-        weight *= aperture_weights(np.clip(position / length, -0.5, 0.5), taper_series)
-        weight *= wx * wy * np.sqrt(0.5 / (weight**2).sum(1, keepdims=True))
-        # Less the phase of the way from the cell's middle to the sonar and back. The field of a cell would else turn by
-        # that from beam to beam, each cell by its own, and neighbours would not correlate where cells cross-fade.
-        phase = waves * repeats * azimuth[:, None] - (4 * np.pi / wavelength_m * along_m)[:, None]
-        chunks = range(int(waves.min()) // CHUNK, int(waves.max()) // CHUNK + 1)
-        chunks, coefficients = waves_of(cx, cy, chunks, n_bins + 2 * margin)
-        weights, shift = _shift_weights(correlation, along_m / bin_size_m, response)
-        matrix = (weight * np.cos(phase)).astype(np.float32), (weight * np.sin(phase)).astype(np.float32)
-        _sum_waves(coefficients, start - chunks.start * CHUNK, *matrix, shift + margin, weights, out)
+    layout, fields, sums, n_done = begin(0) if beside is None else run_halves(thread, begin)[0]
+    if fields.size * layout.length < FEW_WAVE_PRODUCTS:
+        thread = None
+    run_rows(thread, partial(sums.add_to, fields), n_done, len(fields))
+    for cells in more:
+        sums = _wave_sums(shape, layout, cells, waves_of)
+        run_rows(thread, partial(sums.add_to, fields), 0, len(fields))
+    nodes = layout.nodes
     if nodes is None:
-        return out
-    fields, out = out, np.empty((len(beams), 2, n_bins), np.float32)
-    _interpolate(fields, nodes.first, nodes.weights, out)
+        return fields
+    out = np.empty((len(nodes.first), 2, shape.n_bins), np.float32)
+
+    def interpolate(rows: slice) -> None:
+        _interpolate(fields, nodes.first[rows], nodes.weights[rows], out[rows])
+
+    run_rows(thread, interpolate, 0, len(out))
     return out

@@ -16,6 +16,9 @@ from sonar_gl.noise.gaussian import standard_normal
 
 # Multiplications in a matrix product that BLAS computes in one thread. More threads stall on busy cores.
 ONE_THREAD_PRODUCT = 500_000
+BINS_TOGETHER = (
+    64  # of several such products: fewer would be added to parts of cache lines, in another page each
+)
 
 
 class FieldCorrelation(NamedTuple):
@@ -41,7 +44,8 @@ class FieldBlock(NamedTuple):
     Attributes
     ----------
     first_bin : number of the block's first bin
-    odd, even : (beams that mirror no other, 2 n) float32: real parts of n bins, then imaginary parts
+    odd, even : (products, beams that mirror no other, 2 n) float32: real parts of n bins, then imaginary parts; the
+        bins of one product after those of the other
     """
 
     first_bin: int
@@ -142,57 +146,69 @@ def _field_blocks(
     if pulse_weights is not None and len(pulse_weights) > 1:
         white = standard_normal(generator, (2 * elements, n_bins + len(pulse_weights) - 1))
         filtered = convolve(white, pulse_weights).reshape(elements, 2, n_bins)
-    odd, even = np.zeros((2, beams, 2 * block), np.float32)
-    for first in range(0, n_bins, block):
-        n = min(block, n_bins - first)
+    n_blocks, together = n_bins // block, max(1, BINS_TOGETHER // block)
+    parts = [(number, min(together, n_blocks - number), block) for number in range(0, n_blocks, together)]
+    if n_bins % block:
+        parts.append((n_blocks, 1, n_bins % block))
+    odd, even = np.zeros((2, together, beams, 2 * block), np.float32)
+    for number, n_products, n in parts:
         if n < block:  # the last block
-            odd, even = np.zeros((2, beams, 2 * n), np.float32)
-        if filtered is None:
-            normals = standard_normal(generator, (elements, 2 * n))
-        else:
-            normals = filtered[:, :, first : first + n].reshape(elements, 2 * n)
-        if columns is None:
-            even = normals
-        else:
-            np.matmul(sines, normals[: sines.shape[1]], out=odd)
-            np.matmul(cosines, normals[sines.shape[1] :], out=even)
-        yield FieldBlock(first, odd, even)
+            odd, even = np.zeros((2, 1, beams, 2 * n), np.float32)
+        for product in range(n_products):
+            first = (number + product) * block
+            if filtered is None:
+                normals = standard_normal(generator, (elements, 2 * n))
+            else:
+                normals = filtered[:, :, first : first + n].reshape(elements, 2 * n)
+            if columns is None:
+                even[product] = normals
+            else:
+                np.matmul(sines, normals[: sines.shape[1]], out=odd[product])
+                np.matmul(cosines, normals[sines.shape[1] :], out=even[product])
+        yield FieldBlock(number * block, odd[:n_products], even[:n_products])
 
 
 @compiled
 def _multiply(first, odd, even, out):
     """Multiply bins of out (B, K), from `first` on, by half the squared magnitude of a `FieldBlock`."""
-    n, last = uint64(even.shape[1] // 2), uint64(first + even.shape[1] // 2)
-    for b in range(uint64(len(even))):
-        row, mirrored = out[b, first:last], uint64(len(out) - 1 - b)
-        for k in range(n):
-            real, imaginary = even[b, k] + odd[b, k], even[b, k + n] + odd[b, k + n]
-            row[k] *= float32(0.5) * (real * real + imaginary * imaginary)
-        if mirrored >= len(even):
-            row = out[mirrored, first:last]
+    n = uint64(even.shape[2] // 2)
+    for b in range(uint64(even.shape[1])):
+        mirrored = uint64(len(out) - 1 - b)
+        for product in range(uint64(len(even))):
+            e, o = even[product, b], odd[product, b]
+            start = uint64(first) + product * n
+            row = out[b, start : start + n]
             for k in range(n):
-                real, imaginary = even[b, k] - odd[b, k], even[b, k + n] - odd[b, k + n]
+                real, imaginary = e[k] + o[k], e[k + n] + o[k + n]
                 row[k] *= float32(0.5) * (real * real + imaginary * imaginary)
+            if mirrored >= even.shape[1]:
+                row = out[mirrored, start : start + n]
+                for k in range(n):
+                    real, imaginary = e[k] - o[k], e[k + n] - o[k + n]
+                    row[k] *= float32(0.5) * (real * real + imaginary * imaginary)
 
 
 @compiled
 def _add(first, odd, even, scale, total):
     """Add scale, (B, K) or (1, K), times a `FieldBlock` to bins of total (B, 2, K), from `first` on."""
-    n, last = uint64(even.shape[1] // 2), uint64(first + even.shape[1] // 2)
-    only = uint64(len(scale) - 1)
-    for b in range(uint64(len(even))):
+    n, only = uint64(even.shape[2] // 2), uint64(len(scale) - 1)
+    for b in range(uint64(even.shape[1])):
         mirrored = uint64(len(total) - 1 - b)
-        weight = scale[min(uint64(b), only), first:last]
-        real, imaginary = total[b, 0, first:last], total[b, 1, first:last]
-        for k in range(n):
-            real[k] += weight[k] * (even[b, k] + odd[b, k])
-            imaginary[k] += weight[k] * (even[b, k + n] + odd[b, k + n])
-        if mirrored >= len(even):
-            weight = scale[min(mirrored, only), first:last]
-            real, imaginary = total[mirrored, 0, first:last], total[mirrored, 1, first:last]
+        for product in range(uint64(len(even))):
+            e, o = even[product, b], odd[product, b]
+            start = uint64(first) + product * n
+            past = start + n
+            weight = scale[min(uint64(b), only), start:past]
+            real, imaginary = total[b, 0, start:past], total[b, 1, start:past]
             for k in range(n):
-                real[k] += weight[k] * (even[b, k] - odd[b, k])
-                imaginary[k] += weight[k] * (even[b, k + n] - odd[b, k + n])
+                real[k] += weight[k] * (e[k] + o[k])
+                imaginary[k] += weight[k] * (e[k + n] + o[k + n])
+            if mirrored >= even.shape[1]:
+                weight = scale[min(mirrored, only), start:past]
+                real, imaginary = total[mirrored, 0, start:past], total[mirrored, 1, start:past]
+                for k in range(n):
+                    real[k] += weight[k] * (e[k] - o[k])
+                    imaginary[k] += weight[k] * (e[k + n] - o[k + n])
 
 
 @compiled

@@ -6,6 +6,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.acoustics.pulse import (
+    FEW_PRODUCTS,
     NEGLECTED_ENERGY,
     PULSE_TAPERS,
     amplitude_response,
@@ -15,6 +16,7 @@ from sonar_gl.acoustics.pulse import (
     resolution_cell_m,
 )
 from sonar_gl.core.errors import Error
+from tests.support.threads import counting_thread
 
 BANDWIDTH_HZ, SPEED_M_S = 30e3, 1500.0
 NULL_M = 0.025  # c/2B
@@ -155,6 +157,24 @@ def test_kernels_may_be_longer_than_the_ping(n_bins):
     expected = [np.convolve(row, weights)[middle : middle + n_bins] for row in echo]
     np.testing.assert_allclose(matched_filter(echo, weights), expected, rtol=1e-4)
     assert matched_filter(echo, np.ones(1, np.float32)).tolist() == echo.tolist()
+
+
+@pytest.mark.parametrize("first, past", [(0, 0), (0, 1), (130, 131), (60, 200), (299, 300), (0, 300)])
+def test_zeros_at_the_ends_of_a_row_are_zeros_as_any_others(first, past):
+    """They are left out of the sums. A weight for each bin gives the share of each bin as it is."""
+    echo, weights = np.zeros((2, 300), np.float32), np.arange(1, 24, dtype=np.float32)
+    echo[1, first:past] = np.arange(1, past - first + 1)
+    expected = [np.convolve(row, weights[::-1], "same") for row in echo]
+    np.testing.assert_array_equal(matched_filter(echo, weights), expected)  # whole numbers below 2^24
+
+
+def test_a_second_thread_filters_the_same_bytes():
+    echo, weights = np.random.default_rng(2).random((61, 900)).astype(np.float32), bin_weights(0.03, 30e3)
+    assert echo.size * len(weights) > FEW_PRODUCTS
+    with counting_thread() as thread:
+        beside = matched_filter(echo, weights, thread)
+        assert thread.n_jobs == 1
+    assert beside.tobytes() == matched_filter(echo, weights).tobytes()
 
 
 def test_range_side_lobes_of_a_point_echo():

@@ -13,11 +13,11 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import sonar_gl
-from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from tests.support.errors import error_of
 from tests.support.even_ping import SIGMAS, even_ping
+from tests.support.threads import counting_thread
 
 HERE = sonar_gl.pose(0.2, 0.2)
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"
@@ -141,14 +141,32 @@ def test_same_bytes_for_any_number_of_threads(capsys):
     assert subprocess.check_output(command, env=environment, text=True, timeout=60) == one != ""
 
 
-def test_a_second_thread_gives_the_same_bytes():
-    noise, ping = Noise(speckle=True, follow_motion=True, ambient_db=-60.0), even_ping(32, 90, pose=HERE)
-    thread = SecondThread()
-    try:
-        beside = add_noise(ping, noise, 3, 2, thread)
-    finally:
-        thread.close()
-    np.testing.assert_array_equal(beside.intensity, add_noise(ping, noise, 3, 2).intensity)
+@pytest.mark.parametrize(
+    ("amounts", "spacing_deg", "where", "jobs"),
+    [
+        ({}, 0.25, HERE, 4),  # waves and receiver noise, the rest of the waves, beams between nodes, the look
+        ({"ambient_db": None}, 0.25, HERE, 4),
+        ({}, 0.25, sonar_gl.pose(0.25, 0.26, yaw=0.3), 7),  # in the middle of four cells of the sea
+        ({}, 0.9, HERE, 3),  # no nodes
+        ({"looks": 2}, 0.25, HERE, 8),
+        ({"follow_motion": False}, 0.25, HERE, 0),
+    ],
+)
+@pytest.mark.parametrize("pulse", [True, False])
+def test_a_second_thread_gives_the_same_bytes(amounts, spacing_deg, where, jobs, pulse):
+    noise = Noise(**{"speckle": True, "follow_motion": True, "ambient_db": -60.0} | amounts)
+    ping = even_ping(151, 701, spacing_deg, pose=where, pulse=pulse, bandwidth_hz=40e3)
+    ping = replace(ping, coherent=ping.intensity / 3)
+
+    def made_anew(thread=None):
+        for x in (8.0, 9.0):  # two fields are remembered
+            add_noise(replace(ping, pose=sonar_gl.pose(x)), noise, 3, 2)
+        return add_noise(ping, noise, 3, 2, thread).intensity
+
+    with counting_thread() as thread:
+        beside = made_anew(thread)
+        assert thread.n_jobs == jobs
+    np.testing.assert_array_equal(beside, made_anew())
 
 
 # --- the ping

@@ -8,10 +8,19 @@ import pytest
 
 from sonar_gl import pose
 from sonar_gl.core.errors import Error
+from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.place_locked_speckle import CHUNK, RECENT_USES, WaveCache
+from sonar_gl.noise.place_locked_speckle import (
+    CHUNK,
+    RECENT_USES,
+    FieldShape,
+    WaveCache,
+    Waves,
+    place_locked_field,
+)
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
+from sonar_gl.noise.speckle import FieldCorrelation
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
     BIN_M,
@@ -23,6 +32,7 @@ from tests.support.even_ping import (
     even_ping,
     hamming_correlation,
 )
+from tests.support.threads import counting_thread
 
 APERTURE_M = UNIFORM_WIDTH * SOUND_SPEED_M_S / FREQUENCY_HZ / BEAM_WIDTH_RAD  # length of the array
 PLACE_LOCKED = Noise(speckle=True, follow_motion=True)
@@ -50,6 +60,26 @@ def test_a_still_sonar_has_a_still_pattern(noise, texture):
     first, second = patterns(noise, ping, 2)
     assert (first == second).all()
     assert correlation(first, patterns(noise, ping, 1, seed=2)) < 0.1
+
+
+@pytest.mark.parametrize(
+    "where", [pose(0.2, 0.2), pose(0.25, 0.26, yaw=0.3)]
+)  # in one cell of the sea, and in four
+def test_other_work_beside_leaves_the_field_as_it_is(where):
+    beams = FieldCorrelation(tuple(np.radians(np.arange(150) / 4)), BEAM_WIDTH_RAD)
+    shape, done = FieldShape(beams, 700, BIN_M, SOUND_SPEED_M_S / FREQUENCY_HZ), []
+
+    def waves(x, y, chunks, n_bins):
+        generators = (stream(5, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
+        normals = [standard_normal(one, (CHUNK, 2, n_bins)) for one in generators]
+        return Waves(chunks, np.concatenate(normals))
+
+    alone = place_locked_field(shape, where, waves)
+    with counting_thread() as thread:
+        for other in (None, thread):
+            beside = place_locked_field(shape, where, waves, other, lambda: done.append(1))
+            np.testing.assert_array_equal(beside, alone)
+    assert done == [1, 1]
 
 
 def test_receiver_noise_is_new_in_each_ping():

@@ -1,8 +1,10 @@
 """Functions called in another thread."""
 
 import threading
+from contextlib import contextmanager
 
 import sonar_gl as sg
+from sonar_gl.core.worker import SecondThread
 
 
 def in_another_thread(function) -> list[str]:
@@ -26,3 +28,26 @@ def in_another_thread(function) -> list[str]:
     for why in others:
         raise why
     return messages
+
+
+class CountingThread(SecondThread):
+    """A second thread that counts the jobs whose halves it was to run."""
+
+    def __init__(self):
+        super().__init__()
+        self.n_jobs = 0
+
+    def run_halves(self, work):
+        """Count the job, and run its halves."""
+        self.n_jobs += 1
+        return super().run_halves(work)
+
+
+@contextmanager
+def counting_thread():
+    """Yield a `CountingThread`; close it at the end of the block."""
+    thread = CountingThread()
+    try:
+        yield thread
+    finally:
+        thread.close()
