@@ -10,6 +10,10 @@ import numpy as np
 from sonar_gl.core.compiled import compiled
 
 BEYOND = 60.0  # what lies wholly beyond the last bin may have so many times more geometric error
+MARGIN = 2  # samples about what is visible, so that the outermost of a window meet nothing
+
+PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
+REFLECTIVITY, LOBE = 12, 14  # of these; LOBE is the strength
 
 
 class BodyBoxes(NamedTuple):
@@ -31,12 +35,13 @@ class BodyBoxes(NamedTuple):
 class BodyPlaces(NamedTuple):
     """Where the bodies are, as seen from one pose.
 
-    present : (n,) bool; matrices : (n, 3, 4) of `place_bodies`
+    present : (n,) bool; matrices and rows : (n, 3, 4) and (n, PER_BODY) of `place_bodies`
     outside : back faces of closed bodies are not visible
     """
 
     present: np.ndarray
     matrices: np.ndarray
+    rows: np.ndarray
     outside: bool
 
 
@@ -78,14 +83,14 @@ class DetailLimits(NamedTuple):
     near_m, far_m : nearer is cut, further is not drawn
     range_max_m : end of the last bin
     error_per_m : geometric error of a patch, per metre of range
-    echo_errors : (n,) relative error of its echo, of each body
+    echo_error : relative error of its echo; of a body with a specular lobe none
     """
 
     near_m: float
     far_m: float
     range_max_m: float
     error_per_m: float
-    echo_errors: np.ndarray
+    echo_error: float
 
 
 # Distance of the near plane's furthest corner over that of the plane: at most 13.2, tan 85 deg / cos 30 deg up at the
@@ -102,8 +107,8 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     poses : (n, 4, 4) world_from_body; present : (n,) bool
     bodies : tuple of BodyBoxes
     pose : (4, 4) world_from_sonar
-    matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; rows : the same in float32, in the
-        first 12 of its columns
+    matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; rows : (n, PER_BODY), the same in float32, in
+        the first 12 of its columns
 
     Returns
     -------
@@ -177,7 +182,16 @@ def _form(a, d):
 
 
 @compiled
-def choose_patches(tree, bodies, places, view, limits, chosen, window):
+def _whole_samples(low, high, count):
+    """Return the first, and how many, of `count` samples there are from low to high, with a margin."""
+    if not low < high:
+        return 0, 0
+    first, last = min(max(low - MARGIN, 0.0), count), min(max(high + MARGIN + 1, 0.0), count)
+    return int(first), int(last) - int(first)
+
+
+@compiled
+def choose_patches(tree, bodies, places, view, limits, chosen):
     """Choose the patches that a sector draws, and the window of samples about their bodies.
 
     Parameters
@@ -185,19 +199,20 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
     tree, bodies, places, view, limits : tuples of PatchTree, BodyBoxes, BodyPlaces, SectorGeometry and
         DetailLimits
     chosen : (M, 2) int32, patch and body; overwritten
-    window : low and high column, low and high row; extended
 
     Returns
     -------
-    how many are chosen, and how many faces they have
+    how many are chosen, how many faces they have, and of the window the first column, the first row, the columns and
+    the rows, all 0 where no sample may meet a body
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
     _, bounds, closed, roots, order = bodies
-    present, matrices, outside = places
-    sector, planes_uv, inverse, corner, _, _, _ = view
-    near_m, far_m, range_max_m, error_per_m, echo_errors = limits
+    present, matrices, rows, outside = places
+    sector, planes_uv, inverse, corner, size, _, _ = view
+    near_m, far_m, range_max_m, error_per_m, most_echo_error = limits
     n, faces_of_all = 0, 0
     m, normals, eye, ray = np.empty((3, 4)), np.empty((5, 3)), np.empty(3), np.empty(3)
+    extent = np.array([np.inf, -np.inf, np.inf, -np.inf])  # low and high column, low and high row
     planes = np.zeros((5, 3))  # inwards, in the sector's frame: u and v between their limits, ahead
     for k in range(2):
         side = 1.0 - 2.0 * k
@@ -209,6 +224,7 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
         b = order[place_in_order]
         if not present[b]:
             continue
+        echo_error = 0.0 if rows[b, LOBE] > 0.0 else most_echo_error
         for i in range(3):
             for j in range(4):
                 m[i, j] = 0.0
@@ -238,14 +254,14 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
                 continue
             if not covered:
                 covered = True
-                _cover(bounds[b], m, near_m, inverse, corner[0], corner[1], window)
+                _cover(bounds[b], m, near_m, inverse, corner[0], corner[1], extent)
             if not leaf[i]:
                 if nearest - error_m[i] > range_max_m:  # no echo, but for the last samples of a floor
                     enough = error_m[i] <= BEYOND * error_per_m * nearest
                 else:
                     enough = error_m[i] <= error_per_m * max(nearest, near_m)
                     own, stood = _form(moment[i], ray), _form(whole[i], ray)
-                    enough &= abs(own - stood) <= echo_errors[b] * stood
+                    enough &= abs(own - stood) <= echo_error * stood
                 if not enough:
                     i += 1
                     continue
@@ -262,4 +278,8 @@ def choose_patches(tree, bodies, places, view, limits, chosen, window):
                 chosen[n, 0], chosen[n, 1] = i, b
                 n, faces_of_all = n + 1, faces_of_all + n_faces[i]
             i = skip[i]
-    return n, faces_of_all
+    first_column, columns = _whole_samples(extent[0], extent[1], size[0])
+    first_row, rows_drawn = _whole_samples(extent[2], extent[3], size[1])
+    if columns <= 0 or rows_drawn <= 0:
+        return n, faces_of_all, 0, 0, 0, 0
+    return n, faces_of_all, first_column, first_row, columns, rows_drawn

@@ -9,25 +9,26 @@ from dataclasses import fields
 
 import numpy as np
 
-from sonar_gl.raster.cull import BodyBoxes, BodyPlaces, DetailLimits, PatchTree, choose_patches, place_bodies
-from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
-from sonar_gl.raster.views import (
+from sonar_gl.raster.cull import (
     LOBE,
     PER_BODY,
     REFLECTIVITY,
+    BodyBoxes,
+    PatchTree,
+    choose_patches,
+    place_bodies,
+)
+from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
+from sonar_gl.raster.views import (
     BodiesInView,
     PatchesInView,
     SectorView,
     Window,
     distance_before_plane,
-    window_about,
 )
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M
 
-# A patch replaces its mesh where its geometric error is at most so many samples, and where its echo changes
-# by at most so much per radian of a sample's width; not at all where its normals make a specular lobe.
-ERROR_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
 
 
@@ -65,7 +66,7 @@ class SceneMeshes:
             order=np.empty(0, np.int64),
         )
         self.levels: dict[str, np.ndarray] = {}
-        self._tree, self._meshes = (), {}
+        self._tree, self._meshes, self._has_lobes = (), {}, False
 
     @property
     def reflectivity(self) -> np.ndarray:
@@ -100,6 +101,7 @@ class SceneMeshes:
         self._append_levels(made)
         if bodies:
             self.rows = np.concatenate([self.rows, np.asarray(rows, self.rows.dtype)])
+            self._has_lobes = bool((self.rows[:, LOBE] > 0).any())
             columns = (
                 np.concatenate([old, np.asarray(column, old.dtype)])
                 for old, column in zip(self.boxes, zip(*added, strict=True), strict=False)
@@ -153,36 +155,14 @@ class SceneMeshes:
         if plane is not None:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
-        return BodiesInView(matrices, rows, present, outside, plane, is_cut)
+        return BodiesInView(matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut)
 
-    def choose(
-        self, view: SectorView, bodies: BodiesInView, far_m, range_max_m, out: np.ndarray
-    ) -> PatchesInView:
-        """Choose what a sector draws of bodies.
-
-        Parameters
-        ----------
-        far_m, range_max_m : distance of the far plane, and of the last bin
-        out : (most_patches, 2) int32, overwritten
-        """
+    def choose(self, view: SectorView, bodies: BodiesInView, out: np.ndarray) -> PatchesInView:
+        """Choose what a sector draws of bodies; out : (most_patches, 2) int32, overwritten."""
         if not self.bodies:
             return PatchesInView(out[:0], 0, Window())
-        extent = np.array([np.inf, -np.inf, np.inf, -np.inf])
-        lobes = bodies.rows[:, LOBE] > 0
-        limits = DetailLimits(
-            near_m=NEAR_M,
-            far_m=float(far_m),  # a whole number would have the kernel compiled a second time
-            range_max_m=float(range_max_m),
-            error_per_m=ERROR_SAMPLES * view.sample_rad,
-            echo_errors=np.where(lobes, 0.0, ECHO_PER_RAD * view.sample_rad),
+        places = bodies.present, bodies.matrices, bodies.rows, bodies.outside  # of BodyPlaces
+        n, n_faces, *window = choose_patches(
+            self._tree, tuple(self.boxes), places, view.geometry, view.limits, out
         )
-        n, n_faces = choose_patches(
-            self._tree,
-            tuple(self.boxes),
-            tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.outside)),
-            view.geometry,
-            tuple(limits),
-            out,
-            extent,
-        )
-        return PatchesInView(out[:n], n_faces, window_about(extent, view.sector.columns, view.sector.rows))
+        return PatchesInView(out[:n], n_faces, Window(*window))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.raster.cull import SectorGeometry
+from sonar_gl.raster.cull import DetailLimits, SectorGeometry
+from sonar_gl.sonar.fan import NEAR_M
 from sonar_gl.sonar.samples import NO_FACES, SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
@@ -18,29 +19,36 @@ from sonar_gl.sonar.sector import Sector
 MAX_SAMPLES, MAX_CHOSEN_SAMPLES = 1 << 24, 1 << 22
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 
-PER_BODY = 16  # floats: the rows of sonar_from_body, reflectivity, number, strength and slope of the lobe
-REFLECTIVITY, LOBE = 12, 14  # of these; LOBE is the strength
-MARGIN = 2  # samples about what is visible, so that the outermost of a window meet nothing
+# A patch replaces its mesh where its geometric error is at most so many samples, and where its echo changes
+# by at most so much per radian of a sample's width; not at all where its normals make a specular lobe.
+ERROR_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 
 
 class SectorView:
     """Per-sector constants of drawing, computed once.
 
+    Parameters
+    ----------
+    far_m, range_max_m : distance of the far plane, and of the last bin
+
     Attributes
     ----------
     sector : Sector
     geometry : tuple of SectorGeometry
+    whole : Window of all its samples
     sample_rad : least width of a sample
+    limits : tuple of DetailLimits
     """
 
-    def __init__(self, sector: Sector):
+    def __init__(self, sector: Sector, far_m: float, range_max_m: float):
         u, v = sector.u, sector.v
         lattice = np.array([[u[1], u[2]], [v[1], v[2]]])
         corner = np.array([u[0], v[0]])
         ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
         ends = ends @ lattice.T + corner
         self.sector, self.sample_rad = sector, min(u[1], v[2])
-        self._last = Window(0, 0, sector.columns, sector.rows), sector
+        self.whole = Window(0, 0, sector.columns, sector.rows)
+        self._last = self.whole, sector
         self.geometry = tuple(
             SectorGeometry(
                 rotation=sector.rotation(),
@@ -50,6 +58,15 @@ class SectorView:
                 size=np.array([sector.columns, sector.rows], float),
                 u=u,
                 v=v,
+            )
+        )
+        self.limits = tuple(
+            DetailLimits(
+                near_m=NEAR_M,
+                far_m=float(far_m),  # a whole number would have the kernel compiled a second time
+                range_max_m=float(range_max_m),
+                error_per_m=ERROR_SAMPLES * self.sample_rad,
+                echo_error=ECHO_PER_RAD * self.sample_rad,
             )
         )
 
@@ -70,14 +87,14 @@ class SectorView:
         return last[1]
 
 
-@dataclass(frozen=True, eq=False)
-class BodiesInView:
+class BodiesInView(NamedTuple):
     """Bodies as seen from one pose of the sonar.
 
     Attributes
     ----------
     matrices : (n, 3, 4) sonar_from_body, about the middle of its mesh
     rows : (n, PER_BODY) float32, what the shader knows of them
+    has_lobes : whether any has a specular lobe
     present : (n,) bool
     outside : whether back faces may be culled: the sonar is in the box of no closed body
     plane : (4,) a; only a · (x, y, z, 1) > 0 in the sonar's frame is drawn; or None
@@ -86,6 +103,7 @@ class BodiesInView:
 
     matrices: np.ndarray
     rows: np.ndarray
+    has_lobes: bool
     present: np.ndarray
     outside: bool
     plane: np.ndarray | None
@@ -108,7 +126,7 @@ class PatchesInView(NamedTuple):
     ----------
     chosen : (K, 2) int32, patch and body; valid until the next choice into the same array
     n_faces : how many faces these patches have
-    window : Window about them
+    window : Window about their bodies
     """
 
     chosen: np.ndarray
@@ -123,17 +141,6 @@ def check_samples(width: int, height: int, most: int) -> None:
             f"samples with bodies before them must be no more than {most} (got {width} columns by {height} rows; ask "
             "for a larger tolerance or fewer samples)"
         )
-
-
-def window_about(extent, columns: int, rows: int) -> Window:
-    """Return whole samples with a margin about (low column, high column, low row, high row), in the sector."""
-    out = []
-    for low, high, count in ((extent[0], extent[1], columns), (extent[2], extent[3], rows)):
-        first = int(min(max(low - MARGIN, 0), count)) if low < high else 0
-        last = int(min(max(high + MARGIN + 1, 0), count)) if low < high else 0
-        out.append((first, max(last - first, 0)))
-    (first_column, columns), (first_row, rows) = out
-    return Window(first_column, first_row, columns, rows) if columns and rows else Window()
 
 
 def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.engine import multipath
-from sonar_gl.raster.views import MARGIN
+from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
     MIN_AREA_M2,
     N_SINES,

@@ -14,6 +14,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster import scene_meshes
+from sonar_gl.raster import views as raster_views
 from sonar_gl.raster.cull import BEYOND, SectorGeometry
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.raster.views import SectorView
@@ -43,7 +44,7 @@ def hills():
 @pytest.fixture(scope="module")
 def views():
     with sg.Simulator(sg.Scene([]), SONAR, sg.Acoustics.ideal(), SAMPLING) as it:
-        return [SectorView(sector) for sector in it.fan.sectors]
+        return [SectorView(sector, FAR_M, SONAR.range_max_m) for sector in it.fan.sectors]
 
 
 def meshes_of(bodies):
@@ -57,7 +58,7 @@ def choose(some, pose, view):
     """Return the list of (patch, body) that a sector draws of some meshes, and the placed bodies."""
     placed = some.view_from(pose)
     room = np.empty((some.most_patches, 2), np.int32)
-    found = some.choose(view, placed, FAR_M, SONAR.range_max_m, room)
+    found = some.choose(view, placed, room)
     assert found.n_faces == some.levels["n_faces"][found.chosen[:, 0]].sum()
     return [tuple(row) for row in found.chosen.tolist()], placed
 
@@ -244,10 +245,11 @@ def test_bodies_behind_or_beyond_the_fan_draw_nothing(views, hills):
 
 def test_levels_cover_a_body_once_and_coarsen_with_distance(views, monkeypatch):
     """No patch is drawn with one of its descendants; from further away a smaller share of the faces is drawn."""
-    view, ground = views[0], terrain(np.random.default_rng(0), 60.0, 1.0, 80)
+    ground = terrain(np.random.default_rng(0), 60.0, 1.0, 80)
     some, faces = meshes_of([sg.Body("ground", ground)]), {}
-    for error_samples in (scene_meshes.ERROR_SAMPLES, 0.0):
-        monkeypatch.setattr(scene_meshes, "ERROR_SAMPLES", error_samples)
+    for error_samples in (raster_views.ERROR_SAMPLES, 0.0):
+        monkeypatch.setattr(raster_views, "ERROR_SAMPLES", error_samples)
+        view = SectorView(views[0].sector, FAR_M, SONAR.range_max_m)
         faces[error_samples] = []
         for x in (20, 50, 80, 110):
             chosen, _ = choose(some, sg.pose(-x, 0, 5, pitch=0.05, yaw=0.5), view)
@@ -273,7 +275,7 @@ def test_the_error_of_drawn_patches_is_within_the_limit(views, hills):
             for patch, _ in chosen:
                 error_m, box = some.levels["error_m"][patch], some.levels["box"][patch]
                 nearest = np.linalg.norm(np.maximum(np.abs(box[:3] - eye) - box[3:], 0))
-                allowed = scene_meshes.ERROR_SAMPLES * view.sample_rad * nearest
+                allowed = raster_views.ERROR_SAMPLES * view.sample_rad * nearest
                 if nearest - error_m > SONAR.range_max_m:
                     allowed *= BEYOND
                 assert error_m <= allowed
@@ -299,8 +301,9 @@ def test_levels_change_a_ping_by_less_than_its_sampling_error(monkeypatch):
         sg.Simulator(it, SONAR, ideal, sg.Sampling(6, 360)) as fine,
     ):
         levels = [it.ping(pose, labels=True) for pose in places]
-        monkeypatch.setattr(scene_meshes, "ERROR_SAMPLES", 0.0)
-        full = [it.ping(pose, labels=True) for pose in places]
+        monkeypatch.setattr(raster_views, "ERROR_SAMPLES", 0.0)
+        with sg.Simulator(it, SONAR, ideal, sg.Sampling(2, 120)) as without_levels:
+            full = [without_levels.ping(pose, labels=True) for pose in places]
         truth = [fine.ping(pose).intensity for pose in places]
     for one, other, true in zip(levels, full, truth, strict=True):
         change, error, samples = (

@@ -39,7 +39,7 @@ def draw_sectors(scene, sonar, pose, engine, sampling=SAMPLING):
 
 def project_vertices(scene, pose, sector):
     """Yield the vertices of each body as (V, 3) column times x, row times x, and x, with x ahead of the sector."""
-    view = SectorGeometry(*SectorView(sector).geometry)
+    view = SectorGeometry(*SectorView(sector, 1e3, 1e3).geometry)
     for body in scene.bodies:
         m = np.linalg.inv(pose)
         m = np.column_stack([m[:3, :3] @ body.pose[:3, :3], m[:3, :3] @ (body.pose[:3, 3] - pose[:3, 3])])

@@ -80,7 +80,7 @@ def test_the_window_has_every_ray_that_hits_a_box():
         for sector in sectors:
             bodies = meshes.view_from(np.eye(4))
             room = np.empty((meshes.most_patches, 2), np.int32)
-            found = meshes.choose(SectorView(sector), bodies, 1e3, 1e3, room)
+            found = meshes.choose(SectorView(sector, 1e3, 1e3), bodies, room)
             i, j, columns, rows = found.window
             u, v = sector.sample_coordinates()
             d = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation() @ pose[:3, :3]

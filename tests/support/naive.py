@@ -7,7 +7,6 @@ import math
 import os
 import tempfile
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -50,7 +49,7 @@ def back_faces_always_culled():
 
     def cull(self, *args):
         self.boxes = self.boxes._replace(closed=np.ones_like(self.boxes.closed))
-        return replace(view_from(self, *args), outside=True)  # "back faces may be culled"
+        return view_from(self, *args)._replace(outside=True)  # "back faces may be culled"
 
     with mock.patch.object(scene_meshes.SceneMeshes, "view_from", cull):
         yield

@@ -22,13 +22,11 @@ from sonar_gl.raster.cpu.visibility_buffer import (
 )
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
-    LOBE,
     MAX_SAMPLES,
     NO_BODIES,
     BodiesInView,
     PatchesInView,
     SectorView,
-    Window,
     check_samples,
     samples_of,
 )
@@ -213,11 +211,11 @@ class CpuRenderer:
         workspace: CpuWorkspace,
         thread: SecondThread | None,
     ):
-        self._engine, self._fan, self._specular = engine, fan, specular
+        self._engine, self._specular = engine, specular
         self._workspace, self._thread = workspace, thread
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
         self._limits = np.array([NEAR_M, self._far_m])
-        self._sectors = [SectorView(sector) for sector in fan.sectors]
+        self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
 
     def render(
         self,
@@ -252,12 +250,10 @@ class CpuRenderer:
     ) -> ViewSamples:
         """Draw a view, in the memory of one half alone if that is given."""
         meshes, workspace, patches = self._engine.meshes, self._workspace, []
-        ranges = self._far_m, self._fan.sonar.range_max_m
         for number, view in enumerate(self._sectors):
             chosen = workspace.halves[half or 0].chosen(number, meshes.most_patches)
-            found = meshes.choose(view, bodies, *ranges, chosen)
-            whole = Window(0, 0, view.sector.columns, view.sector.rows)
-            patches.append(found._replace(window=whole) if full else found)
+            found = meshes.choose(view, bodies, chosen)
+            patches.append(found._replace(window=view.whole) if full else found)
         windows = [one.window for one in patches]
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
         check_samples(width, height, workspace.most_samples)
@@ -267,9 +263,8 @@ class CpuRenderer:
         placed = tuple(
             PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         )
-        has_lobes = self._specular and bool((bodies.rows[:, LOBE] > 0).any())
         work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height
-        drawn = placed, has_lobes, patches, samples
+        drawn = placed, bodies.has_lobes, patches, samples
         if half is not None or self._thread is None or work_ns < FEW_NS:
             self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
         else:

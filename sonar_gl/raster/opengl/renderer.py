@@ -17,7 +17,6 @@ from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.raster.views import (
-    LOBE,
     MAX_SAMPLES,
     NO_BODIES,
     NO_SAMPLES,
@@ -247,7 +246,7 @@ class OpenGLRenderer:
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
-        self._sectors = [SectorView(sector) for sector in fan.sectors]
+        self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
         self._uniforms, self._workspace = {}, OpenGLWorkspace(context) if workspace is None else workspace
 
     def render(
@@ -278,7 +277,7 @@ class OpenGLRenderer:
         for target, sectors, one in zip(targets, draws, bodies, strict=True):
             if target.width:
                 target.allocate(self._context, self._limit)
-                self._draw(target, rows, sectors, one.plane)
+                self._draw(target, rows, sectors, one)
                 target.begin_read()
         # while one is read the driver's threads may fill the next
         views = [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
@@ -288,12 +287,11 @@ class OpenGLRenderer:
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
         meshes, out, draws = self._buffers.meshes, self._workspace.draw_list, []
-        far_m, range_max_m = self._far_m, self._fan.sonar.range_max_m
         pairs = self._workspace.chosen(meshes.most_patches)
         for view in self._sectors:
-            chosen, _, window = meshes.choose(view, bodies, far_m, range_max_m, pairs)
+            chosen, _, window = meshes.choose(view, bodies, pairs)
             if full:
-                window = Window(0, 0, view.sector.columns, view.sector.rows)
+                window = view.whole
             first, n_closed = out.used, 0
             if len(chosen):
                 faces = meshes.levels["first_face"], meshes.levels["n_faces"]
@@ -303,10 +301,12 @@ class OpenGLRenderer:
             draws.append(SectorDraws(first, n_closed if bodies.outside else 0, len(chosen), window))
         return draws
 
-    def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], plane) -> None:
+    def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], bodies: BodiesInView) -> None:
         framebuffer = target.clear()
-        array = self._buffers.array(target.has_bodies, bool(rows[:, LOBE].any()))
-        array.program["before"].write(np.asarray(NO_PLANE if plane is None else plane, np.float32))
+        array = self._buffers.array(target.has_bodies, bodies.has_lobes)
+        array.program["before"].write(
+            np.asarray(NO_PLANE if bodies.plane is None else bodies.plane, np.float32)
+        )
         self._context.enable_direct(CLIP_DISTANCE0)
         left = 0
         for view, (first, n_closed, n, window) in zip(self._sectors, draws, strict=True):
