@@ -16,7 +16,7 @@ from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import BeamShape, Fan, make_fan
+from sonar_gl.sonar.fan import WIDE_COLUMNS_PER_SUPPORT, BeamShape, Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
@@ -205,13 +205,14 @@ def make_beamformer(
     max_column_width: float = 0.5,
     workspace: Workspace | None = None,
     side_lobes: bool = True,
+    wide_columns_per_support: float = WIDE_COLUMNS_PER_SUPPORT,
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
     Parameters
     ----------
     thread, workspace : of `Beamformer`
-    shear, max_column_width : of `make_fan`
+    shear, max_column_width, wide_columns_per_support : of `make_fan`
     side_lobes : with those of the elevation pattern
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
@@ -229,7 +230,7 @@ def make_beamformer(
             max_elevation_deg=acoustics.max_elevation_deg(sonar),
         )
     extended = extend_rows(sampling, sonar, true_range)
-    fan = make_fan(true_range, extended, beams, shear, max_column_width)
+    fan = make_fan(true_range, extended, beams, shear, max_column_width, wide_columns_per_support)
     workspace = workspace or Workspace()
     far_pattern, edges = acoustics.far_pattern(sonar), fan.column_edges_rad
 
@@ -362,16 +363,17 @@ class Beamformer:
         weights = 3 * self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
         return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
-    def _column_sums(self) -> ColumnSums:
+    def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
         fan = self.fan
-        return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, fan.n_wide_columns)
+        n_wide_columns = max(n_wide_columns, fan.n_wide_columns)
+        return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, n_wide_columns)
 
-    def _clear_columns(self, half: int, columns: ColumnSums) -> None:
+    def clear_columns(self, half: int, columns: ColumnSums) -> None:
         """Set the sums of a half of the columns to zero."""
         for first, last in self._halves[half]:
             kernels.clear_columns(first, last, columns.all_sums, columns.all_spans)
 
-    def _share_wide_columns(self, columns: ColumnSums) -> None:
+    def share_wide_columns(self, columns: ColumnSums) -> None:
         """Add the sums of wide columns to those of their columns."""
         if self.fan.n_wide_columns:
             kernels.share_wide_columns(
@@ -396,7 +398,7 @@ class Beamformer:
         columns = self._column_sums()
 
         def work(half):
-            self._clear_columns(half, columns)
+            self.clear_columns(half, columns)
             for one, strips in zip(of_sectors, self.strips[half], strict=True):
                 kernels.sum_footprints(
                     *one,
@@ -409,7 +411,7 @@ class Beamformer:
                 )
 
         self._run(work, self._rows(samples) < FEW_ROWS)
-        self._share_wide_columns(columns)
+        self.share_wide_columns(columns)
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -421,7 +423,11 @@ class Beamformer:
         return self.weigh(gain)
 
     def sum_image_sources(
-        self, images: Sequence[ImageSourceView], own: Sequence[ImageSourceView], gain=NO_GAIN
+        self,
+        images: Sequence[ImageSourceView],
+        own: Sequence[ImageSourceView],
+        of_images: Beamformer,
+        gain=NO_GAIN,
     ) -> BeamEcho:
         """Return the multipath echoes of several views, added up.
 
@@ -429,8 +435,10 @@ class Beamformer:
         ----------
         images : of the sonar's images, with `mirrored_strips`
         own : of the sonar itself, one for each image; only those are summed whose image is seen in its reflector
+        of_images : whose strips are those of the images; its fan may have other wide columns
         """
-        columns, is_seen = self._column_sums(), np.zeros((2, len(images)), bool)
+        n_wide = of_images.fan.n_wide_columns
+        columns, is_seen = self._column_sums(n_wide), np.zeros((2, len(images)), bool)
 
         def add(half: int, view: ImageSourceView) -> bool:
             of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
@@ -448,18 +456,20 @@ class Beamformer:
             return counts
 
         def add_images(half):
-            self._clear_columns(half, columns)
+            of_images.clear_columns(half, columns)
             for number, view in enumerate(images):
                 is_seen[half, number] = add(half, view)
 
         def add_own(half):
+            kernels.clear_columns(*self._halves[half][1], columns.all_sums, columns.all_spans)
             for number in np.flatnonzero(is_seen.any(axis=0)):
                 add(half, own[number])
 
         self._run(add_images)
+        of_images.share_wide_columns(columns)
         if is_seen.any():
             self._run(add_own)
-        self._share_wide_columns(columns)
+            self.share_wide_columns(columns)
         return self.weigh(gain)
 
     def sum_bodies(self, view: ViewSamples, gain) -> tuple[BeamEcho, BodySums]:
@@ -470,9 +480,9 @@ class Beamformer:
         samples, columns = view.sectors, self._column_sums()
         is_little = self._rows(samples) < FEW_ROWS
         for half in range(2):
-            self._clear_columns(half, columns)
+            self.clear_columns(half, columns)
         runs = self._labeller.sum_up(samples, self.strips, partial(self._run, serial=is_little), columns)
-        self._share_wide_columns(columns)
+        self.share_wide_columns(columns)
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, BodySums(runs, is_little)
 

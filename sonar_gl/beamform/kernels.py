@@ -1666,7 +1666,7 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, strong
 # Two views of one place may differ by so much of its distance; less on a reflector, which is flat.
 SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 MIN_REFLECTED = 1e-4  # of the intensity: what reflects less is no reflector
-GRID = 24  # directions to each side of a sector that are tried
+GRID, SKIRTS_GRID = 24, 12  # directions along each side of a sector that are tried, and of one of the skirts
 HORIZON = 1e-9  # 1/x of a plane past its horizon
 # Rows of `other_leg`: position of each sample for the other of S and S', and whether that is before the
 # surface; a direction to look into, zeros for none, and what is seen there, as `find_surfaces` returns it; reflected
@@ -1858,12 +1858,14 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
         t = sectors[k]
         middle, half = (t.tan_high + t.tan_low) / 2, (t.tan_high - t.tan_low) / 2
         height = (t.tan_high - t.tan_low) / (sectors[0].tan_high - sectors[0].tan_low)
-        for g in range(GRID * GRID):
-            u = t.tan_half_width * ((2 * (g % GRID) + 1) / GRID - 1)
-            v = math.sqrt(1.0 + u * u) * (middle + half * ((2 * (g // GRID) + 1) / GRID - 1))
+        n = GRID if t.tan_low < 0.0 < t.tan_high else SKIRTS_GRID
+        height *= (GRID / n) ** 2
+        for g in range(n * n):
+            u = t.tan_half_width * ((2 * (g % n) + 1) / n - 1)
+            v = math.sqrt(1.0 + u * u) * (middle + half * ((2 * (g // n) + 1) / n - 1))
             x[g], y[g], z[g] = t.cos + t.sin * u, t.sin - t.cos * u, v
-        find_surfaces(x, y, z, 0, GRID * GRID, view, seen)
-        for g in range(GRID * GRID):
+        find_surfaces(x, y, z, 0, n * n, view, seen)
+        for g in range(n * n):
             if seen[g] < 0.0:
                 continue
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
@@ -1878,13 +1880,13 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
                 i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
                 at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5)), 3]
                 echo += two_way * at * seen[g] / length
-            for n in range(planes.shape[0]):
-                along = planes[n, 0] * x[g] + planes[n, 1] * y[g] + planes[n, 2] * z[g]
-                if along <= 0.0 or planes[n, 3] * length >= range_max_m * along:
+            for p in range(planes.shape[0]):
+                along = planes[p, 0] * x[g] + planes[p, 1] * y[g] + planes[p, 2] * z[g]
+                if along <= 0.0 or planes[p, 3] * length >= range_max_m * along:
                     continue
-                if _is_first(seen[g] * planes[n, 3] / along, are_bodies[n]):
+                if _is_first(seen[g] * planes[p, 3] / along, are_bodies[p]):
                     m, rest = _place_in_table(along / length, losses.shape[1])
-                    reflected[n] += weight * (losses[n, m] + rest * (losses[n, m + 1] - losses[n, m]))
+                    reflected[p] += weight * (losses[p, m] + rest * (losses[p, m + 1] - losses[p, m]))
     return echo
 
 

@@ -124,10 +124,13 @@ class Workspace:
         return self._moments[1]
 
     def column_sums(self, n_columns: int, n_bins: int, n_wide_columns: int = 0) -> ColumnSums:
-        """Return room for sums; what was summed before may be there still, within its spans."""
-        key = n_columns, n_bins, n_wide_columns
-        if self._sums[0] != key:
-            sums = np.zeros((n_columns + n_wide_columns, n_bins), np.float32)
+        """Return room for sums; what was summed before may be there still, within its spans.
+
+        There may be room for more wide columns, since image sources have two kinds of them.
+        """
+        key, n_rows = (n_columns, n_bins), n_columns + n_wide_columns
+        if self._sums[0] != key or len(self._sums[1].all_sums) < n_rows:
+            sums = np.zeros((n_rows, n_bins), np.float32)
             spans = np.tile([0, n_bins], (len(sums), 1))
             self._sums = key, ColumnSums(sums[:n_columns], spans[:n_columns], sums, spans)
         return self._sums[1]

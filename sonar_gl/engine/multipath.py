@@ -18,6 +18,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.raster.views import MARGIN
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
@@ -25,14 +26,14 @@ from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# Multipath errs by its share of the echo. Samples are halved three times where it is less than SHARES[0] of the direct
-# echo, twice where it is less than SHARES[1], and so on; not at all where it is more than the last.
-SHARES = 0.05, 0.1, 0.3
-# Samples of the direct view for one sample after so many halvings: columns, and rows, which are whole so that the
-# direct view serves, and no more than its margin. Faces are planes, which few columns resolve, while most edges that
-# matter are level.
-THINNINGS = (1, 1), (1, 2), (2, 2), (4, 2)
+# Multipath errs by its share of the echo. Samples are halved five times where it is less than SHARES[0] of the direct
+# echo, four times where it is less than SHARES[1], and so on; not at all where it is more than the last.
+SHARES = 0.015, 0.04, 0.2, 0.5, 1.0
 WIDEST_COLUMN = 2.0  # in spacings of beams
+# The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
+# again for these. What goes straight to or from the skirts returns a hundredth of multipath, where it goes by way of
+# the reflector, or there both ways, as much as other directions.
+OWN_WIDE_COLUMNS = 3
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
 
 
@@ -104,6 +105,33 @@ class ImageSourceSamples:
     sources: tuple[ImageSource, ...]
 
 
+class Thinning(NamedTuple):
+    """Which samples are summed for image sources.
+
+    Attributes
+    ----------
+    columns, rows : samples of the direct view for one that is summed. Faces are planes, which few columns resolve,
+        while most edges that matter are level
+    is_drawn_finer : image sources are drawn with all samples, of which so many are summed. Others are looked up, since
+        most of the error lies where shadows end. Drawing costs little beside sums, but more than weak multipath does
+    """
+
+    columns: int
+    rows: int
+    is_drawn_finer: bool
+
+
+# After so many halvings. Rows are whole numbers, so that some of drawn ones serve.
+THINNINGS = (
+    Thinning(1, 1, True),
+    Thinning(1, 2, True),
+    Thinning(2, 2, True),
+    Thinning(4, 2, True),
+    Thinning(4, 4, False),
+    Thinning(4, 8, False),
+)
+
+
 class HalvingChoice(NamedTuple):
     """How often samples are halved for image sources, and whether that stays."""
 
@@ -135,7 +163,9 @@ class ImageSources:
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         shared = thread, WIDEST_COLUMN, stages.pools
-        self._own_stages = StageCache(engine, sonar, acoustics, *shared)
+        self._own_stages = StageCache(
+            engine, sonar, acoustics, *shared, wide_columns_per_support=OWN_WIDE_COLUMNS
+        )
         if sonar.beam_azimuths_deg is not None:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
@@ -203,30 +233,31 @@ class ImageSources:
         if not found:
             return out
         numbers = sorted({number for number, _ in found})
-        columns, rows = THINNINGS[self.halvings]
-        sampling = stage.sampling
+        columns, rows, is_drawn_finer = THINNINGS[self.halvings]
         sampling = replace(
-            sampling,
-            columns_per_beam=sampling.columns_per_beam / columns,
-            rows=math.ceil(sampling.rows / rows),
+            stage.sampling,
+            columns_per_beam=stage.sampling.columns_per_beam / columns,
+            rows=math.ceil(stage.sampling.rows / rows),
         )
         if sampling.rows < self._rows:
             self._own_stages.drop_large()
             self._image_stages.drop_large()
         self._rows = sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
-        if self._has_lobes or any(view.bubbles is not None for view in views):
+        must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
+        if must_draw or rows > MARGIN:  # else the outermost row that is left of a window might meet a surface
             drawn = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
             own_views = [view.sectors for view in drawn]
         else:  # the direct views will do
             own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
         own_of = dict(zip(numbers, own_views, strict=True))
-        image_views = image.draw(image_poses, image_states, planes=clip_planes, keep_last=True)
+        drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_finer else (image, 1)
+        image_views = drawing.draw(image_poses, image_states, planes=clip_planes, keep_last=True)
         sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
         for (number, about), image_view in zip(found, image_views, strict=True):
             views_of_both = (
                 own_of[number],
-                image_view.sectors,
+                [every_row(one, step) for one in image_view.sectors],
                 indices[number],
                 kernels.view_index(image_view),
             )
@@ -285,7 +316,9 @@ def _are_alike(a, b) -> bool:
 
 
 def every_row(samples: SectorSamples, step: int) -> SectorSamples:
-    """Return every so-manieth row of samples."""
+    """Return every so-manieth row of samples, no further apart than the margin of a window."""
+    if step == 1:
+        return samples
     sector = samples.sector
     of_step = np.array([1, 1, step])
     plane_echo = samples.plane_echo[::step]
@@ -298,7 +331,7 @@ def receive_images(images: ImageSourceSamples, gain) -> BeamEcho:
     beamformer, strips = images.own.beamformer, images.image.beamformer.mirrored_strips
     own = [_view_of(source, images.single_bounce, False, beamformer.strips) for source in images.sources]
     image = [_view_of(source, images.single_bounce, True, strips) for source in images.sources]
-    return beamformer.sum_image_sources(image, own, gain)
+    return beamformer.sum_image_sources(image, own, images.image.beamformer, gain)
 
 
 def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips) -> ImageSourceView:

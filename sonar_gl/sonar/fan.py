@@ -142,6 +142,7 @@ def make_fan(
     beams: BeamShape,
     shear: float = SHEAR,
     max_column_width: float = 0.5,
+    wide_columns_per_support: float = WIDE_COLUMNS_PER_SUPPORT,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
@@ -149,6 +150,7 @@ def make_fan(
     ----------
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     max_column_width : largest width of a column, in beam spacings; without effect on boxes
+    wide_columns_per_support : the half-width of the beams' support holds at least so many wide columns, about
     """
     azimuths = sonar.azimuth_rad
     start, stop = _ends_of_fan(sonar, beams)
@@ -193,7 +195,7 @@ def make_fan(
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
-        widest = beams.support_rad / WIDE_COLUMNS_PER_SUPPORT * (math.sqrt(2) if shear < 0 else 1)
+        widest = beams.support_rad / wide_columns_per_support * (math.sqrt(2) if shear < 0 else 1)
         width = min(SKIRTS_COARSER * span / n_samples, widest)
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:

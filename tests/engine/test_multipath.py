@@ -509,7 +509,26 @@ def test_rows_of_a_view_look_where_they_did():
         np.testing.assert_allclose(found, expected[::2], atol=1e-15)
     np.testing.assert_array_equal(some.plane_echo, plane_echo[::2])
     # the outermost of the rows that are left must meet nothing, as those of a window do
-    assert max(rows for _, rows in multipath.THINNINGS) <= MARGIN
+    assert max(one.rows for one in multipath.THINNINGS if one.is_drawn_finer) <= MARGIN
+
+
+def test_few_samples_do_not_extend_a_body(perfect):
+    """A sample stands for all up to the next row: the outermost rows of what is summed must meet nothing."""
+    perfect("floor")
+    scene, pose = (
+        sg.Scene([slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), ball(7, 0, 2.0, 0.4)]),
+        sg.pose(0, 0, 1.0),
+    )
+    sums = []
+    with sg.Simulator(scene, SONAR, MULTIPATH, FINE) as simulator:
+        images = simulator.run.image_sources
+        for halvings in range(images.COARSEST + 1):
+            images.fix(halvings)
+            sums.append(simulator.ping(pose).intensity.sum())
+    with sg.Simulator(scene, SONAR, IDEAL, FINE) as simulator:
+        sums -= simulator.ping(pose).intensity.sum()
+    # the ball is 30 samples wide and 33 high, or 15 and 4; measured: 2 %
+    np.testing.assert_allclose(sums, sums[0], rtol=0.05)
 
 
 def test_a_face_that_only_the_image_sees_has_a_double_bounce(perfect):
@@ -548,6 +567,7 @@ def test_a_plan_holds_for_image_sources_with_fixed_samples(perfect):
 
 
 def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
+    monkeypatch.setattr(multipath, "SHARES", (0.0,) * len(multipath.SHARES))  # all samples in both pings
     slope = np.linspace(0.0, 1.0, N_SINES)  # the sine of the grazing angle itself
     floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
     scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)
