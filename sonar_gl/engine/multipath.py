@@ -18,7 +18,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.raster.views import MARGIN
+from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
