@@ -147,7 +147,9 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
 
 # Of a bin: how far off a footprint of several rows may be in range. Into how many the aperture in elevation is divided
 # at least, as the beam pattern is linear within each. And what is low enough for derivatives, radians.
-PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 40, 16, 1 / 16
+PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 80, 16, 1 / 16
+# the share by which 1/x and the echo may change between the middle of a footprint of several rows and its ends
+PIECE_CHANGE = 0.05
 
 
 def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> tuple[float, float]:
@@ -345,7 +347,7 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
     start, sample, v_ray = work[START], work[SAMPLE], work[V_RAY]
     line_u, tilt, v_lowest, v_highest = work[LINE_U], work[TILT], work[V_LOWEST], work[V_HIGHEST]
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
-    u, v, columns = lattice.u, lattice.v, lattice.columns
+    u, v, columns, bottom = lattice.u, lattice.v, lattice.columns, uint64(bottom_row)
     u0, ui, uj, v0, vi, vj, first, last, n = u[0], u[1], u[2], v[0], v[1], v[2], 0, -1, 0
     line, lean, (piece_rad, piece_m, rise) = line_u[0], 0.0, limits
     # in place: no row is read after a piece is written there, since each piece has a row of its own
@@ -353,12 +355,20 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
         begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
         n_pieces, length, longer = 1, past - begin, 0  # the first pieces are longer by a row
         if length > 1:
-            middle = (begin + past) >> 1
-            i = min(max(np.int64(sample[uint64(middle)]), 0), columns - 1)
-            nearness = np.float64(plane_echo[uint64(middle + bottom_row), uint64(i), 0])
-            most_rows = max(int(min(piece_rad, math.sqrt(piece_m * nearness)) / rise), 1)
-            if nearness > 0.0 and length > most_rows:
-                n_pieces = (length + most_rows - 1) // most_rows
+            m, end = uint64((begin + past) >> 1), uint64(past - 1)
+            i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
+            nearness = np.float64(plane_echo[m + bottom, i, 0])
+            if nearness > 0.0:
+                mean_echo = max(np.float64(plane_echo[m + bottom, i, 3]), LEAST_POWER)
+                change_q = change_echo = 0.0
+                for side in range(2):
+                    m = end if side else uint64(begin)
+                    i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
+                    change_q = max(change_q, abs(plane_echo[m + bottom, i, 0] / nearness - 1.0))
+                    change_echo = max(change_echo, abs(plane_echo[m + bottom, i, 3] / mean_echo - 1.0))
+                wanted = length * rise / min(piece_rad, math.sqrt(piece_m * nearness))
+                wanted = max(wanted, change_q / PIECE_CHANGE, change_echo / PIECE_CHANGE)
+                n_pieces = min(max(math.ceil(wanted), 1), length)
                 length, longer = length // n_pieces, length % n_pieces
         low = begin
         for piece in range(n_pieces):
@@ -571,7 +581,12 @@ def _bend_footprints(work, first, last, per_metre):
         turn = vc + uc * lean  # half of the derivative of w
         bend = 3.0 * at * turn * turn * over2 - 2.0 * along[m] * turn - at * curve
         is_slanted = (2 * b[m] * per_metre > s[m] * s[m]) & (a[m] < b[m]) & (b[m] < s[m])
-        s[m] += bend * over2 * math.sqrt(over2) * half * half * (0.5 if is_slanted else 1 / 6)
+        bow = bend * over2 * math.sqrt(over2) * half * half / 2  # f″ h² / 2
+        s[m] += bow if is_slanted else bow / 3
+        # the nearest end of an even one is that of the plane, which may lie between the ends
+        inner = b[m] * b[m] / max(-4.0 * bow, LEAST_POWER) - bow / 3
+        even_b = inner if b[m] < -2.0 * bow else b[m] + bow * 2 / 3
+        b[m] = b[m] if is_slanted else even_b
         energy[m] *= 1.0 + half * half / 2 * over2 * (5.0 * turn * turn * over2 - curve)
         slope = along[m] * line * lean - rest[m] * curve
         density = along[m] * (1.0 + line * line) - rest[m] * lean * line + vc * slope

@@ -33,7 +33,7 @@ def difference(ping, other):
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()], ids=["ideal", "physical"])
 def test_joined_rows_of_planes_change_little_and_whole_faces_much(acoustics, piece_height):
-    """A fortieth of a bin, by which pieces may be off in range, moves less than 3e-3 of the echo.
+    """An eightieth of a bin, by which pieces may be off in range, moves less than 3e-3 of the echo.
 
     The walls begin in bins that their echo fills in part, some of them face on; there alone range counts.
     """
@@ -110,5 +110,5 @@ def test_two_coplanar_bodies_end_where_they_do():
 def test_pieces_follow_from_bins_range_and_aperture():
     edges = np.linspace(1.0, 31.0, 601)
     _, piece_m = kernels.piece_limits(edges)
-    assert piece_m / 8 == pytest.approx(0.05 / 40)  # r h² / 8
+    assert piece_m / 8 == pytest.approx(0.05 / 80)  # r h² / 8
     assert kernels.piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))

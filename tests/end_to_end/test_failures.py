@@ -82,7 +82,8 @@ def test_grazing_floors(floor, tolerance):
 def test_floors_with_a_sonar_on_its_side(turn):
     got = regimes.grazing_floor(3.0, 0.01, bins=200, nodes=2000, **turn)
     assert got["naive_wrong"] > 0.7
-    assert got["wrong"] < 1e-3  # error of the ray's length; the truth errs by 2e-4
+    # errors of the ray's length, and of joined rows where range changes across a strip; the truth errs by 2e-4
+    assert got["wrong"] < 1.5e-3
 
 
 @pytest.mark.parametrize("tolerance, seam", [(0.01, 0.02), (0.05, 0.1)])
@@ -148,7 +149,8 @@ def test_inside_a_closed_body():
 def test_on_a_face_an_edge_a_corner(place):
     plain, ours = oddities.on_a_body(*place)
     assert plain == 1
-    assert ours == 0  # surfaces nearer than 1 mm are clipped, and the rays lead away
+    # surfaces nearer than 1 mm are clipped, and the rays lead away; rows are joined or not by all that a strip meets
+    assert ours < 1e-3
 
 
 @pytest.mark.slow

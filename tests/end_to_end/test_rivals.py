@@ -105,7 +105,7 @@ def test_our_rays_through_embree_hit_what_the_raster_renders():
         sg.Simulator(scene, SMALL, IDEAL, sg.Sampling(*resolution)) as simulator,
         internals.rendered(simulator, scene.sonar_pose) as views,
     ):
-        ((_, raster, _),) = views
+        ((_, raster, *_),) = views
         raster = raster.reshape(-1, 4)[rays.index].astype(float)
     traced = rays.plane_echo.reshape(-1, 4)[rays.index].astype(float)
     # what is met beyond the last bin may differ: far planes end elsewhere

@@ -23,9 +23,8 @@ GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 FEW = 16
 NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
 BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
-# Samples stand for neighbours of the same face, unless they are in a lobe that is sharper than this, slopes in radians,
-# and more than so much of the echo: over the height of a joined footprint, of a degree, it changes by half and more.
-SHARP_LOBE, FAINT_LOBE = 0.04, 1e-2
+# of a sample's echo: a lobe that is less may change from sample to sample as it likes
+FAINT_LOBE = 1e-2
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
@@ -590,7 +589,7 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
                     range_m = math.sqrt(1.0 + u * u + v * v) / q
                     of_lobe = lobe_times_range(echo, range_m, lobe, slope)
                     plane_echo[j, at, 3] += of_lobe
-                    if slope < SHARP_LOBE and of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
+                    if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
                 # what returns nothing is joined whatever its face, as most of a view of lobes alone
                 if plane_echo[j, at, 3] == zero:
