@@ -120,6 +120,8 @@ FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE_RISE + 1
 NOTHING = -1  # of `SectorSamples.face_id`
 # Rows of one face are joined where that leaves at most this share of them: with more, it saves less than it costs.
 JOINED_SHARE = 0.4
+# In bins: shorter footprints are even, unless they are as long as this, and far longer than wide. Less moves no echo.
+LEAST_SLANTED = 1 / 8
 # strips after one where it does not save time that are not tried, as neighbours are mostly alike
 UNTRIED_STRIPS = 15
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
@@ -150,6 +152,9 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
 PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 80, 16, 1 / 16
 # the share by which 1/x and the echo may change between the middle of a footprint of several rows and its ends
 PIECE_CHANGE = 0.05
+# The share by which the slope of range may change over a footprint of several rows. Where a plane is nearest, its slope
+# is zero, and most of the echo of a wall that faces the sonar lies in one bin.
+SLOPE_CHANGE = 1 / 3
 
 
 def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> tuple[float, float]:
@@ -330,6 +335,22 @@ def _untried_after(untried, is_tried, strip):
 
 
 @compiled
+def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
+    """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`."""
+    u, v = lattice.u, lattice.v
+    i, j = np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
+    row, column = uint64(j), uint64(min(max(i, 0), lattice.columns - 1))
+    line, lean, v_ray = work[LINE_U, 0], 0.0, v[0] + v[1] * i + v[2] * j
+    if are_cones:
+        line, lean, v_ray = work[LINE_U, uint64(m)], work[TILT, uint64(m)], work[V_RAY, uint64(m)]
+    slope_u, slope_v = plane_echo[row, column, 1], plane_echo[row, column, 2]
+    rest = plane_echo[row, column, 0] + slope_u * (line - u[0] - u[1] * i - u[2] * j) - slope_v * v_ray
+    along = slope_v + slope_u * lean
+    slope = rest * (1.0 + lean * lean) - along * line * lean
+    return (along * (1.0 + line * line) - rest * line * lean) / slope if slope != 0.0 else math.inf
+
+
+@compiled
 def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
     """Gather what stands for the rows of each face, in pieces.
 
@@ -353,8 +374,8 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
     # in place: no row is read after a piece is written there, since each piece has a row of its own
     for face in range(uint64(n_faces)):
         begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
-        n_pieces, length, longer = 1, past - begin, 0  # the first pieces are longer by a row
-        if length > 1:
+        wanted, nearest_v = 1.0, math.inf
+        if past - begin > 1:
             m, end = uint64((begin + past) >> 1), uint64(past - 1)
             i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
             nearness = np.float64(plane_echo[m + bottom, i, 0])
@@ -366,13 +387,26 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
                     i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
                     change_q = max(change_q, abs(plane_echo[m + bottom, i, 0] / nearness - 1.0))
                     change_echo = max(change_echo, abs(plane_echo[m + bottom, i, 3] / mean_echo - 1.0))
-                wanted = length * rise / min(piece_rad, math.sqrt(piece_m * nearness))
-                wanted = max(wanted, change_q / PIECE_CHANGE, change_echo / PIECE_CHANGE)
-                n_pieces = min(max(math.ceil(wanted), 1), length)
-                length, longer = length // n_pieces, length % n_pieces
-        low = begin
-        for piece in range(n_pieces):
-            high = low + length - (1 if piece >= longer else 0)
+                wanted = (past - begin) * rise / min(piece_rad, math.sqrt(piece_m * nearness))
+                wanted = max(wanted, change_q / PIECE_CHANGE, change_echo / PIECE_CHANGE, 1.0)
+                nearest_v = _find_nearest(
+                    work, plane_echo, lattice, (begin + past) >> 1, bottom_row, are_cones
+                )
+        low, wanted_per_row = begin, wanted / (past - begin)
+        while low < past:
+            left = past - low
+            length = math.ceil(
+                left / math.ceil(left * wanted_per_row - 1e-9)
+            )  # pieces that are left are alike
+            if length > 1:
+                i = np.int64(sample[uint64(low)])
+                apart = nearest_v - (
+                    v_ray[uint64(low)] if are_cones else v0 + vi * i + vj * (low + bottom_row)
+                )
+                # of what is apart from the middle of the piece
+                graded = apart * (SLOPE_CHANGE / (1.0 + SLOPE_CHANGE / 2 * (1.0 if apart > 0.0 else -1.0)))
+                length = max(np.int64(min(abs(graded) / rise, length)), 1)
+            high = low + length - 1
             m, at = uint64((low + high) >> 1), uint64(n)
             i, i_low, i_high = (
                 np.int64(sample[m]),
@@ -558,8 +592,14 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         # no more than leaves all densities positive
         rise = min(max(change[m], -1.0), 1.0)
         is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
-        is_long = (2 * b * per_metre > s * s) & (work[A, m] < b) & (b < s)
-        slant[m] = (rise if is_nearer_above else -rise) if is_long else 0.0
+        is_slanted = _is_slanted(s, work[A, m], b, per_metre)
+        slant[m] = (rise if is_nearer_above else -rise) if is_slanted else 0.0
+
+
+@compiled
+def _is_slanted(s, a, b, per_metre):
+    """Return whether the density of a footprint is to follow the pattern and the plane: over its length, in bins."""
+    return (a < b) & (b < s) & (2 * b * per_metre > s * s * (LEAST_SLANTED if 4 * a < b else 1.0))
 
 
 @compiled
@@ -580,7 +620,7 @@ def _bend_footprints(work, first, last, per_metre):
         over2 = 1.0 / (1.0 + uc * uc + vc * vc)
         turn = vc + uc * lean  # half of the derivative of w
         bend = 3.0 * at * turn * turn * over2 - 2.0 * along[m] * turn - at * curve
-        is_slanted = (2 * b[m] * per_metre > s[m] * s[m]) & (a[m] < b[m]) & (b[m] < s[m])
+        is_slanted = _is_slanted(s[m], a[m], b[m], per_metre)
         bow = bend * over2 * math.sqrt(over2) * half * half / 2  # f″ h² / 2
         s[m] += bow if is_slanted else bow / 3
         # the nearest end of an even one is that of the plane, which may lie between the ends
@@ -590,7 +630,7 @@ def _bend_footprints(work, first, last, per_metre):
         energy[m] *= 1.0 + half * half / 2 * over2 * (5.0 * turn * turn * over2 - curve)
         slope = along[m] * line * lean - rest[m] * curve
         density = along[m] * (1.0 + line * line) - rest[m] * lean * line + vc * slope
-        change[m] = echo_rise[m] - half * slope / density
+        change[m] = echo_rise[m] - half * slope / density if is_slanted else 0.0
 
 
 @compiled

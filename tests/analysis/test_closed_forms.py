@@ -84,8 +84,13 @@ BEAMS = (9, 9.0, 0.5), (16, 22.5, 3.0), (16, 2.8125, 0.17578125)  # apart, overl
 
 @pytest.mark.parametrize(
     "name, beams, fov, width",
-    [  # each plane in one kind of beams, each kind before several planes; a leaning wall is yawed, a ceiling slopes
-        pytest.param(name, *kind, marks=() if number % 3 == turn and name not in SLOW else pytest.mark.slow)
+    [  # each plane in one kind of beams, each kind before several planes; a leaning wall is yawed, a ceiling slopes.
+        # A wall that the sonar faces has most of its echo in one bin, where rows of samples are joined with most care
+        pytest.param(
+            name,
+            *kind,
+            marks=() if name == "wall" or (number % 3 == turn and name not in SLOW) else pytest.mark.slow,
+        )
         for number, name in enumerate(PLANES)
         for turn, kind in enumerate(BEAMS)
     ],

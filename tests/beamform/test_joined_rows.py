@@ -32,8 +32,8 @@ def difference(ping, other):
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()], ids=["ideal", "physical"])
-def test_joined_rows_of_planes_change_little_and_whole_faces_much(acoustics, piece_height):
-    """An eightieth of a bin, by which pieces may be off in range, moves less than 3e-3 of the echo.
+def test_joined_rows_of_planes_change_little(acoustics, piece_height):
+    """An eightieth of a bin, by which pieces may be off in range, moves less than 2e-3 of the echo.
 
     The walls begin in bins that their echo fills in part, some of them face on; there alone range counts.
     """
@@ -41,10 +41,11 @@ def test_joined_rows_of_planes_change_little_and_whole_faces_much(acoustics, pie
     piece_height(0.0)
     rows = ping_of([TANK], acoustics)
     piece_height(0.35)
-    whole = ping_of([TANK], acoustics)
-    assert 0 < difference(joined, rows) < 3e-3
+    high = ping_of([TANK], acoustics)
+    assert 0 < difference(joined, rows) < 2e-3
     assert joined.intensity.sum(dtype=float) == pytest.approx(rows.intensity.sum(dtype=float), rel=5e-4)
-    assert difference(whole, rows) > 5 * difference(joined, rows)
+    # as high as faces, but for walls that the sonar faces, and near horizons
+    assert difference(high, rows) > 1.5 * difference(joined, rows)
 
 
 def test_joined_rows_err_as_single_ones_do(piece_height):
