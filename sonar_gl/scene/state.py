@@ -49,6 +49,11 @@ class SceneState:
         """Return this state with bodies that return their specular lobes alone."""
         return replace(self, reflectivity=np.zeros(len(self.poses), np.float32))
 
+    def is_without_diffuse_echo_of(self, other: SceneState) -> bool:
+        """Return whether this is `other.without_diffuse_echo()`, made of the same arrays."""
+        is_same = self.poses is other.poses and self.present is other.present
+        return is_same and self.reflectivity is not None and not self.reflectivity.any()
+
     def with_reflectivity(self, reflectivity: np.ndarray) -> SceneState:
         """Return this state with other reflectivity of the (n,) bodies, as the attribute."""
         return replace(self, reflectivity=np.asarray(reflectivity, np.float32))

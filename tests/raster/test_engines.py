@@ -295,6 +295,41 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
+@pytest.mark.parametrize("is_threaded", [False, True])
+@pytest.mark.parametrize("name", ["pylon", "diver", "ocean_floor"])
+def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, monkeypatch):
+    """They are those that are drawn by themselves, to the bit, and no triangle is drawn for them."""
+    scene, drawn = sg.load_scene(name), []
+    rasterize = cpu.rasterize
+    monkeypatch.setattr(cpu, "rasterize", lambda *a: drawn.append(1) or rasterize(*a))
+    monkeypatch.setattr(cpu, "FEW_NS", 0 if is_threaded else 10**12)
+    poses = [scene.sonar_pose, scene.sonar_pose @ sg.pose(0.1, yaw=0.1), scene.sonar_pose @ sg.pose(0.2)]
+    with sg.Simulator(scene, SONAR, sg.Acoustics.physical(), SAMPLING, engine="cpu") as simulator:
+        run, renderer = simulator.run, simulator.run.sampler.resolution.stage.renderer
+        state = run.world.state_of(None, None, False, None)
+        lobes = state.without_diffuse_echo()
+
+        def draw(poses, states):
+            drawn.clear()
+            with run.drawing():
+                views = renderer.render(poses, states, with_bodies=True)
+            arrays = [
+                [one.plane_echo, one.face_id, np.where(one.plane_echo[..., 0] > 0, one.body_id, 0)]
+                for view in views
+                for one in view.sectors
+            ]
+            return [[a.copy() for a in one] for one in arrays], len(drawn)
+
+        whole, n_whole = draw(poses, [state] * 3)
+        alone, _ = draw(poses, [lobes] * 3)
+        both, n_both = draw([*poses, *poses], [state] * 3 + [lobes] * 3)
+    assert n_both == n_whole
+    assert sum((plane_echo[..., 3] > 0).sum() for plane_echo, *_ in alone) > 100
+    for got, expected in zip(both, [*whole, *alone], strict=True):
+        for found, true in zip(got, expected, strict=True):
+            np.testing.assert_array_equal(found, true)
+
+
 def test_room_for_triangles_follows_what_is_drawn():
     """Pings share their memory: of no triangles, of many, of few and of many again."""
     ball = sg.Body("ball", trimesh.creation.icosphere(5, 1.0), sg.pose(6), 0.5)  # 20 480 triangles

@@ -24,6 +24,7 @@ from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
     MAX_SAMPLES,
     NO_BODIES,
+    NO_SAMPLES,
     BodiesInView,
     PatchesInView,
     SectorView,
@@ -32,7 +33,7 @@ from sonar_gl.raster.views import (
 )
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.samples import NO_FACES, ViewSamples
 
 # About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
 # other one takes 10 to 20 us.
@@ -230,25 +231,32 @@ class CpuRenderer:
         planes = planes or [None] * len(poses)
         n = len(poses)
         images, out = self._workspace.images(n, keep_last), [None] * n
-        views = list(zip(images, poses, states, planes, strict=True))
+        views = list(zip(poses, states, planes, strict=True))
+        groups = _with_lobes(views)
 
-        def draw(k: int, half: int | None = None):
-            image, *view = views[k]
-            bodies = self._engine.meshes.view_from(*view, self._specular)
-            out[k] = self._draw(image, bodies, with_bodies, full, half)
+        def draw(group: list[int], half: int | None = None):
+            bodies = self._engine.meshes.view_from(*views[group[0]], self._specular)
+            drawn = self._draw([images[k] for k in group], bodies, with_bodies, full, half)
+            for k, view in zip(group, drawn, strict=True):
+                out[k] = view
 
         # a thread draws a whole view in less time than two halves: each half has to place all bodies
-        pairs = 0 if self._thread is None else n // 2
+        pairs = 0 if self._thread is None else len(groups) // 2
         for k in range(pairs):
-            self._thread.run_halves(lambda half, k=k: draw(2 * k + half, half))
-        for k in range(2 * pairs, n):
-            draw(k)
+            self._thread.run_halves(lambda half, k=k: draw(groups[2 * k + half], half))
+        for group in groups[2 * pairs :]:
+            draw(group)
         return out
 
     def _draw(
-        self, image: _Image, bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
-    ) -> ViewSamples:
-        """Draw a view, in the memory of one half alone if that is given."""
+        self,
+        images: Sequence[_Image],
+        bodies: BodiesInView,
+        with_bodies: bool,
+        full: bool,
+        half: int | None,
+    ) -> list[ViewSamples]:
+        """Draw a view, and into a second image its specular lobes alone, in the memory of one half if that is given."""
         meshes, workspace, patches = self._engine.meshes, self._workspace, []
         for number, view in enumerate(self._sectors):
             chosen = workspace.halves[half or 0].chosen(number, meshes.most_patches)
@@ -257,19 +265,22 @@ class CpuRenderer:
         windows = [one.window for one in patches]
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
         check_samples(width, height, workspace.most_samples)
-        samples = image.take(width, height, with_bodies)
+        samples, *of_lobes = [image.take(width, height, with_bodies) for image in images]
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
         placed = tuple(
             PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         )
-        work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height
-        drawn = placed, bodies.has_lobes, patches, samples
+        work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height * len(images)
+        lobes_alone = (of_lobes[0][0], of_lobes[0][2]) if of_lobes else (NO_SAMPLES, NO_FACES)
+        drawn = placed, bodies.has_lobes, patches, samples, lobes_alone
         if half is not None or self._thread is None or work_ns < FEW_NS:
             self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
         else:
             self._thread.run_halves(lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn))
-        return samples_of(self._sectors, windows, *samples)
+        for _, body_id, _ in of_lobes:
+            body_id[:] = samples[1]
+        return [samples_of(self._sectors, windows, *one) for one in (samples, *of_lobes)]
 
     def _draw_part(
         self,
@@ -280,8 +291,9 @@ class CpuRenderer:
         has_lobes: bool,
         patches: Sequence[PatchesInView],
         samples,
+        lobes_alone,
     ) -> None:
-        """Draw some columns of each sector's window; placed : tuple of PlacedBodies."""
+        """Draw some columns of each sector's window; placed : tuple of PlacedBodies; the last two as for `shade`."""
         contents, left = self._engine.contents, 0
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
         triangles = tuple(half.triangles(max(one.n_faces for one in patches), has_normals))
@@ -295,9 +307,27 @@ class CpuRenderer:
                     rasterize(chosen, *shared, triangles)
                 else:
                     buffer[0][:] = 0.0
-                shared = view.geometry, extent, placed[1], left + first, has_lobes
-                shade(buffer, triangles, *shared, *samples)
+                shared = view.geometry, extent, (placed[1], has_lobes), left + first
+                shade(buffer, triangles, *shared, samples, lobes_alone)
             left += columns
+
+
+def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:
+    """Return the number of each view, followed by that of its specular lobes alone where they are drawn, too.
+
+    views : pose, SceneState or None, and clip plane of each
+    """
+    groups = []
+    for number, (pose, state, plane) in enumerate(views):
+        for group in groups:
+            its_pose, its_state, its_plane = views[group[0]]
+            is_same = len(group) == 1 and pose is its_pose and plane is its_plane
+            if is_same and None not in (state, its_state) and state.is_without_diffuse_echo_of(its_state):
+                group.append(number)
+                break
+        else:
+            groups.append([number])
+    return groups
 
 
 class CpuEngine:

@@ -537,25 +537,50 @@ def lobe_times_range(echo, range_m, strength, slope):
 
 
 @compiled
-def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_echo, body_id, face_id):
+def _write_lobes(q, triangle, planes, lobe, row, left, image):
+    """Write a row of samples that return their specular lobes alone into an image.
+
+    q, triangle : (W,) row of a VisibilityBuffer
+    planes : of Triangles
+    lobe : (W,) specular lobe times range of each sample that met something
+    row, left : where the row begins in the image
+    image : plane_echo and face_id of `SectorSamples`
+    """
+    (plane_echo, face_id), zero = image, np.float32(0.0)
+    for i in range(uint64(q.shape[0])):
+        t, at, is_hit, echo = uint64(triangle[i]), uint64(left) + i, q[i] > zero, np.float32(lobe[i])
+        plane_echo[row, at, 0] = q[i] if is_hit else zero
+        plane_echo[row, at, 1] = planes[t, 0] if is_hit else zero
+        plane_echo[row, at, 2] = planes[t, 1] if is_hit else zero
+        plane_echo[row, at, 3] = echo if is_hit else zero
+        face_id[row, at] = SINGLE - np.int64(row) if is_hit and echo > zero else NOTHING
+
+
+@compiled
+def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
     Parameters
     ----------
     buffer, triangles, view, window : as for `rasterize`
-    body_rows : of PlacedBodies
+    bodies_seen : rows of PlacedBodies, and whether any body has a specular lobe
     left : column of the image at which the window begins
-    has_lobes : whether any body has a specular lobe
-    plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id of no length
-        if it is not wanted
+    image : plane_echo, body_id and face_id of `SectorSamples`: (H, W, 4) float32, (H, W) uint16 and int32; body_id of
+        no length if it is not wanted
+    lobes_alone : plane_echo and face_id of an image of the same view in which bodies return their specular lobes alone;
+        of no length if it is not wanted
     """
+    (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
     planes, bodies, normal_forms = triangles
     lattice_u, lattice_v = view[5], view[6]
     u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
     is_even = normal_forms.shape[0] == 0 and not has_lobes
-    zero = np.float32(0.0)
+    zero, with_lobes = np.float32(0.0), lobes_alone[1].shape[0] > 0
+    lobes = np.zeros(depth.shape[1] if with_lobes else 0)
     for j in range(uint64(depth.shape[0])):
+        for i in range(uint64(lobes.shape[0])):
+            lobes[i] = 0.0
         for i in range(uint64(depth.shape[1])):
             q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
             if q <= zero:
@@ -589,6 +614,8 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
                     range_m = math.sqrt(1.0 + u * u + v * v) / q
                     of_lobe = lobe_times_range(echo, range_m, lobe, slope)
                     plane_echo[j, at, 3] += of_lobe
+                    if with_lobes:
+                        lobes[i] = of_lobe
                     if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
                 # what returns nothing is joined whatever its face, as most of a view of lobes alone
@@ -596,6 +623,8 @@ def shade(buffer, triangles, view, window, body_rows, left, has_lobes, plane_ech
                     face_id[j, at] = NOTHING
             else:
                 plane_echo[j, at, 3] = planes[t, 3] * echo
+        if with_lobes:
+            _write_lobes(depth[j], triangle[j], planes, lobes, j, left, lobes_alone)
     if body_id.shape[0]:
         for j in range(uint64(depth.shape[0])):
             for i in range(uint64(depth.shape[1])):
