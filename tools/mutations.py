@@ -56,6 +56,7 @@ class Mutation:
 
 FOOTPRINTS = ("test_footprint", "test_failures")
 SMOOTH_FLOOR = "test_closed_forms::test_a_few_rows_of_a_smooth_floor_follow_the_pattern"
+PLANES = "test_closed_forms::test_planes"
 STRIPS = ("test_strips",)
 CONES = ("test_cones",)
 BUBBLES = ("test_bubbles", "test_footprint")
@@ -130,15 +131,22 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of steep patterns",
-        "change = min(max(change, -1.0), 1.0)",
-        "change *= 1.0",
+        "rise = min(max(change[m], -1.0), 1.0)",
+        "rise = change[m]",
         (SMOOTH_FLOOR,),
     ),
     Mutation(
         "footprints/slant by the pattern",
-        "(change if is_nearer_above else -change) if is_long else 0.0",
-        "change if is_long else 0.0",
+        "(rise if is_nearer_above else -rise) if is_slanted else 0.0",
+        "rise if is_slanted else 0.0",
         (SMOOTH_FLOOR,),
+    ),
+    Mutation("footprints/pieces of walls face on", "SLOPE_CHANGE = 1 / 3", "SLOPE_CHANGE = 1e9", (PLANES,)),
+    Mutation(
+        "footprints/density of short pieces",
+        "LEAST_SLANTED = 1 / 8",
+        "LEAST_SLANTED = 1.0",
+        (PLANES, "test_joined_rows"),
     ),
     Mutation(
         "footprints/edge where planes meet",
@@ -297,8 +305,8 @@ MUTATIONS = (
     Mutation("labels/range of a ramp", "return t * t / 2", "return t * t / 3", LABELS),
     Mutation(
         "labels/full bins",
-        "cells[slot, CELL_INCIDENCE, k] += echo32 * incidence",
-        "cells[slot, CELL_INCIDENCE, k] += echo32 * elevation",
+        "echo32 * (incidence + incidence_rise * off)",
+        "echo32 * (elevation + incidence_rise * off)",
         LABELS,
         (("cells[after, COUNT] += 1.0", "cells[after, COUNT] += 0.0"),),
     ),
@@ -311,9 +319,7 @@ MUTATIONS = (
     Mutation(
         "labels/slant of boxes", "rise = work[SLANT, m] / max(work[A, m], work[B, m])", "rise = 0.0", LABELS
     ),
-    Mutation(
-        "labels/incidence", "x, along_v = rest[m] - along_u[m] * line_u[m],", "x, along_v = rest[m],", LABELS
-    ),
+    Mutation("labels/incidence", "+ along_v * along_v - towards * towards", "- towards * towards", LABELS),
     Mutation(
         "labels/arctan",
         "p * x - 0.0752896400",
@@ -1127,8 +1133,8 @@ MUTATIONS = (
     ),
     Mutation(
         "cli/handler that stays",
-        "signal.signal(signal.SIGTERM, before or signal.SIG_DFL)",
-        "signal.signal(signal.SIGTERM, signal.SIG_IGN)",
+        "signal.signal(number, handler or signal.SIG_DFL)",
+        "signal.signal(number, signal.SIG_IGN)",
         ("test_sigterm",),
     ),
     # counts and pictures

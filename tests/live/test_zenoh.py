@@ -445,8 +445,8 @@ def test_a_router_that_disappears_and_returns(port, transports, host):
     for _ in range(20 if host == "127.0.0.1" else 100):
         transport.publish(topic, b"meanwhile", 0)
         time.sleep(0.01)
-    # peers stay connected with one another; a client reaches nobody
-    assert bool(received) == (host == "127.0.0.1")
+    # peers stay connected with one another; a client reaches nobody. What was sent before may arrive late
+    assert (b"meanwhile" in received) == (host == "127.0.0.1")
     with zenoh_router(port) as second:
         wait_until(lambda: publish_once(transport, topic, b"after") and b"after" in received)
         wait_until(lambda: tokens_of(second) == tokens)
