@@ -120,7 +120,8 @@ FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE_RISE + 1
 NOTHING = -1  # of `SectorSamples.face_id`
 # Rows of one face are joined where that leaves at most this share of them: with more, it saves less than it costs.
 JOINED_SHARE = 0.4
-# In bins: shorter footprints are even, unless they are as long as this, and far longer than wide. Less moves no echo.
+# The share of a bin that a footprint, far longer than wide, covers at least if its density is to change along it. In
+# shorter ones that moves too little echo to matter.
 LEAST_SLANTED = 1 / 8
 # strips after one where it does not save time that are not tried, as neighbours are mostly alike
 UNTRIED_STRIPS = 15
@@ -526,8 +527,8 @@ def _clear_row(c, sums, spans):
 def _find_footprints(work, strip, elevation_pattern, per_metre):
     """Find energy, centre, half-widths and slant of a strip's footprints.
 
-    Within a footprint the elevation pattern is linear. That slants footprints that extend along the strip over several
-    bins; in others the slants of neighbours make up for each other.
+    Within a footprint the elevation pattern is linear. That slants the footprints that `_is_slanted` names; in others
+    the slants of neighbours make up for each other.
 
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     per_metre : of BinTable
@@ -598,7 +599,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
 
 @compiled
 def _is_slanted(s, a, b, per_metre):
-    """Return whether the density of a footprint is to follow the pattern and the plane: over its length, in bins."""
+    """Return whether density changes along a footprint: it covers a bin, or if it is narrow, LEAST_SLANTED of one."""
     return (a < b) & (b < s) & (2 * b * per_metre > s * s * (LEAST_SLANTED if 4 * a < b else 1.0))
 
 

@@ -108,7 +108,7 @@ def test_planes(name, beams, fov, width):
     )
     plane = [plane_body(normal, distance)]
     fine = ping(plane, it, samples(it, *FINE)).intensity
-    # no edge of a wall face on runs obliquely through bins; measured: 9e-4, and 6e-3 with even footprints within bins
+    # no edge of a wall face on runs obliquely through bins; measured: 8e-4, and 6e-3 with even footprints within bins
     assert beam_errors(fine, exact).max() < (2e-3 if name == "wall" else PLANE_TOLERANCE)
     by_tolerance = ping(plane, it).intensity
     assert np.abs(by_tolerance - exact).sum() / exact.sum() < TOLERANCE
