@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import NOTHING, SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
     PatchFaces,
     PlacedBodies,
@@ -374,10 +374,9 @@ class CpuEngine:
     def check_thread(self) -> None:
         """Do nothing: any thread may draw."""
 
-    @contextmanager
-    def drawing(self):
+    def drawing(self) -> AbstractContextManager:
         """Do nothing: there is no context."""
-        yield None
+        return NOTHING
 
     def collect(self) -> None:
         """Do nothing: arrays go with their last name."""
