@@ -515,8 +515,11 @@ class Beamformer:
 
     def _rows(self, samples) -> float:
         """Return about how many rows of strips there are in all."""
-        pairs = zip(self.fan.sectors, samples, strict=True)
-        return sum(len(s.strips.middle) / s.columns * one.plane_echo[..., 0].size for s, one in pairs)
+        n_rows = 0.0
+        for sector, one in zip(self.fan.sectors, samples, strict=True):
+            rows, columns, _ = one.plane_echo.shape
+            n_rows += len(sector.strips.middle) / sector.columns * columns * rows
+        return n_rows
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
@@ -534,7 +537,7 @@ class Beamformer:
                 columns.sums, columns.spans, tiles, self._parts[half], gain, out
             )
 
-        bins = np.maximum(columns.spans[:, 1] - columns.spans[:, 0], 0).mean()
+        bins = kernels.count_bins(columns.spans) / len(columns.spans)
         self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
         return out, sum(totals)
 

@@ -190,16 +190,9 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     """
     u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
     v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
-    low_u = high_u = least_u = most_u = middle
-    if strips.are_cones:
-        low_u = _u_on_cone(middle, 1.0 + v_low * v_low, lattice.sine, lattice.cosine)
-        high_u = _u_on_cone(middle, 1.0 + v_high * v_high, lattice.sine, lattice.cosine)
-        level_u = _u_on_cone(middle, 1.0, lattice.sine, lattice.cosine) if v_low * v_high < 0.0 else low_u
-        least_u, most_u = min(low_u, high_u, level_u), max(low_u, high_u, level_u)
-    leftmost, rightmost = (least_u - u[0]) / u[1] + 0.5, (most_u - u[0]) / u[1] + 0.5
     first, last, are_joined = 0, -1, False
-    # not beside the window
-    if max(rightmost, rightmost - step * R) > -1.0 and min(leftmost, leftmost - step * R) < lattice.columns:
+    if not is_beside(lattice, strips, p, R):
+        low_u, high_u = _ends_of(lattice, strips, p)
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         low_v, high_v, rise = (
             v[0] + v[1] * ((low_u - u[0]) / u[1] + 0.5),
@@ -239,6 +232,32 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     last = max(last + 1, first)
     geometry = strips.are_cones, lattice.sine, lattice.cosine
     return Strip(strips.column[p], strips.width[p], first, last, are_joined, *geometry)
+
+
+@inlined
+def is_beside(lattice, strips, p, n_rows):
+    """Return whether strip number `p` lies beside a window of so many rows, as most strips do of a small body.
+
+    Loops over strips ask it before they call `find_strip`, whose call takes longer than the answer.
+    """
+    u, (low_u, high_u) = lattice.u, _ends_of(lattice, strips, p)
+    level_u, lean = low_u, u[2] / u[1] * n_rows
+    if strips.are_cones and strips.v_low[p] * strips.v_high[p] < 0.0:
+        level_u = _u_on_cone(strips.middle[p], 1.0, lattice.sine, lattice.cosine)
+    leftmost = (min(low_u, high_u, level_u) - u[0]) / u[1] + 0.5
+    rightmost = (max(low_u, high_u, level_u) - u[0]) / u[1] + 0.5
+    return max(rightmost, rightmost - lean) <= -1.0 or min(leftmost, leftmost - lean) >= lattice.columns
+
+
+@inlined
+def _ends_of(lattice, strips, p):
+    """Return u of the lower and the upper end of strip number `p`, which differ if it is curved."""
+    low_u = high_u = middle = strips.middle[p]
+    if strips.are_cones:
+        v_low, v_high = strips.v_low[p], strips.v_high[p]
+        low_u = _u_on_cone(middle, 1.0 + v_low * v_low, lattice.sine, lattice.cosine)
+        high_u = _u_on_cone(middle, 1.0 + v_high * v_high, lattice.sine, lattice.cosine)
+    return low_u, high_u
 
 
 @uncounted
@@ -328,9 +347,9 @@ def _find_faces(work, face_id, columns, bottom_row, n):
 
 
 @uncounted
-def _untried_after(untried, is_tried, strip):
+def _untried_after(untried, is_tried, are_joined):
     """Return for how many strips no rows are to be joined, after a strip where that was tried or not."""
-    if strip.are_joined:
+    if are_joined:
         return 0
     return UNTRIED_STRIPS if is_tried else max(untried - 1, 0)
 
@@ -796,9 +815,12 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
     (plane_echo, face_id, lattice), untried = samples, 0
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
+        if is_beside(lattice, strips, p, plane_echo.shape[0]):
+            untried = _untried_after(untried, is_tried, False)
+            continue
         piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
         strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
-        untried = _untried_after(untried, is_tried, strip)
+        untried = _untried_after(untried, is_tried, strip.are_joined)
         if strip.first == strip.last:
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
@@ -875,6 +897,15 @@ def share_wide_columns(wide_edges, shares, sums, spans):
             for k in range(uint64(first), uint64(past)):
                 sums[column, k] += share * sums[row, k]
             spans[c, 0], spans[c, 1] = min(spans[c, 0], first), max(spans[c, 1], past)
+
+
+@uncounted
+def count_bins(spans):
+    """Return how many bins of all columns may differ from zero; spans : as in `sum_footprints`."""
+    total = 0
+    for c in range(spans.shape[0]):
+        total += max(spans[c, 1] - spans[c, 0], 0)
+    return total
 
 
 TILE_BEAMS = 4  # beams at a time, so that what is read of columns serves several
@@ -1356,7 +1387,7 @@ def sum_bodies(
         is_tried = spread and untried == 0
         piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
         strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
-        untried = _untried_after(untried, is_tried, strip)
+        untried = _untried_after(untried, is_tried, strip.are_joined)
         start, last = strip.first, strip.last
         if start == last:
             continue
