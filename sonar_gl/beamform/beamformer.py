@@ -23,8 +23,8 @@ from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
-# column's bin with its weight: less is done in one thread.
-FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
+# column's bin with its weight: less is done in one thread. A row with labels takes twice as long.
+FEW_ROWS, FEW_LABEL_ROWS, FEW_PRODUCTS = 10_000, 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
 HALF_POWER_TWO_WAY = 0.25
 # Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
@@ -478,7 +478,7 @@ class Beamformer:
         view : its samples hold the numbers of bodies
         """
         samples, columns = view.sectors, self._column_sums()
-        is_little = self._rows(samples) < FEW_ROWS
+        is_little = self._rows(samples) < FEW_LABEL_ROWS
         for half in range(2):
             self.clear_columns(half, columns)
         runs = self._labeller.sum_up(samples, self.strips, partial(self._run, serial=is_little), columns)

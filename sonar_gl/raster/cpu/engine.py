@@ -93,7 +93,8 @@ class _Array:
 
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
-        if not count <= len(self._array) <= max(MAX_EXCESS * count, MIN_KEPT):
+        size = len(self._array)
+        if size < count or (size > MIN_KEPT and size > MAX_EXCESS * count):
             self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
         return self._array[:count]
 
