@@ -9,7 +9,6 @@ from threading import Lock, Thread, get_ident
 
 from sonar_gl.core.errors import Error, closed_error
 
-
 NOTHING = nullcontext()  # made once: it may be entered again and again
 
 
