@@ -1091,11 +1091,23 @@ def atan(t):
     return (((p * x + 0.1999355085) * x - 0.3333314528) * x + 1.0) * t
 
 
+@compiled
+def asin(x):
+    """Return arcsin of 0..1 to 2e-8, with one square root.
+
+    Source: Abramowitz, Stegun, "Handbook of Mathematical Functions", 4.4.46
+    """
+    p = ((-0.0012624911 * x + 0.0066700901) * x - 0.0170881256) * x + 0.0308918810
+    p = (((p * x - 0.0501743046) * x + 0.0889789874) * x - 0.2145988016) * x + 1.5707963050
+    return math.pi / 2 - math.sqrt(max(1.0 - x, 0.0)) * p
+
+
 @inlined
 def _find_angles(work, strip):
-    """Find elevation and incidence of a strip's footprints."""
+    """Find elevation and incidence of a strip's footprints, before `_find_intervals`."""
     rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
     line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
+    inverse_length, elevation_rise, incidence_rise = work[NEAR], work[ELEVATION_RISE], work[INCIDENCE_RISE]
     first, last = strip.first, strip.last
     for m in range(uint64(first), uint64(last)):
         # of the plane p · x = 1, whose other parts are the slopes
@@ -1105,39 +1117,36 @@ def _find_angles(work, strip):
         past = math.sqrt(max(past2, 0.0))
         angle = atan(min(towards, past) / max(towards, past))
         incidence[m] = math.pi / 2 - angle if past > towards else angle
-        vc = abs(border[m] + border[uint64(m + 1)]) / 2
-        uc = line_u[m] + tilt[m] * (border[m] + border[uint64(m + 1)]) / 2
-        level = math.sqrt(1.0 + uc * uc)
-        angle = atan(min(vc, level) / max(vc, level))
-        elevation[m] = math.pi / 2 - angle if vc > level else angle
-        work[ELEVATION_RISE, m] = work[INCIDENCE_RISE, m] = 0.0
-    for m in range(uint64(first), uint64(last)):
-        elevation[m] = -elevation[m] if border[m] + border[uint64(m + 1)] < 0.0 else elevation[m]
+        incidence_rise[m] = past  # for `_find_rises`
+        vc = (border[m] + border[uint64(m + 1)]) / 2
+        elevation[m] = math.copysign(asin(abs(vc) * inverse_length[m]), vc)
     if strip.are_joined:
         _find_rises(work, strip)
+    else:
+        for m in range(uint64(first), uint64(last)):
+            elevation_rise[m] = incidence_rise[m] = 0.0
 
 
 @inlined
 def _find_rises(work, strip):
     """Find how elevation and incidence change with s within footprints of several rows."""
-    rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
+    rest, along, border, s = work[REST], work[ALONG], work[BORDER], work[S]
     line_u, tilt, a, b, incidence = work[LINE_U], work[TILT], work[A], work[B], work[INCIDENCE]
+    elevation_rise, incidence_rise = work[ELEVATION_RISE], work[INCIDENCE_RISE]
     for m in range(uint64(strip.first), uint64(strip.last)):
-        if b[m] <= 1e-9 * s[m]:
-            continue
-        x, along_v = rest[m] - along_u[m] * line_u[m], along[m] - along_u[m] * tilt[m]
-        plane2 = x * x + along_u[m] * along_u[m] + along_v * along_v
-        # by linear regression, if s changes across the strip, too
-        share = b[m] * b[m] / (a[m] * a[m] + b[m] * b[m])
-        # cos θ is s over the length of the plane's vector
-        rise = -1.0 / math.sqrt(max(plane2 - s[m] * s[m], 1e-12 * plane2))
-        work[INCIDENCE_RISE, m] = share * max(rise, -incidence[m] / b[m])
-        low, high = border[m], border[uint64(m + 1)]
+        # the plane's vector has the part s along the ray, and this one across it
+        past, low, high = incidence_rise[m], border[m], border[uint64(m + 1)]
+        # by linear regression, if s changes across the strip, too: b² / (a² + b²), over b
+        share = b[m] / max(a[m] * a[m] + b[m] * b[m], LEAST_POWER)
+        share = share if b[m] > 1e-9 * s[m] else 0.0
+        # cos θ is s over the length of the plane's vector; at normal incidence θ falls to 0 at an end
+        incidence_rise[m] = -share * min(b[m] / max(past, LEAST_POWER), incidence[m])
         vc, uc = (low + high) / 2, line_u[m] + tilt[m] * (low + high) / 2
         level2 = 1.0 + uc * uc
-        rise = share * (high - low) / 2 * math.sqrt(level2) / (level2 + vc * vc) / b[m]
-        is_nearer_above = along[m] * (level2 + vc * vc) > (rest[m] + along[m] * vc) * (vc + uc * tilt[m])
-        work[ELEVATION_RISE, m] = rise if is_nearer_above else -rise
+        length2 = level2 + vc * vc
+        rise = share * (high - low) / 2 * math.sqrt(level2) / length2
+        is_nearer_above = along[m] * length2 > (rest[m] + along[m] * vc) * (vc + uc * tilt[m])
+        elevation_rise[m] = rise if is_nearer_above else -rise
 
 
 @inlined

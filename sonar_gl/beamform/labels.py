@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import uint64
 
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
-from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 
@@ -28,8 +28,8 @@ COLUMNS_PER_BEAM = 4
 # Where beams overlap, all of them together receive neighbouring columns alike. Columns are joined only if what all
 # beams return of each is within this share of their mean: it bounds the error of a body's echo, whichever hold it.
 UNEVEN = 2e-3
-# labels that describe the strongest echo; the shadow of a bin does not depend on that
-ECHO_LABELS = {name: empty for name, empty in BIN_LABELS.items() if name != "shadow"}
+# Bins at a time of which labels are cleared, if any of them has one.
+BLOCK_BINS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,7 @@ def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Lab
         counts as the strongest body's
     other : (B, K) float32, the echo without body, likewise
     """
-    weaker = labels.share * direct < other
-    for name, empty in ECHO_LABELS.items():
-        getattr(labels, name)[weaker] = empty
+    _clear(labels, labels.share * direct < other)
     return labels
 
 
@@ -70,18 +68,35 @@ def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels
     intensity : (B, K) float32, mean echo of the ping
     least : intensity from which on bins are labelled
     """
-    for name, empty in ECHO_LABELS.items():
-        values = getattr(labels, name)
-        _clear_faint(intensity, np.float32(least), values, values.dtype.type(empty))
+    _clear(labels, intensity < np.float32(least))
     return labels
 
 
+def _clear(labels: Labels, is_cleared: np.ndarray) -> None:
+    """Take the labels of some bins, (B, K) bool, but shadows and sums of bodies."""
+    means = labels.elevation_rad, labels.incidence_rad, labels.true_range_m
+    _clear_bins(is_cleared, labels.body_id, labels.share, *means)
+
+
 @compiled
-def _clear_faint(intensity, least, values, empty):
-    """Set the values of bins below `least` to `empty`; both arrays (B, K)."""
-    for b in range(intensity.shape[0]):
-        for k in range(intensity.shape[1]):  # without branches, so that the compiler can vectorise it
-            values[b, k] = empty if intensity[b, k] < least else values[b, k]
+def _clear_bins(is_cleared, body_id, share, elevation_rad, incidence_rad, true_range_m):
+    """Set labels to those of bins without echo where `is_cleared`; all arrays (B, K)."""
+    nothing, unknown = np.float32(0.0), np.float32(np.nan)
+    for b in range(uint64(share.shape[0])):
+        for k0 in range(0, share.shape[1], BLOCK_BINS):
+            first, past = uint64(k0), uint64(min(k0 + BLOCK_BINS, share.shape[1]))
+            # most bins that are to be cleared have no echo, and need nothing
+            is_any = False
+            for k in range(first, past):  # without branches, so that the compiler can vectorise it
+                is_any |= is_cleared[b, k] & (share[b, k] != nothing)
+            if not is_any:
+                continue
+            for k in range(first, past):
+                body_id[b, k] = np.uint16(0) if is_cleared[b, k] else body_id[b, k]
+                share[b, k] = nothing if is_cleared[b, k] else share[b, k]
+                elevation_rad[b, k] = unknown if is_cleared[b, k] else elevation_rad[b, k]
+                incidence_rad[b, k] = unknown if is_cleared[b, k] else incidence_rad[b, k]
+                true_range_m[b, k] = unknown if is_cleared[b, k] else true_range_m[b, k]
 
 
 class LabelColumns(NamedTuple):
