@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from sonar_gl.core.worker import NOTHING, SecondThread
+from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
     PatchFaces,
     PlacedBodies,
@@ -377,7 +377,7 @@ class CpuEngine:
 
     def drawing(self) -> AbstractContextManager:
         """Do nothing: there is no context."""
-        return NOTHING
+        return nullcontext()
 
     def collect(self) -> None:
         """Do nothing: arrays go with their last name."""
