@@ -23,8 +23,8 @@ from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
-# column's bin with its weight: less is done in one thread.
-FEW_ROWS, FEW_PRODUCTS = 5_000, 5_000_000
+# column's bin with its weight: less is done in one thread. A row with labels takes twice as long.
+FEW_ROWS, FEW_LABEL_ROWS, FEW_PRODUCTS = 10_000, 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
 HALF_POWER_TWO_WAY = 0.25
 # Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
@@ -478,7 +478,7 @@ class Beamformer:
         view : its samples hold the numbers of bodies
         """
         samples, columns = view.sectors, self._column_sums()
-        is_little = self._rows(samples) < FEW_ROWS
+        is_little = self._rows(samples) < FEW_LABEL_ROWS
         for half in range(2):
             self.clear_columns(half, columns)
         runs = self._labeller.sum_up(samples, self.strips, partial(self._run, serial=is_little), columns)
@@ -515,8 +515,11 @@ class Beamformer:
 
     def _rows(self, samples) -> float:
         """Return about how many rows of strips there are in all."""
-        pairs = zip(self.fan.sectors, samples, strict=True)
-        return sum(len(s.strips.middle) / s.columns * one.plane_echo[..., 0].size for s, one in pairs)
+        n_rows = 0.0
+        for sector, one in zip(self.fan.sectors, samples, strict=True):
+            rows, columns, _ = one.plane_echo.shape
+            n_rows += len(sector.strips.middle) / sector.columns * columns * rows
+        return n_rows
 
     def weigh(self, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
@@ -534,7 +537,7 @@ class Beamformer:
                 columns.sums, columns.spans, tiles, self._parts[half], gain, out
             )
 
-        bins = np.maximum(columns.spans[:, 1] - columns.spans[:, 0], 0).mean()
+        bins = kernels.count_bins(columns.spans) / len(columns.spans)
         self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
         return out, sum(totals)
 

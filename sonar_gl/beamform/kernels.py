@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import int64, uint64
 
-from sonar_gl.core.compiled import compiled, inlined
+from sonar_gl.core.compiled import compiled, inlined, uncounted
 from sonar_gl.sonar.fan import FAR_FACTOR
 from sonar_gl.sonar.samples import ViewSamples
 
@@ -170,7 +170,7 @@ def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -
 # ---- strips ------------------------------------------------------------------------------------------
 
 
-@compiled
+@uncounted
 def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     """Return the Strip number `p` of a sector, with its samples and their borders in `work`.
 
@@ -190,16 +190,9 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     """
     u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
     v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
-    low_u = high_u = least_u = most_u = middle
-    if strips.are_cones:
-        low_u = _u_on_cone(middle, 1.0 + v_low * v_low, lattice.sine, lattice.cosine)
-        high_u = _u_on_cone(middle, 1.0 + v_high * v_high, lattice.sine, lattice.cosine)
-        level_u = _u_on_cone(middle, 1.0, lattice.sine, lattice.cosine) if v_low * v_high < 0.0 else low_u
-        least_u, most_u = min(low_u, high_u, level_u), max(low_u, high_u, level_u)
-    leftmost, rightmost = (least_u - u[0]) / u[1] + 0.5, (most_u - u[0]) / u[1] + 0.5
     first, last, are_joined = 0, -1, False
-    # not beside the window
-    if max(rightmost, rightmost - step * R) > -1.0 and min(leftmost, leftmost - step * R) < lattice.columns:
+    if not is_beside(lattice, strips, p, R):
+        low_u, high_u = _ends_of(lattice, strips, p)
         # rows that may touch the aperture: v of the nearest ray is linear in j but for the rounding of i
         low_v, high_v, rise = (
             v[0] + v[1] * ((low_u - u[0]) / u[1] + 0.5),
@@ -241,7 +234,33 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     return Strip(strips.column[p], strips.width[p], first, last, are_joined, *geometry)
 
 
-@compiled
+@inlined
+def is_beside(lattice, strips, p, n_rows):
+    """Return whether strip number `p` lies beside a window of so many rows, as most strips do of a small body.
+
+    Loops over strips ask it before they call `find_strip`, whose call takes longer than the answer.
+    """
+    u, (low_u, high_u) = lattice.u, _ends_of(lattice, strips, p)
+    level_u, lean = low_u, u[2] / u[1] * n_rows
+    if strips.are_cones and strips.v_low[p] * strips.v_high[p] < 0.0:
+        level_u = _u_on_cone(strips.middle[p], 1.0, lattice.sine, lattice.cosine)
+    leftmost = (min(low_u, high_u, level_u) - u[0]) / u[1] + 0.5
+    rightmost = (max(low_u, high_u, level_u) - u[0]) / u[1] + 0.5
+    return max(rightmost, rightmost - lean) <= -1.0 or min(leftmost, leftmost - lean) >= lattice.columns
+
+
+@inlined
+def _ends_of(lattice, strips, p):
+    """Return u of the lower and the upper end of strip number `p`, which differ if it is curved."""
+    low_u = high_u = middle = strips.middle[p]
+    if strips.are_cones:
+        v_low, v_high = strips.v_low[p], strips.v_high[p]
+        low_u = _u_on_cone(middle, 1.0 + v_low * v_low, lattice.sine, lattice.cosine)
+        high_u = _u_on_cone(middle, 1.0 + v_high * v_high, lattice.sine, lattice.cosine)
+    return low_u, high_u
+
+
+@uncounted
 def _u_on_cone(k, w, sine, cosine):
     """Return u where the cone of sine k about the array's axis has v² = w - 1, in the sector of this azimuth.
 
@@ -253,7 +272,7 @@ def _u_on_cone(k, w, sine, cosine):
     return (sine * cosine - k * root) / (cosine * cosine - k * k)
 
 
-@compiled
+@uncounted
 def _lay_upright(work, lattice, middle, bottom_row, n):
     """Find the samples nearest to an upright strip, n rows from `bottom_row` on."""
     sample, row, line_u, tilt, v_ray = work[SAMPLE], work[ROW], work[LINE_U], work[TILT], work[V_RAY]
@@ -267,7 +286,7 @@ def _lay_upright(work, lattice, middle, bottom_row, n):
         v_ray[m] = v0 + vi * i + vj * j
 
 
-@compiled
+@uncounted
 def lay_on_cone(work, lattice, k, bottom_row, n):
     """Find the samples nearest to the strip of the cone of sine k, n rows from `bottom_row` on.
 
@@ -302,7 +321,7 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
         line_u[m], tilt[m] = uc - slope * vc, slope
 
 
-@compiled
+@uncounted
 def _find_upright(work, lattice, middle, bottom_row, n):
     """Find the columns alone of the samples nearest to an upright strip, n rows from `bottom_row` on."""
     sample, u = work[SAMPLE], lattice.u
@@ -311,7 +330,7 @@ def _find_upright(work, lattice, middle, bottom_row, n):
         sample[m] = np.int32(nearest - step * (np.int32(m) + np.int32(bottom_row)))
 
 
-@compiled
+@uncounted
 def _find_faces(work, face_id, columns, bottom_row, n):
     """Find in which of a strip's rows another face begins than in the row below; return how many."""
     sample, start = work[SAMPLE], work[START]
@@ -327,15 +346,15 @@ def _find_faces(work, face_id, columns, bottom_row, n):
     return n_faces
 
 
-@compiled
-def _untried_after(untried, is_tried, strip):
+@uncounted
+def _untried_after(untried, is_tried, are_joined):
     """Return for how many strips no rows are to be joined, after a strip where that was tried or not."""
-    if strip.are_joined:
+    if are_joined:
         return 0
     return UNTRIED_STRIPS if is_tried else max(untried - 1, 0)
 
 
-@compiled
+@uncounted
 def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
     """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`."""
     u, v = lattice.u, lattice.v
@@ -351,7 +370,7 @@ def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
     return (along * (1.0 + line * line) - rest * line * lean) / slope if slope != 0.0 else math.inf
 
 
-@compiled
+@uncounted
 def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
     """Gather what stands for the rows of each face, in pieces.
 
@@ -446,7 +465,7 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
     return n, first, last
 
 
-@compiled
+@uncounted
 def _gather_samples(work, plane_echo, lattice, bottom_row, n):
     """Gather the samples of a strip, n rows from `bottom_row` on; return the first and the last with an echo."""
     sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
@@ -483,7 +502,7 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
     return (begin, end - 1) if begin < end else (0, -1)
 
 
-@compiled
+@uncounted
 def _find_borders(work, first, last, v_highest, v_lowest, limits):
     """Find v where each of a strip's footprints begins, from `first` to before `last`.
 
@@ -512,7 +531,7 @@ def _find_borders(work, first, last, v_highest, v_lowest, limits):
         border[m] = min(max(border_here, v_low), v_high)
 
 
-@compiled
+@uncounted
 def _clear_row(c, sums, spans):
     """Set a row to zero, as far as its span says that it may differ from it."""
     for k in range(uint64(spans[c, 0]), uint64(max(spans[c, 0], spans[c, 1]))):
@@ -523,7 +542,7 @@ def _clear_row(c, sums, spans):
 # ---- footprints --------------------------------------------------------------------------------------
 
 
-@compiled
+@uncounted
 def _find_footprints(work, strip, elevation_pattern, per_metre):
     """Find energy, centre, half-widths and slant of a strip's footprints.
 
@@ -597,13 +616,13 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         slant[m] = (rise if is_nearer_above else -rise) if is_slanted else 0.0
 
 
-@compiled
+@uncounted
 def _is_slanted(s, a, b, per_metre):
     """Return whether density changes along a footprint: it covers a bin, or if it is narrow, LEAST_SLANTED of one."""
     return (a < b) & (b < s) & (2 * b * per_metre > s * s * (LEAST_SLANTED if 4 * a < b else 1.0))
 
 
-@compiled
+@uncounted
 def _bend_footprints(work, first, last, per_metre):
     """Let footprints of several rows end where their planes do, and follow the density in between.
 
@@ -634,14 +653,14 @@ def _bend_footprints(work, first, last, per_metre):
         change[m] = echo_rise[m] - half * slope / density if is_slanted else 0.0
 
 
-@compiled
+@uncounted
 def _ramp(s, start):
     """Integrate (s - start) s ds from `start` on."""
     t = max(s - start, 0.0)
     return t * t * (t / 3 + start / 2)
 
 
-@compiled
+@uncounted
 def _below(s, middle, wide, thin):
     """Return 4 wide thin times the energy up to s of the convolution of boxes on ±wide and ±thin.
 
@@ -651,13 +670,13 @@ def _below(s, middle, wide, thin):
     return rise - (_ramp(s, middle + wide - thin) - _ramp(s, middle + wide + thin))
 
 
-@compiled
+@uncounted
 def _slanted(rise, s, nearer, further, wide):
     """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends."""
     return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)
 
 
-@compiled
+@uncounted
 def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin, slant):
     """Add a footprint with ramps of more than a fraction of a bin to a row of bins; return first and last
     bin.
@@ -684,7 +703,7 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
     return first, last
 
 
-@compiled
+@uncounted
 def _find_intervals(work, first, last, bins):
     """Find both ends of footprints, their heights and bins, ramps neglected, from `first` to before `last`."""
     energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
@@ -701,7 +720,7 @@ def _find_intervals(work, first, last, bins):
         work[FAR_BIN, m] = (near * inverse - first_m) * per_metre
 
 
-@compiled
+@uncounted
 def spread_footprints(work, start, stop, sums, spans, c, bins):
     """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
 
@@ -785,14 +804,23 @@ def sum_footprints(plane_echo, face_id, lattice, strips, bins, spread, elevation
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are added to
     spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; widened
     """
-    lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
-    untried = 0
+    samples = plane_echo, face_id, Lattice(*lattice)
+    _sum_strips(work, samples, StripTable(*strips), BinTable(*bins), spread, elevation_pattern, sums, spans)
+
+
+@uncounted
+def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, spans):
+    """Do the work of `sum_footprints`; work : (FOOTPRINT_ROWS, R + 1), overwritten; samples : with the lattice."""
+    (plane_echo, face_id, lattice), untried = samples, 0
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
+        if is_beside(lattice, strips, p, plane_echo.shape[0]):
+            untried = _untried_after(untried, is_tried, False)
+            continue
         piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
         strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
-        untried = _untried_after(untried, is_tried, strip)
+        untried = _untried_after(untried, is_tried, strip.are_joined)
         if strip.first == strip.last:
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
@@ -848,7 +876,7 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
-@compiled
+@uncounted
 def share_wide_columns(wide_edges, shares, sums, spans):
     """Add what wide columns hold to their columns.
 
@@ -869,6 +897,15 @@ def share_wide_columns(wide_edges, shares, sums, spans):
             for k in range(uint64(first), uint64(past)):
                 sums[column, k] += share * sums[row, k]
             spans[c, 0], spans[c, 1] = min(spans[c, 0], first), max(spans[c, 1], past)
+
+
+@uncounted
+def count_bins(spans):
+    """Return how many bins of all columns may differ from zero; spans : as in `sum_footprints`."""
+    total = 0
+    for c in range(spans.shape[0]):
+        total += max(spans[c, 1] - spans[c, 0], 0)
+    return total
 
 
 TILE_BEAMS = 4  # beams at a time, so that what is read of columns serves several
@@ -1042,7 +1079,7 @@ class RunStore(NamedTuple):
     n_pool: int
 
 
-@compiled
+@uncounted
 def atan(t):
     """Return arctan of 0..1 to 2e-8; unlike the library's, the compiler can vectorise it.
 
@@ -1169,7 +1206,7 @@ def _store_runs(bodies, column, store):
     return RunStore(runs, n_runs, pool, used)
 
 
-@compiled
+@uncounted
 def _add_moments(cells, slot, k, echo, elevation, incidence, range_):
     """Add an echo with its elevation, incidence and echo times range less `middle_m` to a cell."""
     cells[slot, CELL_ECHO, k] += echo
@@ -1178,14 +1215,14 @@ def _add_moments(cells, slot, k, echo, elevation, incidence, range_):
     cells[slot, CELL_RANGE, k] += range_
 
 
-@compiled
+@uncounted
 def _ramp_range(s, start):
     """As `_ramp`, for (s - start) ds."""
     t = max(s - start, 0.0)
     return t * t / 2
 
 
-@compiled
+@uncounted
 def _below_range(s, middle, wide, thin):
     """As `_below`, for range times energy."""
     rise = _ramp_range(s, middle - wide - thin) - _ramp_range(s, middle - wide + thin)
@@ -1350,7 +1387,7 @@ def sum_bodies(
         is_tried = spread and untried == 0
         piece = (bins.piece_rad if is_tried else 0.0), bins.piece_m
         strip = find_strip(work, plane_echo, face_id, lattice, strips, p, bins.q_unseen, piece)
-        untried = _untried_after(untried, is_tried, strip)
+        untried = _untried_after(untried, is_tried, strip.are_joined)
         start, last = strip.first, strip.last
         if start == last:
             continue
@@ -1822,7 +1859,7 @@ def _sector_frame(reflection):
     return SectorFrame(own, other, ceiling)
 
 
-@compiled
+@uncounted
 def find_surfaces(x, y, z, first, last, view, out):
     """Find what a view shows in some directions, all in the frame of its sonar.
 
@@ -1865,7 +1902,7 @@ def find_surfaces(x, y, z, first, last, view, out):
             break
 
 
-@compiled
+@uncounted
 def _is_first(nearness, is_body):
     """Return whether sound meets a reflector before anything else.
 
@@ -1874,7 +1911,7 @@ def _is_first(nearness, is_body):
     return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
 
 
-@compiled
+@uncounted
 def _place_in_table(share, n):
     """Return the entry of a table of n below a share of its length, and how far beyond it that lies, 0 to 1."""
     at = min(max(share, 0.0), 1.0) * (n - 1)
@@ -1882,7 +1919,7 @@ def _place_in_table(share, n):
     return k, at - k
 
 
-@compiled
+@uncounted
 def _elevation_power(elevation_pattern, sine):
     """Return the two-way elevation pattern at a sine of elevation."""
     k, rest = _place_in_table((sine + 1.0) / 2, elevation_pattern.shape[0])
@@ -2135,7 +2172,7 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         work[ENERGY, m] = strength * across * height / (length * length2 * s)
 
 
-@compiled
+@uncounted
 def clear_columns(first, last, sums, spans):
     """Set rows of sums to zero, from `first` to before `last`; `sums` and `spans` as in `sum_footprints`."""
     for c in range(first, last):

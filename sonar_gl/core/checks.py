@@ -30,9 +30,7 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         out = np.array(array, dtype=dtype, order="C")
     except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
         raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
-    if len(out.shape) != len(shape) or any(
-        want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
-    ):
+    if out.shape != shape and not _fits(out.shape, shape):
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise Error(f"{what} must have shape {wanted} (got {out.shape}{hint and f'; {hint}'})")
     if not np.isfinite(out).all():
@@ -40,6 +38,13 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
     out.setflags(write=False)
     return out
+
+
+def _fits(shape: tuple, wanted: tuple) -> bool:
+    """Return whether an array's shape is as wanted, where None allows any length."""
+    return len(shape) == len(wanted) and all(
+        want in (None, got) for want, got in zip(wanted, shape, strict=True)
+    )
 
 
 def check_kind(name: str, value, kind, cure: str):

@@ -22,10 +22,25 @@ def compiled(function):
     Numba looks a cached function up by the state of the function's own file. So a compiled function calls functions,
     and uses constants, of its own file only: after a change of another file it would run with outdated ones.
     """
+    return _kept(function, OPTIONS)
+
+
+def uncounted(function):
+    """Compile a function as `compiled` does, but count no references to arrays in it.
+
+    Else each call, and each row of a table that is given a name, counts some: atomic operations of 5 to 10 ns each,
+    which take as long as the work where a function has a few samples to do. The function must make no array, which
+    Numba refuses to compile, and must return none, not even in a tuple, since its caller would release it.
+    """
+    return _kept(function, {**OPTIONS, "_nrt": False})
+
+
+def _kept(function, options: dict):
+    """Compile a function, and keep its machine code on disk where that is possible."""
     try:
-        return njit(cache=True, **OPTIONS)(function)
+        return njit(cache=True, **options)(function)
     except RuntimeError:  # "cannot cache function": no writable folder
-        return njit(**OPTIONS)(function)
+        return njit(**options)(function)
 
 
 def inlined(function):

@@ -28,7 +28,7 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid."""
     out = frozen_array(matrix, np.float64, (4, 4), what, POSE_HINT)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
-    (a, b, c), (d, e, f), (g, h, i) = out[:3, :3].tolist()
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = out.tolist()
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
     angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
     turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
@@ -37,9 +37,8 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
             f"{what} must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
             "scale the mesh instead)"
         )
-    if out[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise Error(f"{what} must have the last row 0 0 0 1 (got {out[3].tolist()})")
-    x, y, z = out[:3, 3].tolist()
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        raise Error(f"{what} must have the last row 0 0 0 1 (got {last})")
     if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
         raise Error(
             f"{what} must lie within {MAX_POSITION_M:g} m of the origin (got x y z = {x:g} {y:g} {z:g}; give metres)"

@@ -9,6 +9,8 @@ from threading import Lock, Thread, get_ident
 
 from sonar_gl.core.errors import Error, closed_error
 
+NOTHING = nullcontext()  # made once: it may be entered again and again
+
 
 @contextmanager
 def held(lock: Lock):
@@ -17,7 +19,7 @@ def held(lock: Lock):
     A plain `with lock` does not release it if the interrupt comes at the step back to its own line, as from a
     debugger or a tracer. Here that step lies before the end of the second manager, inside the first.
     """
-    with lock, nullcontext():
+    with lock, NOTHING:
         yield
 
 
@@ -42,7 +44,7 @@ class ThreadLock:
     def held(self):
         """Hold the lock for the time of the block; an interrupt at any line releases it."""
         self.check_free()
-        with held(self._lock):
+        with self._lock, NOTHING:  # as in `held`
             try:
                 self._owner = get_ident()
                 yield

@@ -32,9 +32,8 @@ from sonar_gl.sonar.samples import ViewSamples
 
 def make_ping(run: Run, request: PingRequest) -> Ping:
     """Return one transmission and what it brings back: the whole simulator on one screen."""
-    setup = run.set_up(request)
     with run.drawing():
-        received = sample(run, setup)
+        received = sample(run, run.resolve(request))
         report = run.report(received)
     return finish(run, received, report)
 

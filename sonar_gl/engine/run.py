@@ -124,16 +124,20 @@ class Run:
         Error
             if it names a body that the scene lacks, or its water is invalid.
         """
+        with self.world.unchanged():
+            return self.resolve(request)
+
+    def resolve(self, request: PingRequest) -> PingSetup:
+        """Return what `set_up` does; inside `drawing`."""
         world, bubbles = self.world, self.instrument.acoustics.bubbles
-        with world.unchanged():
-            self._warn_of_air(request.pose)
-            state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
-            background = None if request.background is None else world.mask_of(request.background)
-            lobes = request.needs_noise_parts and self._returns_lobes(state)
-            texture = self._texture_of(state) if request.needs_noise_parts else None
-            n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-            setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
-            return setup if texture is None else replace(setup, texture=texture)
+        self._warn_of_air(request.pose)
+        state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
+        background = None if request.background is None else world.mask_of(request.background)
+        lobes = request.needs_noise_parts and self._returns_lobes(state)
+        texture = self._texture_of(state) if request.needs_noise_parts else None
+        n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
+        setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
+        return setup if texture is None else replace(setup, texture=texture)
 
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""

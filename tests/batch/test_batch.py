@@ -392,7 +392,7 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
     """One ping fails once, as when the device is short of memory; another fails each time."""
-    tries, real = [], Run.set_up
+    tries, real = [], Run.resolve
 
     def failing(run, request):
         tries.append(request.time_s)
@@ -403,7 +403,7 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     batch = open_batch(small / "job.toml", tmp_path / "out")
     Manifest.load(Folder(small / "out")).save(batch.folder)
     create_store(batch)
-    monkeypatch.setattr(Run, "set_up", failing)
+    monkeypatch.setattr(Run, "resolve", failing)
     record = make_part(batch, 1)
     batch.close()
     assert record.set_aside == {"5": "RuntimeError: out of something"}
@@ -420,7 +420,7 @@ def test_a_part_without_a_single_ping_ends_the_batch(small, tmp_path, monkeypatc
     batch = open_batch(small / "job.toml", tmp_path / "out")
     Manifest.load(Folder(small / "out")).save(batch.folder)
     create_store(batch)
-    monkeypatch.setattr(Run, "set_up", failing)
+    monkeypatch.setattr(Run, "resolve", failing)
     with pytest.raises(sg.Error, match=r"^no ping of part 1 could be made \(nothing works\)$"):
         make_part(batch, 1)
     batch.close()

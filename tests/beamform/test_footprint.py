@@ -236,7 +236,7 @@ def only(body, samples):
 
 def test_the_echo_is_the_sum_over_bodies():
     """The echoes of single bodies sum to the echo of all, with one thread and with two."""
-    fan, samples = fan_and_samples()
+    fan, samples = fan_and_samples(rows=120)
     weights = beam_weights(fan, None, math.radians(1.5))
     beamformer = Beamformer(fan, weights, thread=SecondThread())
     # enough for two threads

@@ -16,7 +16,7 @@ from sonar_gl.batch import parts, pool
 from sonar_gl.cli import main as cli
 from sonar_gl.engine.run import Run
 
-real = Run.set_up
+real = Run.resolve
 end_signal = getattr(signal, os.environ.get("SIGNAL", "SIGKILL"))
 deadly_begins = os.environ.get("DEADLY_BEGINS")
 memory_mb = os.environ.get("MEMORY_MB")
@@ -36,7 +36,7 @@ def limit_memory():
     resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
 
 
-def set_up(run, request):
+def resolve(run, request):
     if memory_mb:
         limit_memory()
     if any(abs(request.time_s - at) < 1e-6 for at in deadly):
@@ -54,7 +54,7 @@ def begin(batch, report=parts.no_report):
     return parts.begin(batch, report)
 
 
-Run.set_up = set_up
+Run.resolve = resolve
 parts.STEPS["begin"] = begin
 
 pool.STALL_S = float(os.environ.get("STALL_S", pool.STALL_S))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import NOTHING, SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
     PatchFaces,
     PlacedBodies,
@@ -93,7 +93,8 @@ class _Array:
 
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
-        if not count <= len(self._array) <= max(MAX_EXCESS * count, MIN_KEPT):
+        size = len(self._array)
+        if size < count or (size > MIN_KEPT and size > MAX_EXCESS * count):
             self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
         return self._array[:count]
 
@@ -374,10 +375,9 @@ class CpuEngine:
     def check_thread(self) -> None:
         """Do nothing: any thread may draw."""
 
-    @contextmanager
-    def drawing(self):
+    def drawing(self) -> AbstractContextManager:
         """Do nothing: there is no context."""
-        yield None
+        return NOTHING
 
     def collect(self) -> None:
         """Do nothing: arrays go with their last name."""
