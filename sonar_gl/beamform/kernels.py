@@ -1660,24 +1660,24 @@ def sum_body_echo(runs, response, gain, half, body_echo):
     half : 0 or 1
     body_echo : (numbers,) float64, added to: the echo with the gain
     """
-    runs = Runs(*runs)
+    runs, K = Runs(*runs), gain.shape[0]
+    row = np.zeros(K, np.float32)
     for m in range(runs.bodies.shape[0]):
         begin, end = runs.begins[m], runs.begins[m + 1]
-        middle = (begin + end) // 2
+        middle, lowest, highest = (begin + end) // 2, uint64(K), uint64(0)
+        # bin by bin, and these at last: the compiler vectorises no sum over bins
         for n in range(middle if half else begin, end if half else middle):
-            first, past = runs.table[n, FIRST_BIN], runs.table[n, PAST_BIN]
-            pool, at, count = runs.pools[runs.owner[n]], uint64(runs.table[n, PLACE]), uint64(past - first)
-            a, b, c, d = 0.0, 0.0, 0.0, 0.0  # four sums at a time: each addition waits for that before it
-            fours, k0 = count // uint64(4) * uint64(4), uint64(first)
-            for k in range(uint64(0), fours, uint64(4)):
-                a += pool[at + k] * gain[k0 + k]
-                b += pool[at + k + uint64(1)] * gain[k0 + k + uint64(1)]
-                c += pool[at + k + uint64(2)] * gain[k0 + k + uint64(2)]
-                d += pool[at + k + uint64(3)] * gain[k0 + k + uint64(3)]
-            for k in range(fours, count):
-                a += pool[at + k] * gain[k0 + k]
-            total = (a + b) + (c + d)
-            body_echo[runs.bodies[m]] += response[runs.table[n, COLUMN]] * runs.share[n] * total
+            first, past = uint64(runs.table[n, FIRST_BIN]), uint64(runs.table[n, PAST_BIN])
+            pool, at = runs.pools[runs.owner[n]], uint64(runs.table[n, PLACE])
+            weight = np.float32(response[runs.table[n, COLUMN]] * runs.share[n])
+            for k in range(past - first):
+                row[first + k] += weight * pool[at + k]
+            lowest, highest = min(lowest, first), max(highest, past)
+        total = 0.0
+        for k in range(lowest, max(lowest, highest)):
+            total += np.float64(row[k]) * gain[k]
+            row[k] = 0.0
+        body_echo[runs.bodies[m]] += total
 
 
 @compiled
