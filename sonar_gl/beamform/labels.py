@@ -214,12 +214,19 @@ class Labeller:
         is_spread = self._fan.sampling.reducer == "footprint"
         settings = self._bins, is_spread, self._elevation_pattern, self._columns.of_columns
         # strips go along columns: read by rows, each number would come from another line of memory
-        numbers = [np.ascontiguousarray(one.body_id.T) for one in samples]
+        of_sectors = [
+            (
+                whole_rows(one.plane_echo),
+                whole_rows(one.face_id),
+                np.ascontiguousarray(one.body_id.T),
+                one.lattice,
+            )
+            for one in samples
+        ]
 
         def work(half):
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
-            for one, body_id, mine in zip(samples, numbers, strips[half], strict=True):
-                arrays = whole_rows(one.plane_echo), whole_rows(one.face_id), body_id, one.lattice
+            for arrays, mine in zip(of_sectors, strips[half], strict=True):
                 cells, store = kernels.sum_bodies(
                     *arrays, mine, *settings, cells, store, columns.all_sums, columns.all_spans
                 )
