@@ -131,9 +131,10 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of steep patterns",
-        "rise = min(max(change[m], -1.0), 1.0)",
-        "rise = change[m]",
+        "rise = min(max(work[CHANGE, m], -1.0), 1.0)",
+        "rise = work[CHANGE, m]",
         (SMOOTH_FLOOR,),
+        (("rise = min(max(change[m], -1.0), 1.0)", "rise = change[m]"),),
     ),
     Mutation(
         "footprints/slant by the pattern",
@@ -168,21 +169,29 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slope across",
-        "abs(along_u[m] - at * uc * one_over_L2)",
-        "abs(along_u[m] + at * uc * one_over_L2)",
+        "abs(work[ALONG_U, m] - at * uc * one_over_L2)",
+        "abs(work[ALONG_U, m] + at * uc * one_over_L2)",
         FOOTPRINTS,
+        (("abs(along_u[m] - at * uc * one_over_L2)", "abs(along_u[m] + at * uc * one_over_L2)"),),
     ),
     Mutation(
         "footprints/length of the ray",
-        "abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2)",
-        "abs(along[m])",
+        "abs(work[ALONG, m] - at * (vc + uc * work[TILT, m]) * one_over_L2)",
+        "abs(work[ALONG, m])",
         FOOTPRINTS,
+        (("abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2)", "abs(along[m])"),),
     ),
     Mutation(
         "footprints/solid angle",
-        "echo[m] * across * height * one_over_L * one_over_L2",
-        "echo[m] * across * height * one_over_L2",
+        "work[ECHO, m] * across * height * one_over_L * one_over_L2",
+        "work[ECHO, m] * across * height * one_over_L2",
         FOOTPRINTS,
+        (
+            (
+                "echo[m] * across * height * one_over_L * one_over_L2",
+                "echo[m] * across * height * one_over_L2",
+            ),
+        ),
     ),
     Mutation(
         "footprints/plane in the strip's middle",
@@ -357,9 +366,10 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "_clear_faint(intensity, np.float32(least)",
-        "_clear_faint(intensity, np.float32(0.0)",
+        "_clear(labels, intensity < np.float32(least)",
+        "_clear(labels, intensity < np.float32(0.0)",
         LABELS,
+        (("_clear_faint(intensity, np.float32(least)", "_clear_faint(intensity, np.float32(0.0)"),),
     ),
     Mutation(
         "labels/total of a third body",

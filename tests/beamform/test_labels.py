@@ -10,7 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.beamform import labels
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
-from sonar_gl.beamform.kernels import atan, bin_table
+from sonar_gl.beamform.kernels import asin, atan, bin_table
 from sonar_gl.beamform.labels import label_columns
 from sonar_gl.embed.sensor import Sensor
 from sonar_gl.ping import BIN_LABELS
@@ -245,9 +245,10 @@ def test_joined_columns_change_labels_less_than_finer_samples_do(monkeypatch):
     assert 0 < joined[0] < sampled[0] and 0 < joined[1] < sampled[1]
 
 
-def test_atan_and_the_centre_of_bins():
+def test_atan_asin_and_the_centre_of_bins():
     t = np.linspace(0, 1, 1001)
     np.testing.assert_allclose([atan(one) for one in t], np.arctan(t), atol=3e-8)
+    np.testing.assert_allclose([asin(one) for one in t], np.arcsin(t), atol=3e-8)
     edges = np.array([0.5, 1.0, 1.7])
     fine = 1 / np.linspace(1 / edges[:-1], 1 / edges[1:], 100_001)  # even in s = 1/r
     # ∫ r s ds / ∫ s ds over each bin
