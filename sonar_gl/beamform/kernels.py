@@ -8,8 +8,6 @@ would run with what that one was before its file changed.
 Entry functions take plain tuples where inner ones take the NamedTuples below, and name them on their first
 line: Numba finds the type of a plain tuple in 0.1 µs, that of a NamedTuple in 9 µs. Loops over samples pass
 none on: each call would count references to all of its arrays, which takes as long as all the rest.
-Functions that end in several places, as loops with `continue` do, index `work` by row and sample: a view of a row would
-be counted, too, in each strip.
 
 Loops over a strip's samples have no branches, so that the compiler can vectorise them. Indices are unsigned:
 an index that may be negative prevents vectorisation.
@@ -117,8 +115,6 @@ class Strip(NamedTuple):
 SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
 START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
-# before `_find_intervals`: one over the length of the direction, the elevation pattern, and the change of density
-INVERSE_LENGTH, POWER, CHANGE = NEAR, FAR, NEAR_BIN
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
 FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE_RISE + 1
 NOTHING = -1  # of `SectorSamples.face_id`
@@ -360,18 +356,15 @@ def _untried_after(untried, is_tried, are_joined):
 
 @uncounted
 def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
-    """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`.
-
-    lattice : numbers alone of Lattice: u, v and how many columns
-    """
-    u0, ui, uj, v0, vi, vj, columns = lattice
+    """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`."""
+    u, v = lattice.u, lattice.v
     i, j = np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
-    row, column = uint64(j), uint64(min(max(i, 0), columns - 1))
-    line, lean, v_ray = work[LINE_U, 0], 0.0, v0 + vi * i + vj * j
+    row, column = uint64(j), uint64(min(max(i, 0), lattice.columns - 1))
+    line, lean, v_ray = work[LINE_U, 0], 0.0, v[0] + v[1] * i + v[2] * j
     if are_cones:
         line, lean, v_ray = work[LINE_U, uint64(m)], work[TILT, uint64(m)], work[V_RAY, uint64(m)]
     slope_u, slope_v = plane_echo[row, column, 1], plane_echo[row, column, 2]
-    rest = plane_echo[row, column, 0] + slope_u * (line - u0 - ui * i - uj * j) - slope_v * v_ray
+    rest = plane_echo[row, column, 0] + slope_u * (line - u[0] - u[1] * i - u[2] * j) - slope_v * v_ray
     along = slope_v + slope_u * lean
     slope = rest * (1.0 + lean * lean) - along * line * lean
     return (along * (1.0 + line * line) - rest * line * lean) / slope if slope != 0.0 else math.inf
@@ -392,30 +385,32 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
     -------
     number of pieces, the first and the last with an echo
     """
+    start, sample, v_ray = work[START], work[SAMPLE], work[V_RAY]
+    line_u, tilt, v_lowest, v_highest = work[LINE_U], work[TILT], work[V_LOWEST], work[V_HIGHEST]
+    q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
     u, v, columns, bottom = lattice.u, lattice.v, lattice.columns, uint64(bottom_row)
     u0, ui, uj, v0, vi, vj, first, last, n = u[0], u[1], u[2], v[0], v[1], v[2], 0, -1, 0
-    line, lean, (piece_rad, piece_m, rise) = work[LINE_U, 0], 0.0, limits
-    numbers = u0, ui, uj, v0, vi, vj, columns  # arrays would have their references counted
+    line, lean, (piece_rad, piece_m, rise) = line_u[0], 0.0, limits
     # in place: no row is read after a piece is written there, since each piece has a row of its own
     for face in range(uint64(n_faces)):
-        begin, past = np.int64(work[START, face]), np.int64(work[START, face + uint64(1)])
+        begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
         wanted, nearest_v = 1.0, math.inf
         if past - begin > 1:
             m, end = uint64((begin + past) >> 1), uint64(past - 1)
-            i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
+            i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
             nearness = np.float64(plane_echo[m + bottom, i, 0])
             if nearness > 0.0:
                 mean_echo = max(np.float64(plane_echo[m + bottom, i, 3]), LEAST_POWER)
                 change_q = change_echo = 0.0
                 for side in range(2):
                     m = end if side else uint64(begin)
-                    i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
+                    i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
                     change_q = max(change_q, abs(plane_echo[m + bottom, i, 0] / nearness - 1.0))
                     change_echo = max(change_echo, abs(plane_echo[m + bottom, i, 3] / mean_echo - 1.0))
                 wanted = (past - begin) * rise / min(piece_rad, math.sqrt(piece_m * nearness))
                 wanted = max(wanted, change_q / PIECE_CHANGE, change_echo / PIECE_CHANGE, 1.0)
                 nearest_v = _find_nearest(
-                    work, plane_echo, numbers, (begin + past) >> 1, bottom_row, are_cones
+                    work, plane_echo, lattice, (begin + past) >> 1, bottom_row, are_cones
                 )
         low, wanted_per_row = begin, wanted / (past - begin)
         while low < past:
@@ -424,9 +419,9 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
                 left / math.ceil(left * wanted_per_row - 1e-9)
             )  # pieces that are left are alike
             if length > 1:
-                i = np.int64(work[SAMPLE, uint64(low)])
+                i = np.int64(sample[uint64(low)])
                 apart = nearest_v - (
-                    work[V_RAY, uint64(low)] if are_cones else v0 + vi * i + vj * (low + bottom_row)
+                    v_ray[uint64(low)] if are_cones else v0 + vi * i + vj * (low + bottom_row)
                 )
                 # of what is apart from the middle of the piece
                 graded = apart * (SLOPE_CHANGE / (1.0 + SLOPE_CHANGE / 2 * (1.0 if apart > 0.0 else -1.0)))
@@ -434,20 +429,17 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
             high = low + length - 1
             m, at = uint64((low + high) >> 1), uint64(n)
             i, i_low, i_high = (
-                np.int64(work[SAMPLE, m]),
-                np.int64(work[SAMPLE, uint64(low)]),
-                np.int64(work[SAMPLE, uint64(high)]),
+                np.int64(sample[m]),
+                np.int64(sample[uint64(low)]),
+                np.int64(sample[uint64(high)]),
             )
             j, j_low, j_high = np.int64(m) + bottom_row, low + bottom_row, high + bottom_row
             if are_cones:
-                line, lean, v_middle = work[LINE_U, m], work[TILT, m], work[V_RAY, m]
-                work[V_LOWEST, at], work[V_HIGHEST, at] = work[V_RAY, uint64(low)], work[V_RAY, uint64(high)]
+                line, lean, v_middle = line_u[m], tilt[m], v_ray[m]
+                v_lowest[at], v_highest[at] = v_ray[uint64(low)], v_ray[uint64(high)]
             else:
                 v_middle = v0 + vi * i + vj * j
-                work[V_LOWEST, at], work[V_HIGHEST, at] = (
-                    v0 + vi * i_low + vj * j_low,
-                    v0 + vi * i_high + vj * j_high,
-                )
+                v_lowest[at], v_highest[at] = v0 + vi * i_low + vj * j_low, v0 + vi * i_high + vj * j_high
             near = mean_echo = slope_u = slope_v = echo_rise = 0.0
             if 0 <= i < columns:
                 row, column = uint64(j), uint64(i)
@@ -465,21 +457,10 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
                 first, last = first if last >= 0 else n, n
             else:
                 mean_echo = 0.0
-            work[Q, at], work[ALONG_U, at], work[ECHO, at], work[ECHO_RISE, at] = (
-                near,
-                slope_u,
-                mean_echo,
-                echo_rise,
-            )
-            work[REST, at] = near + slope_u * (line - u0 - ui * i - uj * j) - slope_v * v_middle
-            work[ALONG, at] = slope_v + slope_u * lean
-            work[SAMPLE, at], work[ROW, at], work[LINE_U, at], work[TILT, at], work[V_RAY, at] = (
-                i,
-                j,
-                line,
-                lean,
-                v_middle,
-            )
+            q[at], along_u[at], echo[at], work[ECHO_RISE, at] = near, slope_u, mean_echo, echo_rise
+            rest[at] = near + slope_u * (line - u0 - ui * i - uj * j) - slope_v * v_middle
+            along[at] = slope_v + slope_u * lean
+            sample[at], work[ROW, at], line_u[at], tilt[at], v_ray[at] = i, j, line, lean, v_middle
             n, low = n + 1, high + 1
     return n, first, last
 
@@ -571,12 +552,21 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     per_metre : of BinTable
     """
-    first, last = strip.first, strip.last
+    rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
+    line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
+    # `_find_intervals` writes the last three rows later
+    energy, slant, inverse_length, power, change = (
+        work[ENERGY],
+        work[SLANT],
+        work[NEAR],
+        work[FAR],
+        work[NEAR_BIN],
+    )
     for m in range(uint64(first), uint64(last)):
-        low, high = work[BORDER, m], work[BORDER, uint64(m + 1)]
+        low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
-        uc = work[LINE_U, m] + work[TILT, m] * vc
+        uc = line_u[m] + tilt[m] * vc
         length2 = 1.0 + uc * uc + vc * vc
         one_over_L2 = 1.0 / length2
         one_over_L = math.sqrt(one_over_L2)
@@ -584,14 +574,12 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         across = width
         if are_cones:
             across *= length2 / (max(cosine * (1.0 + vc * vc) + sine * uc, LEAST_AHEAD) * one_over_L)
-        at = work[REST, m] + work[ALONG, m] * vc
-        work[ENERGY, m] = work[ECHO, m] * across * height * one_over_L * one_over_L2
+        at = rest[m] + along[m] * vc
+        energy[m] = echo[m] * across * height * one_over_L * one_over_L2
         work[S, m] = at * one_over_L
-        work[A, m] = abs(work[ALONG_U, m] - at * uc * one_over_L2) * one_over_L * across / 2
-        work[B, m] = (
-            abs(work[ALONG, m] - at * (vc + uc * work[TILT, m]) * one_over_L2) * one_over_L * height / 2
-        )
-        work[SLANT, m], work[INVERSE_LENGTH, m], work[CHANGE, m] = 0.0, one_over_L, 0.0
+        work[A, m] = abs(along_u[m] - at * uc * one_over_L2) * one_over_L * across / 2
+        work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
+        slant[m], inverse_length[m], change[m] = 0.0, one_over_L, 0.0
     if strip.are_joined:
         _bend_footprints(work, first, last, per_metre)
     n = elevation_pattern.shape[0]
@@ -600,34 +588,32 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     # two loops, since compilers do not vectorise one that reads a table
     middle, last_step = (n - 1) / 2, np.int32(n - 2)
     for m in range(uint64(first), uint64(last if n else first)):
-        place = (
-            middle + middle * (work[BORDER, m] + work[BORDER, uint64(m + 1)]) / 2 * work[INVERSE_LENGTH, m]
-        )
+        place = middle + middle * (border[m] + border[uint64(m + 1)]) / 2 * inverse_length[m]
         i = uint64(min(max(np.int32(place), np.int32(0)), last_step))
         step = elevation_pattern[i + uint64(1)] - elevation_pattern[i]
-        work[POWER, m] = elevation_pattern[i] + (place - i) * step
-        work[SLANT, m] = step * middle
+        power[m] = elevation_pattern[i] + (place - i) * step
+        slant[m] = step * middle
     for m in range(uint64(first), uint64(last if n else first)):
-        vc, one_over_L = (work[BORDER, m] + work[BORDER, uint64(m + 1)]) / 2, work[INVERSE_LENGTH, m]
-        uc = work[LINE_U, m] + work[TILT, m] * vc
-        work[ENERGY, m] *= work[POWER, m]
+        vc, one_over_L = (border[m] + border[uint64(m + 1)]) / 2, inverse_length[m]
+        uc = line_u[m] + tilt[m] * vc
+        energy[m] *= power[m]
         # from the middle to the upper end the sine rises by `rise`
-        rise = (1.0 + uc * (uc - vc * work[TILT, m])) * one_over_L * one_over_L * one_over_L
-        rise *= (work[BORDER, uint64(m + 1)] - work[BORDER, m]) / 2
-        work[CHANGE, m] += work[SLANT, m] * rise / max(work[POWER, m], LEAST_POWER)
+        rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L
+        rise *= (border[uint64(m + 1)] - border[m]) / 2
+        change[m] += slant[m] * rise / max(power[m], LEAST_POWER)
     for m in range(uint64(first), uint64(last)):
         vc, one_over_L, s, b = (
-            (work[BORDER, m] + work[BORDER, uint64(m + 1)]) / 2,
-            work[INVERSE_LENGTH, m],
+            (border[m] + border[uint64(m + 1)]) / 2,
+            inverse_length[m],
             work[S, m],
             work[B, m],
         )
-        uc = work[LINE_U, m] + work[TILT, m] * vc
+        uc = line_u[m] + tilt[m] * vc
         # no more than leaves all densities positive
-        rise = min(max(work[CHANGE, m], -1.0), 1.0)
-        is_nearer_above = work[ALONG, m] > s * one_over_L * (vc + uc * work[TILT, m])
+        rise = min(max(change[m], -1.0), 1.0)
+        is_nearer_above = along[m] > s * one_over_L * (vc + uc * tilt[m])
         is_slanted = _is_slanted(s, work[A, m], b, per_metre)
-        work[SLANT, m] = (rise if is_nearer_above else -rise) if is_slanted else 0.0
+        slant[m] = (rise if is_nearer_above else -rise) if is_slanted else 0.0
 
 
 @uncounted
@@ -645,7 +631,7 @@ def _bend_footprints(work, first, last, per_metre):
     1 / D, where D = f′ w^(3/2) is linear in v. An even footprint has its middle at the mean.
     """
     rest, along, border, line_u, tilt = work[REST], work[ALONG], work[BORDER], work[LINE_U], work[TILT]
-    energy, s, a, b, change = work[ENERGY], work[S], work[A], work[B], work[CHANGE]
+    energy, s, a, b, change = work[ENERGY], work[S], work[A], work[B], work[NEAR_BIN]
     echo_rise = work[ECHO_RISE]
     for m in range(uint64(first), uint64(last)):
         low, high = border[m], border[uint64(m + 1)]
@@ -1121,11 +1107,7 @@ def _find_angles(work, strip):
     """Find elevation and incidence of a strip's footprints, before `_find_intervals`."""
     rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
     line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
-    inverse_length, elevation_rise, incidence_rise = (
-        work[INVERSE_LENGTH],
-        work[ELEVATION_RISE],
-        work[INCIDENCE_RISE],
-    )
+    inverse_length, elevation_rise, incidence_rise = work[NEAR], work[ELEVATION_RISE], work[INCIDENCE_RISE]
     first, last = strip.first, strip.last
     for m in range(uint64(first), uint64(last)):
         # of the plane p · x = 1, whose other parts are the slopes
