@@ -131,10 +131,9 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of steep patterns",
-        "rise = min(max(work[CHANGE, m], -1.0), 1.0)",
-        "rise = work[CHANGE, m]",
+        "rise = min(max(change[m], -1.0), 1.0)",
+        "rise = change[m]",
         (SMOOTH_FLOOR,),
-        (("rise = min(max(change[m], -1.0), 1.0)", "rise = change[m]"),),
     ),
     Mutation(
         "footprints/slant by the pattern",
@@ -169,29 +168,21 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slope across",
-        "abs(work[ALONG_U, m] - at * uc * one_over_L2)",
-        "abs(work[ALONG_U, m] + at * uc * one_over_L2)",
+        "abs(along_u[m] - at * uc * one_over_L2)",
+        "abs(along_u[m] + at * uc * one_over_L2)",
         FOOTPRINTS,
-        (("abs(along_u[m] - at * uc * one_over_L2)", "abs(along_u[m] + at * uc * one_over_L2)"),),
     ),
     Mutation(
         "footprints/length of the ray",
-        "abs(work[ALONG, m] - at * (vc + uc * work[TILT, m]) * one_over_L2)",
-        "abs(work[ALONG, m])",
+        "abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2)",
+        "abs(along[m])",
         FOOTPRINTS,
-        (("abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2)", "abs(along[m])"),),
     ),
     Mutation(
         "footprints/solid angle",
-        "work[ECHO, m] * across * height * one_over_L * one_over_L2",
-        "work[ECHO, m] * across * height * one_over_L2",
+        "echo[m] * across * height * one_over_L * one_over_L2",
+        "echo[m] * across * height * one_over_L2",
         FOOTPRINTS,
-        (
-            (
-                "echo[m] * across * height * one_over_L * one_over_L2",
-                "echo[m] * across * height * one_over_L2",
-            ),
-        ),
     ),
     Mutation(
         "footprints/plane in the strip's middle",

@@ -1091,7 +1091,7 @@ def atan(t):
     return (((p * x + 0.1999355085) * x - 0.3333314528) * x + 1.0) * t
 
 
-@compiled
+@uncounted
 def asin(x):
     """Return arcsin of 0..1 to 2e-8, with one square root.
 
