@@ -97,7 +97,9 @@ MUTATIONS = (
     # footprints of samples into columns and bins
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
     Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),
-    Mutation("footprints/no trapezoids", "if 8 * thin * per_metre >= s * s:", "if False:", FOOTPRINTS),
+    Mutation(
+        "footprints/no trapezoids", "if 2 * thin * per_metre >= short_ramp * s * s:", "if False:", FOOTPRINTS
+    ),
     Mutation(
         "footprints/inner bins",
         "bins_s[last], 0.0, np.float32(2 * half_height)",

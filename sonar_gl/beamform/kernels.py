@@ -123,6 +123,9 @@ JOINED_SHARE = 0.4
 # The share of a bin that a footprint, far longer than wide, covers at least if its density is to change along it. In
 # shorter ones that moves too little echo to matter.
 LEAST_SLANTED = 1 / 8
+# The share of a bin up to which the ramps at both ends of a footprint are neglected. Those of neighbouring rows overlap
+# and add up to the same; those of joined rows do not, as on a wall that the sonar sees at an angle.
+SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
 # strips after one where it does not save time that are not tried, as neighbours are mostly alike
 UNTRIED_STRIPS = 15
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
@@ -150,7 +153,7 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
 
 # Of a bin: how far off a footprint of several rows may be in range. Into how many the aperture in elevation is divided
 # at least, as the beam pattern is linear within each. And what is low enough for derivatives, radians.
-PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 80, 16, 1 / 16
+PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 160, 16, 1 / 16
 # the share by which 1/x and the echo may change between the middle of a footprint of several rows and its ends
 PIECE_CHANGE = 0.05
 # The share by which the slope of range may change over a footprint of several rows. Where a plane is nearest, its slope
@@ -721,7 +724,7 @@ def _find_intervals(work, first, last, bins):
 
 
 @uncounted
-def spread_footprints(work, start, stop, sums, spans, c, bins):
+def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
     """Add energy times s = 1/r, spread as the sum of two uniforms on ±a and ±b about s, to a row of bins.
 
     On a plane the cosine of incidence is proportional to s, and so is the energy's density.
@@ -731,6 +734,7 @@ def spread_footprints(work, start, stop, sums, spans, c, bins):
     work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A, B and SLANT, from `start` to before `stop`, are read
     spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
     bins : BinTable
+    short_ramp : share of a bin up to which ramps are neglected
     """
     K, bins_s, density32, middle_s32 = sums.shape[1], bins.s, bins.density32, bins.middle_s32
     first_m, per_metre = bins.first_m, bins.per_metre
@@ -741,8 +745,7 @@ def spread_footprints(work, start, stop, sums, spans, c, bins):
         if energy == 0.0 or s <= 0.0:
             continue
         wide, thin = max(work[A, m], work[B, m]), min(work[A, m], work[B, m])
-        # short ramps are neglected: those of neighbouring samples overlap and add up to the same
-        if 8 * thin * per_metre >= s * s:
+        if 2 * thin * per_metre >= short_ramp * s * s:
             slant = work[SLANT, m]
             first, last = _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin, slant)
             lowest, highest = min(lowest, first), max(highest, last)
@@ -825,7 +828,8 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
         if spread:
-            spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins)
+            short_ramp = SHORT_RAMP_OF_JOINED if strip.are_joined else SHORT_RAMP
+            spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins, short_ramp)
         else:
             _bin_points(work, sums, spans, lattice.u, strip, bins)
 
@@ -1275,7 +1279,7 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
 
 
 @inlined
-def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
+def _spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
     """Do as `spread_footprints`, and the same into one body's cells; return the first bin and past the last."""
     bins_s, middle_m, density32, middle_s32 = bins.s, bins.middle_m, bins.density32, bins.middle_s32
     first_m, per_metre = bins.first_m, bins.per_metre
@@ -1285,7 +1289,7 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins):
         energy, s = work[ENERGY, m], work[S, m]
         if energy == 0.0 or s <= 0.0:
             continue
-        if 8 * min(work[A, m], work[B, m]) * per_metre >= s * s:
+        if 2 * min(work[A, m], work[B, m]) * per_metre >= short_ramp * s * s:
             first, last = _spread_moments_trapezoid(
                 work, m, cells, slot, sums, row, bins_s, middle_m, first_m, per_metre
             )
@@ -1411,6 +1415,7 @@ def sum_bodies(
             _find_intervals(work, start, last, bins)
         else:
             _bin_points(work, sums, spans, lattice.u, strip, bins)
+        short_ramp = SHORT_RAMP_OF_JOINED if strip.are_joined else SHORT_RAMP
         while start < last:  # consecutive samples of one body at a time
             stop = start + 1
             while stop < last and numbers[stop] == numbers[start]:
@@ -1418,7 +1423,7 @@ def sum_bodies(
             slot, bodies = _slot_of(numbers[start], bodies)
             slots, cells = bodies.slots, bodies.cells
             if spread:
-                low, high = _spread_moments(work, start, stop, cells, slot, sums, column, bins)
+                low, high = _spread_moments(work, start, stop, cells, slot, sums, column, bins, short_ramp)
                 spans[column, 0], spans[column, 1] = min(spans[column, 0], low), max(spans[column, 1], high)
             else:
                 low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
@@ -2227,8 +2232,10 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
             _find_footprints(work, strip, elevation_pattern, bins.per_metre)
             for m in range(reflected_first, reflected_last):
                 work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
-            spread_footprints(work, reflected_first, reflected_last, sums, spans, strip.column, bins)
+            spread_footprints(
+                work, reflected_first, reflected_last, sums, spans, strip.column, bins, SHORT_RAMP
+            )
         if first < last:
             _find_single_bounce(work, other_leg, strip, first, last, frame.other, reflection.single_bounce)
-            spread_footprints(work, first, last, sums, spans, strip.column, bins)
+            spread_footprints(work, first, last, sums, spans, strip.column, bins, SHORT_RAMP)
     return is_reflected

@@ -10,6 +10,7 @@ from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights
 from sonar_gl.beamform.kernels import (
     ENERGY,
     FOOTPRINT_ROWS,
+    SHORT_RAMP,
     SLANT,
     A,
     B,
@@ -36,7 +37,7 @@ def spread(s, a, b, energy=1.0, edges=EDGES, slant=0.0):
     work = np.full((FOOTPRINT_ROWS, len(s) + 2), np.nan)  # the first and the last are not used
     work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
     work[SLANT, 1:-1] = slant
-    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins)
+    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins, SHORT_RAMP)
     assert not sums[[0, 2]].any()
     assert (spans[[0, 2]] == [K, 0]).all()
     assert not np.delete(sums[1], slice(*spans[1])).any()  # bins outside of the span are empty

@@ -111,5 +111,5 @@ def test_two_coplanar_bodies_end_where_they_do():
 def test_pieces_follow_from_bins_range_and_aperture():
     edges = np.linspace(1.0, 31.0, 601)
     _, piece_m = kernels.piece_limits(edges)
-    assert piece_m / 8 == pytest.approx(0.05 / 80)  # r h² / 8
+    assert piece_m / 8 == pytest.approx(0.05 / 160)  # r h² / 8
     assert kernels.piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))
