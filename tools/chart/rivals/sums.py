@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from sonar_gl.beamform.kernels import ENERGY, FOOTPRINT_ROWS, A, B, S, spread_footprints
+from sonar_gl.beamform.kernels import ENERGY, FOOTPRINT_ROWS, SHORT_RAMP, A, B, S, spread_footprints
 from sonar_gl.core.compiled import compiled
 
 
@@ -172,7 +172,7 @@ def tubes(
                     energy = echo[own] * solid / 4 / middle
                     work[ENERGY, n], work[S, n], work[A, n], work[B, n] = energy, middle, abs(across), abs(up)
                     n += 1
-        spread_footprints(work, 0, n, sums, spans, c, bins)
+        spread_footprints(work, 0, n, sums, spans, c, bins, SHORT_RAMP)
 
 
 @compiled
