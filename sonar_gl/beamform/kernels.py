@@ -241,7 +241,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
 def is_beside(lattice, strips, p, n_rows):
     """Return whether strip number `p` lies beside a window of so many rows, as most strips do of a small body.
 
-    Loops over strips ask it before they call `find_strip`, whose call takes longer than the answer.
+    The sum without labels asks before it calls `find_strip`, which asks, too: that call takes longer than the answer.
     """
     u, (low_u, high_u) = lattice.u, _ends_of(lattice, strips, p)
     level_u, lean = low_u, u[2] / u[1] * n_rows
