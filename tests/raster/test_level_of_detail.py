@@ -9,6 +9,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
+from sonar_gl.raster.cpu.visibility_buffer import MAX_PATCH_VERTICES
 from sonar_gl.raster.level_of_detail import make_levels
 from sonar_gl.raster.simplify import simplify, stable_argsort
 from tests.support.worlds import terrain
@@ -313,3 +314,11 @@ def test_compiled_functions_do_not_sort():
 def test_stable_argsort(n):
     costs = np.random.default_rng(n).integers(0, 50, n).astype(float)  # with ties
     assert np.array_equal(stable_argsort(costs), np.argsort(costs, kind="stable"))
+
+
+def test_the_rasteriser_has_room_for_the_vertices_of_any_patch():
+    """Compiled code does not look where its memory ends."""
+    assert detail.LEAF_FACES <= detail.MAX_PATCH_FACES and 3 * detail.MAX_PATCH_FACES <= MAX_PATCH_VERTICES
+    soup = np.random.default_rng(2).uniform(-1, 1, (3 * 5000, 3))  # no two triangles share a vertex
+    levels = make_levels(*arrays(trimesh.Trimesh(soup, np.arange(15_000).reshape(-1, 3), process=False)))
+    assert (levels.n_vertices == 3 * levels.n_faces).all() and levels.n_faces.max() <= detail.LEAF_FACES

@@ -21,6 +21,7 @@ from sonar_gl.core.compiled import compiled, inlined
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
 FEW = 16
+MAX_PATCH_VERTICES = 6144 + 24  # three for each of MAX_PATCH_FACES; no multiple of a page of memory
 NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
 BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
 # of a sample's echo: a lobe that is less may change from sample to sample as it likes
@@ -101,11 +102,15 @@ class VisibilityBuffer(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Projected vertices of one patch: columns, rows, 1/x; columns and rows rounded to the grid, and in its steps."""
+    """Projected vertices of one patch: columns, rows, 1/x, x; columns and rows rounded to the grid, and in its steps.
+
+    They are rows of tables of one size, so that the compiler knows their places, see `as_table`.
+    """
 
     columns: np.ndarray
     rows: np.ndarray
     inverses: np.ndarray
+    depths: np.ndarray
     rounded_columns: np.ndarray
     rounded_rows: np.ndarray
     column_steps: np.ndarray
@@ -113,20 +118,10 @@ class Scratch(NamedTuple):
 
 
 @inlined
-def _make_scratch(chosen, n_vertices):
-    """Return room for the vertices of each of the chosen patches."""
-    size = 0
-    for k in range(chosen.shape[0]):
-        size = max(size, n_vertices[chosen[k, 0]])
-    return Scratch(
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size, np.int32),
-        np.empty(size, np.int32),
-    )
+def _make_scratch():
+    """Return room for the vertices of a patch."""
+    exact, steps = np.empty((6, MAX_PATCH_VERTICES)), np.empty((2, MAX_PATCH_VERTICES), np.int32)
+    return Scratch(exact[0], exact[1], exact[2], exact[3], exact[4], exact[5], steps[0], steps[1])
 
 
 @inlined
@@ -135,26 +130,31 @@ def _project(points, start, count, p, scratch):
 
     p : (3, 4) of column x, row x, x
     """
-    columns, rows, inverses, rounded_columns, rounded_rows, column_steps, row_steps = scratch
+    columns, rows, inverses, depths, rounded_columns, rounded_rows, column_steps, row_steps = scratch
     p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
     p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-    nearest, furthest = np.inf, -np.inf
     for w in range(uint64(count)):
         at = uint64(start) + w
         x, y, z = np.float64(points[at, 0]), np.float64(points[at, 1]), np.float64(points[at, 2])
         depth = p20 * x + p21 * y + p22 * z + p23
         inverse = 1.0 / depth
-        column = (p00 * x + p01 * y + p02 * z + p03) * inverse
-        row = (p10 * x + p11 * y + p12 * z + p13) * inverse
-        columns[w], rows[w], inverses[w] = column, row, inverse
-        column, row = math.floor(column * GRID + 0.5), math.floor(row * GRID + 0.5)
+        columns[w] = (p00 * x + p01 * y + p02 * z + p03) * inverse
+        rows[w] = (p10 * x + p11 * y + p12 * z + p13) * inverse
+        depths[w], inverses[w] = depth, inverse
+    for w in range(uint64(count)):
+        column, row = math.floor(columns[w] * GRID + 0.5), math.floor(rows[w] * GRID + 0.5)
         rounded_columns[w], rounded_rows[w] = column / GRID, row / GRID
         # vertices behind the sonar may have any values; triangles that have some are not selected by these
         column_steps[w] = np.int32(min(max(column, -1e9), 1e9))
         row_steps[w] = np.int32(min(max(row, -1e9), 1e9))
-        nearest, furthest = min(nearest, depth), max(furthest, depth)
-    return nearest, furthest
+    # Not in a loop above, which would not be vectorised. Two of each, as each waits for its last.
+    nearest, furthest, near, far, last = np.inf, -np.inf, np.inf, -np.inf, uint64(count - 1)
+    for w in range(uint64(0), uint64(count), uint64(2)):
+        even, odd = depths[w], depths[min(w + uint64(1), last)]
+        nearest, furthest = min(nearest, even), max(furthest, even)
+        near, far = min(near, odd), max(far, odd)
+    return min(nearest, near), max(furthest, far)
 
 
 @inlined
@@ -396,8 +396,8 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
         for i in range(uint64(depth.shape[1])):
             depth[j, i] = 0.0
     m, p = np.empty((3, 4)), np.empty((3, 4))
-    scratch = _make_scratch(chosen, n_vertices)
-    columns, rows, inverses, rounded_columns, rounded_rows, column_steps, row_steps = scratch
+    scratch = _make_scratch()
+    columns, rows, inverses, _, rounded_columns, rounded_rows, column_steps, row_steps = scratch
     selected = np.empty(0, np.int64)
     cuts, corners, ends = np.empty((8, 3)), np.empty((3, 3)), np.empty((8, 3))
     in_column, in_row = np.empty(FEW + 1, np.int64), np.empty(FEW + 1, np.int64)
