@@ -15,6 +15,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import WIDE_COLUMNS_PER_SUPPORT, BeamShape, Fan, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
@@ -259,6 +260,11 @@ class Beamformer:
     is_box : beams are boxes, which end where columns end
     workspace : arrays that every ping uses again, to share with other beamformers; None for its own
 
+    Raises
+    ------
+    SampleLimitError
+        if a sector has more rows than the kernels have room for.
+
     Attributes
     ----------
     strips : kernels.StripTable of each sector, for each half of the columns
@@ -275,6 +281,12 @@ class Beamformer:
         is_box: bool = True,
         workspace: Workspace | None = None,
     ):
+        n_rows = max(sector.rows for sector in fan.sectors)
+        if n_rows > kernels.MAX_STRIP_ROWS:
+            raise SampleLimitError(
+                f"a sector must have no more than {kernels.MAX_STRIP_ROWS} rows of samples (got {n_rows}, with those "
+                "beyond the aperture; ask for fewer rows)"
+            )
         self._workspace = workspace or Workspace()
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
@@ -401,6 +413,7 @@ class Beamformer:
             self.clear_columns(half, columns)
             for one, strips in zip(of_sectors, self.strips[half], strict=True):
                 kernels.sum_footprints(
+                    self._workspace.works[half],
                     *one,
                     strips,
                     self._bins,
@@ -444,6 +457,7 @@ class Beamformer:
             of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
             for one, reflection, strips in of_sectors:
                 counts |= kernels.sum_image_source(
+                    self._workspace.works[half],
                     whole_rows(one.plane_echo),
                     one.lattice,
                     strips,

@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import int64, uint64
 
-from sonar_gl.core.compiled import compiled, inlined, uncounted
+from sonar_gl.core.compiled import as_table, compiled, inlined, uncounted
+from sonar_gl.core.memory import sparse_table
 from sonar_gl.sonar.fan import FAR_FACTOR
 from sonar_gl.sonar.samples import ViewSamples
 
@@ -108,15 +109,25 @@ class Strip(NamedTuple):
 # that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
 # steradian. By `_find_borders`: v where the sample's footprint begins. By `_find_faces`: the rows in which another face
 # begins. By `_gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
-# the upper end than in the middle, as a share of it. By `_find_footprints`: energy; centre and the two half-widths of
-# the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even footprint, as a share
-# of it, and less at the further end. By `_find_intervals`: both ends, half the height, and the bins of both ends. For
-# labels: elevation and incidence in the middle, radians, and how they change with s.
+# the upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which
+# a piece begins, and a place for the echo at its lower end. By `_find_footprints`: energy; centre and the two
+# half-widths of the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even
+# footprint, as a share of it, and less at the further end. By `_find_intervals`: both ends, half the height, and the
+# bins of both ends. For labels: elevation and incidence in the middle, radians, and how they change with s. For image
+# sources: see X to BISTATIC.
 SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
 START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
-FOOTPRINT_ROWS, LABEL_ROWS = FAR_BIN + 1, INCIDENCE_RISE + 1
+PIECE, ECHO_BELOW = ENERGY, S
+LABEL_ROWS = INCIDENCE_RISE + 1
+# Samples of float64 that a processor does at a time. Loops over a strip do whole groups, so that none is left to be
+# done by itself: what they find of a few more samples is not read.
+AT_A_TIME = 8
+# `work` has one size whatever the strip, see `as_table`. A row is no multiple of a page of memory: else all rows would
+# compete for the same lines of fast memory.
+MAX_STRIP_ROWS = 1 << 16
+WORK_ROWS, WORK_COLUMNS = LABEL_ROWS + 10, MAX_STRIP_ROWS + 168
 NOTHING = -1  # of `SectorSamples.face_id`
 # Rows of one face are joined where that leaves at most this share of them: with more, it saves less than it costs.
 JOINED_SHARE = 0.4
@@ -130,6 +141,11 @@ SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
 UNTRIED_STRIPS = 15
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
+
+
+def make_work() -> np.ndarray:
+    """Return `work` of the kernels, for one thread at a time."""
+    return sparse_table(WORK_ROWS, WORK_COLUMNS)
 
 
 def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> BinTable:
@@ -157,8 +173,10 @@ PIECE_ERROR, PIECES_PER_FOV, HIGHEST_PIECE_RAD = 1 / 160, 16, 1 / 16
 # the share by which 1/x and the echo may change between the middle of a footprint of several rows and its ends
 PIECE_CHANGE = 0.05
 # The share by which the slope of range may change over a footprint of several rows. Where a plane is nearest, its slope
-# is zero, and most of the echo of a wall that faces the sonar lies in one bin.
+# is zero, and most of the echo of a wall that faces the sonar lies in one bin. So a footprint is at most so high, as a
+# share of what its lower end is apart from that place, below it and above it.
 SLOPE_CHANGE = 1 / 3
+TOWARDS_NEAREST, FROM_NEAREST = SLOPE_CHANGE / (1 + SLOPE_CHANGE / 2), SLOPE_CHANGE / (1 - SLOPE_CHANGE / 2)
 
 
 def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> tuple[float, float]:
@@ -171,6 +189,12 @@ def piece_limits(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -
 
 
 # ---- strips ------------------------------------------------------------------------------------------
+
+
+@inlined
+def _whole(first, last):
+    """Return past the last of whole groups of AT_A_TIME samples that begin with `first` and hold all before `last`."""
+    return first + (last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME
 
 
 @uncounted
@@ -186,11 +210,12 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
 
     Parameters
     ----------
-    work : (rows, R + 1) float64, overwritten
+    work : of `make_work`, overwritten
     plane_echo, face_id : (R, C, 4) float32 and (R, C) int32, as in `SectorSamples`; contiguous, see `whole_rows`
     lattice, strips : Lattice and StripTable
     q_unseen, piece : of BinTable; `piece` is (piece_rad, piece_m), of which a `piece_rad` of 0 joins no rows
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     u, v, R, middle = lattice.u, lattice.v, plane_echo.shape[0], strips.middle[p]
     v_low, v_high, step = strips.v_low[p], strips.v_high[p], u[2] / u[1]
     first, last, are_joined = 0, -1, False
@@ -207,7 +232,6 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
-        low_row = high_row = V_RAY
         if face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
             if not strips.are_cones:
                 _find_upright(work, lattice, middle, bottom_row, n)
@@ -220,18 +244,18 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         if are_joined:
             if not strips.are_cones:
                 work[LINE_U, 0] = middle
-            n, first, last = _gather_pieces(
+            n = _divide_faces(
                 work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise), strips.are_cones
             )
-            low_row, high_row = V_LOWEST, V_HIGHEST
+            first, last = _gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
         else:
             if not strips.are_cones:
                 _lay_upright(work, lattice, middle, bottom_row, n)
             first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
-            work[BORDER, 0], work[BORDER, n] = v_low, v_high
             limits = q_unseen, v_low, v_high
-            _find_borders(work, max(first, 1), min(last + 2, n), work[high_row], work[low_row], limits)
+            _find_borders(work, max(first, 1), min(last + 2, n), are_joined, limits)
+            work[BORDER, 0], work[BORDER, n] = v_low, v_high
     last = max(last + 1, first)
     geometry = strips.are_cones, lattice.sine, lattice.cosine
     return Strip(strips.column[p], strips.width[p], first, last, are_joined, *geometry)
@@ -278,6 +302,7 @@ def _u_on_cone(k, w, sine, cosine):
 @uncounted
 def _lay_upright(work, lattice, middle, bottom_row, n):
     """Find the samples nearest to an upright strip, n rows from `bottom_row` on."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, row, line_u, tilt, v_ray = work[SAMPLE], work[ROW], work[LINE_U], work[TILT], work[V_RAY]
     u, v = lattice.u, lattice.v
     nearest, step, v0, vi, vj = (middle - u[0]) / u[1] + 0.5, u[2] / u[1], v[0], v[1], v[2]
@@ -296,11 +321,12 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
     Along the cone, x and all of sine, cosine, u and v as in `_u_on_cone`, dv is −(cosine (1 + v²) + sine u) du over
     (sine − cosine u) v.
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, row, line_u, tilt, v_ray = work[SAMPLE], work[ROW], work[LINE_U], work[TILT], work[V_RAY]
     u, v, sine, cosine = lattice.u, lattice.v, lattice.sine, lattice.cosine
     u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
     square, k2, rise = sine * sine, k * k, vi / ui
-    for m in range(uint64(n)):
+    for m in range(uint64(_whole(0, n))):
         j = float(np.int32(m) + np.int32(bottom_row))
         start, level = u0 + uj * j, v0 + vj * j
         # where the row, v = a + rise u, meets the cone: as in `_u_on_cone`
@@ -327,6 +353,7 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
 @uncounted
 def _find_upright(work, lattice, middle, bottom_row, n):
     """Find the columns alone of the samples nearest to an upright strip, n rows from `bottom_row` on."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, u = work[SAMPLE], lattice.u
     nearest, step = (middle - u[0]) / u[1] + 0.5, u[2] / u[1]
     for m in range(uint64(n)):
@@ -336,6 +363,7 @@ def _find_upright(work, lattice, middle, bottom_row, n):
 @uncounted
 def _find_faces(work, face_id, columns, bottom_row, n):
     """Find in which of a strip's rows another face begins than in the row below; return how many."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, start = work[SAMPLE], work[START]
     n_faces, before, place = 0, np.int32(0), 0.0
     for m in range(uint64(n)):
@@ -360,6 +388,7 @@ def _untried_after(untried, is_tried, are_joined):
 @uncounted
 def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
     """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     u, v = lattice.u, lattice.v
     i, j = np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
     row, column = uint64(j), uint64(min(max(i, 0), lattice.columns - 1))
@@ -374,11 +403,10 @@ def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
 
 
 @uncounted
-def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
-    """Gather what stands for the rows of each face, in pieces.
+def _divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
+    """Divide the rows of each face into pieces, each of which one footprint stands for.
 
-    The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
-    last row by Simpson's rule, as it may change with shading normals.
+    Row PIECE of `work` gets the row where each begins, and where the last one ends.
 
     Parameters
     ----------
@@ -386,91 +414,125 @@ def _gather_pieces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_c
 
     Returns
     -------
-    number of pieces, the first and the last with an echo
+    number of pieces
     """
-    start, sample, v_ray = work[START], work[SAMPLE], work[V_RAY]
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    start, sample, v_ray, piece = work[START], work[SAMPLE], work[V_RAY], work[PIECE]
+    v, columns, bottom = lattice.v, lattice.columns, uint64(bottom_row)
+    v0, vi, vj, n, (piece_rad, piece_m, rise) = v[0], v[1], v[2], 0, limits
+    rows_per_v = 1.0 / rise
+    for face in range(uint64(n_faces)):
+        low, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
+        n_rows, per_row, nearest_v = past - low, 0.0, math.inf
+        if n_rows == 1:
+            piece[uint64(n)], n = low, n + 1
+            continue
+        middle, end = (low + past) >> 1, past - 1
+        i = uint64(min(max(np.int64(sample[uint64(middle)]), 0), columns - 1))
+        nearness = np.float64(plane_echo[uint64(middle) + bottom, i, 0])
+        if nearness > 0.0:
+            echo = np.float64(plane_echo[uint64(middle) + bottom, i, 3])
+            over_q, over_echo, change = 1.0 / nearness, 1.0 / max(echo, LEAST_POWER), 0.0
+            for m in (uint64(low), uint64(end)):
+                i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
+                change = max(change, abs(plane_echo[m + bottom, i, 0] * over_q - 1.0))
+                change = max(change, abs(plane_echo[m + bottom, i, 3] * over_echo - 1.0))
+            per_row = max(
+                rise / min(piece_rad, math.sqrt(piece_m * nearness)), change / (PIECE_CHANGE * n_rows)
+            )
+            nearest_v = _find_nearest(work, plane_echo, lattice, middle, bottom_row, are_cones)
+        # pieces that are alike, and how many of them have a row more than the others
+        n_left = max(math.ceil(n_rows * per_row - 1e-9), 1)
+        length, n_longer = n_rows // n_left, n_rows % n_left
+        longest = length + (n_longer > 0)
+        while low < past:
+            apart = v_ray[uint64(low)]
+            if not are_cones:
+                apart = v0 + vi * np.int64(sample[uint64(low)]) + vj * (low + bottom_row)
+            apart = nearest_v - apart
+            n_graded = abs(apart) * (TOWARDS_NEAREST if apart > 0.0 else FROM_NEAREST) * rows_per_v
+            piece[uint64(n)], n = low, n + 1
+            if n_graded < longest:
+                low, n_left = min(low + max(np.int64(n_graded), 1), past), 0
+                continue
+            if n_left == 0:
+                n_left = max(math.ceil((past - low) * per_row - 1e-9), 1)
+                length, n_longer = (past - low) // n_left, (past - low) % n_left
+            low += length + (n_longer > 0)
+            n_left, n_longer = n_left - 1, n_longer - 1
+    piece[uint64(n)] = start[uint64(n_faces)]
+    return n
+
+
+@uncounted
+def _gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
+    """Gather what stands for the rows of each of n pieces; return the first and the last with an echo.
+
+    The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
+    last row by Simpson's rule, as it may change with shading normals.
+    """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    piece, sample, v_ray, row_of = work[PIECE], work[SAMPLE], work[V_RAY], work[ROW]
     line_u, tilt, v_lowest, v_highest = work[LINE_U], work[TILT], work[V_LOWEST], work[V_HIGHEST]
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
-    u, v, columns, bottom = lattice.u, lattice.v, lattice.columns, uint64(bottom_row)
-    u0, ui, uj, v0, vi, vj, first, last, n = u[0], u[1], u[2], v[0], v[1], v[2], 0, -1, 0
-    line, lean, (piece_rad, piece_m, rise) = line_u[0], 0.0, limits
-    # in place: no row is read after a piece is written there, since each piece has a row of its own
-    for face in range(uint64(n_faces)):
-        begin, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
-        wanted, nearest_v = 1.0, math.inf
-        if past - begin > 1:
-            m, end = uint64((begin + past) >> 1), uint64(past - 1)
-            i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
-            nearness = np.float64(plane_echo[m + bottom, i, 0])
-            if nearness > 0.0:
-                mean_echo = max(np.float64(plane_echo[m + bottom, i, 3]), LEAST_POWER)
-                change_q = change_echo = 0.0
-                for side in range(2):
-                    m = end if side else uint64(begin)
-                    i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
-                    change_q = max(change_q, abs(plane_echo[m + bottom, i, 0] / nearness - 1.0))
-                    change_echo = max(change_echo, abs(plane_echo[m + bottom, i, 3] / mean_echo - 1.0))
-                wanted = (past - begin) * rise / min(piece_rad, math.sqrt(piece_m * nearness))
-                wanted = max(wanted, change_q / PIECE_CHANGE, change_echo / PIECE_CHANGE, 1.0)
-                nearest_v = _find_nearest(
-                    work, plane_echo, lattice, (begin + past) >> 1, bottom_row, are_cones
-                )
-        low, wanted_per_row = begin, wanted / (past - begin)
-        while low < past:
-            left = past - low
-            length = math.ceil(
-                left / math.ceil(left * wanted_per_row - 1e-9)
-            )  # pieces that are left are alike
-            if length > 1:
-                i = np.int64(sample[uint64(low)])
-                apart = nearest_v - (
-                    v_ray[uint64(low)] if are_cones else v0 + vi * i + vj * (low + bottom_row)
-                )
-                # of what is apart from the middle of the piece
-                graded = apart * (SLOPE_CHANGE / (1.0 + SLOPE_CHANGE / 2 * (1.0 if apart > 0.0 else -1.0)))
-                length = max(np.int64(min(abs(graded) / rise, length)), 1)
-            high = low + length - 1
-            m, at = uint64((low + high) >> 1), uint64(n)
-            i, i_low, i_high = (
-                np.int64(sample[m]),
-                np.int64(sample[uint64(low)]),
-                np.int64(sample[uint64(high)]),
-            )
-            j, j_low, j_high = np.int64(m) + bottom_row, low + bottom_row, high + bottom_row
-            if are_cones:
-                line, lean, v_middle = line_u[m], tilt[m], v_ray[m]
-                v_lowest[at], v_highest[at] = v_ray[uint64(low)], v_ray[uint64(high)]
-            else:
-                v_middle = v0 + vi * i + vj * j
-                v_lowest[at], v_highest[at] = v0 + vi * i_low + vj * j_low, v0 + vi * i_high + vj * j_high
-            near = mean_echo = slope_u = slope_v = echo_rise = 0.0
-            if 0 <= i < columns:
-                row, column = uint64(j), uint64(i)
-                near, slope_u = plane_echo[row, column, 0], plane_echo[row, column, 1]
-                slope_v, mean_echo = plane_echo[row, column, 2], plane_echo[row, column, 3]
-                if high > low and near > 0.0:
-                    below = plane_echo[uint64(j_low), uint64(i_low), 3]
-                    above = plane_echo[uint64(j_high), uint64(i_high), 3]
-                    mean_echo = (
-                        (below + 4.0 * mean_echo + above) / 6.0 if high > low + 1 else (below + above) / 2
-                    )
-                    per_row = (above - below) / (2.0 * np.float64(high - low) * max(mean_echo, LEAST_POWER))
-                    echo_rise = per_row * np.float64(high - low + 1)
-            if near > 0.0 and mean_echo > 0.0:
-                first, last = first if last >= 0 else n, n
-            else:
-                mean_echo = 0.0
-            q[at], along_u[at], echo[at], work[ECHO_RISE, at] = near, slope_u, mean_echo, echo_rise
-            rest[at] = near + slope_u * (line - u0 - ui * i - uj * j) - slope_v * v_middle
-            along[at] = slope_v + slope_u * lean
-            sample[at], work[ROW, at], line_u[at], tilt[at], v_ray[at] = i, j, line, lean, v_middle
-            n, low = n + 1, high + 1
-    return n, first, last
+    echo_rise, echo_below = work[ECHO_RISE], work[ECHO_BELOW]
+    u, v, columns, bottom = lattice.u, lattice.v, lattice.columns, np.int32(bottom_row)
+    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
+    line, most = line_u[0], columns - 1
+    # In place: no row is read after a piece is written there, since each piece has a row of its own. Nothing but the
+    # reads, as in `_gather_samples`
+    for k in range(uint64(n)):
+        low, high = np.int32(piece[k]), np.int32(piece[k + uint64(1)]) - np.int32(1)
+        m = np.int32((low + high) >> 1)
+        i, i_low, i_high = (
+            np.int32(sample[uint64(m)]),
+            np.int32(sample[uint64(low)]),
+            np.int32(sample[uint64(high)]),
+        )
+        j, j_low, j_high = m + bottom, low + bottom, high + bottom
+        if are_cones:
+            v_lowest[k], v_highest[k] = v_ray[uint64(low)], v_ray[uint64(high)]
+            line_u[k], tilt[k], v_ray[k] = line_u[uint64(m)], tilt[uint64(m)], v_ray[uint64(m)]
+        else:
+            v_lowest[k], v_highest[k] = v0 + vi * i_low + vj * j_low, v0 + vi * i_high + vj * j_high
+            line_u[k], tilt[k], v_ray[k] = line, 0.0, v0 + vi * i + vj * j
+        sample[k], row_of[k] = i, j
+        row, column = uint64(j), uint64(min(max(i, 0), most))
+        q[k], along_u[k] = plane_echo[row, column, 0], plane_echo[row, column, 1]
+        along[k], echo[k] = plane_echo[row, column, 2], plane_echo[row, column, 3]
+        echo_below[k] = plane_echo[uint64(j_low), uint64(min(max(i_low, 0), most)), 3]
+        echo_rise[k] = plane_echo[uint64(j_high), uint64(min(max(i_high, 0), most)), 3]
+    for k in range(uint64(_whole(0, n))):
+        i, j, further = sample[k], row_of[k], piece[k + uint64(1)] - piece[k] - 1.0
+        is_inside = (i >= 0.0) & (i < columns)
+        below, mean_echo, above = echo_below[k], echo[k], echo_rise[k]
+        mean_of_ends = (below + above) / 2
+        mean_of_more = mean_of_ends if further < 1.5 else (mean_of_ends + 2.0 * mean_echo) / 3
+        mean_echo = mean_of_more if further > 0.5 else mean_echo
+        is_lit = is_inside & (q[k] > 0.0) & (mean_echo > 0.0)
+        rise = (above - below) * (further + 1.0) / (2.0 * max(further, 1.0) * max(mean_echo, LEAST_POWER))
+        echo_rise[k], echo[k] = rise if is_lit else 0.0, mean_echo if is_lit else 0.0
+        q[k], along_u[k] = q[k] if is_inside else 0.0, along_u[k] if is_inside else 0.0
+        along_v = along[k] if is_inside else 0.0
+        rest[k] = q[k] + along_u[k] * (line_u[k] - u0 - ui * i - uj * j) - along_v * v_ray[k]
+        along[k] = along_v + along_u[k] * tilt[k]
+    return _lit_part(echo, 0, n)
+
+
+@uncounted
+def _lit_part(echo, begin, end):
+    """Return the first and the last sample with an echo from `begin` to before `end`; 0 and −1 if there is none."""
+    while begin < end and echo[begin] == 0.0:
+        begin += 1
+    while begin < end and echo[end - 1] == 0.0:
+        end -= 1
+    return (begin, end - 1) if begin < end else (0, -1)
 
 
 @uncounted
 def _gather_samples(work, plane_echo, lattice, bottom_row, n):
     """Gather the samples of a strip, n rows from `bottom_row` on; return the first and the last with an echo."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, line_u, tilt, v_ray = work[SAMPLE], work[LINE_U], work[TILT], work[V_RAY]
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
     u, columns = lattice.u, lattice.columns
@@ -491,31 +553,30 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
         q[m], along_u[m] = plane_echo[row, i, 0], plane_echo[row, i, 1]
         along[m], echo[m] = plane_echo[row, i, 2], plane_echo[row, i, 3]
     u0, ui, uj = u[0], u[1], u[2]
-    for m in range(uint64(n)):
+    for m in range(uint64(_whole(0, n))):
         j, i = np.int32(m) + np.int32(bottom_row), sample[m]
         is_met = (q[m] > 0.0) & (i >= 0.0) & (i < columns)
         q[m], echo[m] = q[m] if is_met else 0.0, max(echo[m], 0.0) if is_met else 0.0
         along_u[m], along_v = along_u[m] if is_met else 0.0, along[m] if is_met else 0.0
         rest[m] = q[m] + along_u[m] * (line_u[m] - u0 - ui * i - uj * j) - along_v * v_ray[m]
         along[m] = along_v + along_u[m] * tilt[m]
-    while begin < end and echo[begin] == 0.0:
-        begin += 1
-    while begin < end and echo[end - 1] == 0.0:
-        end -= 1
-    return (begin, end - 1) if begin < end else (0, -1)
+    return _lit_part(echo, begin, end)
 
 
 @uncounted
-def _find_borders(work, first, last, v_highest, v_lowest, limits):
+def _find_borders(work, first, last, are_joined, limits):
     """Find v where each of a strip's footprints begins, from `first` to before `last`.
 
-    v_highest, v_lowest : of the rays of each sample, which are one where no rows are joined
+    are_joined : samples have a lowest and a highest ray, else the same one
     limits : `q_unseen` of BinTable, v of the strip's ends
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     q, rest, along, border, (q_unseen, v_low, v_high) = work[Q], work[REST], work[ALONG], work[BORDER], limits
-    for m in range(uint64(first), uint64(last)):
+    v_ray, v_lowest, v_highest = work[V_RAY], work[V_LOWEST], work[V_HIGHEST]
+    for m in range(uint64(first), uint64(_whole(first, last))):
         below = uint64(m - 1)
-        low, high = v_highest[below], v_lowest[m]
+        low = v_highest[below] if are_joined else v_ray[below]
+        high = v_lowest[m] if are_joined else v_ray[m]
         met_low, met_high = q[below] > 0.0, q[m] > 0.0
         border_here = (low + high) / 2
         # two planes that meet between their rays make an edge there, otherwise the border is half way;
@@ -555,6 +616,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     per_metre : of BinTable
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     rest, along, along_u, echo, border = work[REST], work[ALONG], work[ALONG_U], work[ECHO], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
     are_cones, width, sine, cosine = strip.are_cones, strip.width, strip.sine, strip.cosine
@@ -566,7 +628,8 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         work[FAR],
         work[NEAR_BIN],
     )
-    for m in range(uint64(first), uint64(last)):
+    whole = _whole(first, last)
+    for m in range(uint64(first), uint64(whole)):
         low, high = border[m], border[uint64(m + 1)]
         vc, height = (low + high) / 2, max(high - low, 0.0)
         uc = line_u[m] + tilt[m] * vc
@@ -596,7 +659,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         step = elevation_pattern[i + uint64(1)] - elevation_pattern[i]
         power[m] = elevation_pattern[i] + (place - i) * step
         slant[m] = step * middle
-    for m in range(uint64(first), uint64(last if n else first)):
+    for m in range(uint64(first), uint64(whole if n else first)):
         vc, one_over_L = (border[m] + border[uint64(m + 1)]) / 2, inverse_length[m]
         uc = line_u[m] + tilt[m] * vc
         energy[m] *= power[m]
@@ -604,7 +667,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         rise = (1.0 + uc * (uc - vc * tilt[m])) * one_over_L * one_over_L * one_over_L
         rise *= (border[uint64(m + 1)] - border[m]) / 2
         change[m] += slant[m] * rise / max(power[m], LEAST_POWER)
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(first), uint64(whole)):
         vc, one_over_L, s, b = (
             (border[m] + border[uint64(m + 1)]) / 2,
             inverse_length[m],
@@ -633,10 +696,11 @@ def _bend_footprints(work, first, last, per_metre):
     ends is f + f″ h² / 2 for half the height h, and the mean f + f″ h² / 6. The solid angle per s is proportional to
     1 / D, where D = f′ w^(3/2) is linear in v. An even footprint has its middle at the mean.
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     rest, along, border, line_u, tilt = work[REST], work[ALONG], work[BORDER], work[LINE_U], work[TILT]
     energy, s, a, b, change = work[ENERGY], work[S], work[A], work[B], work[NEAR_BIN]
     echo_rise = work[ECHO_RISE]
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(first), uint64(_whole(first, last))):
         low, high = border[m], border[uint64(m + 1)]
         vc, half, line, lean = (low + high) / 2, max(high - low, 0.0) / 2, line_u[m], tilt[m]
         uc, at, curve = line + lean * vc, rest[m] + along[m] * vc, 1.0 + lean * lean
@@ -709,9 +773,10 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
 @uncounted
 def _find_intervals(work, first, last, bins):
     """Find both ends of footprints, their heights and bins, ramps neglected, from `first` to before `last`."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
     s_first, s_last, first_m, per_metre = bins.s[0], bins.s[-1], bins.first_m, bins.per_metre
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(first), uint64(_whole(first, last))):
         wide = max(a[m], b[m], 1e-9 * s[m])
         near, far = s[m] + wide, s[m] - wide
         past = far < 0.0  # beyond the horizon, as in `_spread_trapezoid`
@@ -731,11 +796,12 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
 
     Parameters
     ----------
-    work : (FOOTPRINT_ROWS, n) of which the rows ENERGY, S, A, B and SLANT, from `start` to before `stop`, are read
+    work : of `make_work`, of which the rows ENERGY, S, A, B and SLANT, from `start` to before `stop`, are read
     spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
     bins : BinTable
     short_ramp : share of a bin up to which ramps are neglected
     """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     K, bins_s, density32, middle_s32 = sums.shape[1], bins.s, bins.density32, bins.middle_s32
     first_m, per_metre = bins.first_m, bins.per_metre
     _find_intervals(work, start, stop, bins)
@@ -791,7 +857,7 @@ def _bin_points(work, sums, spans, u, strip, bins):
 
 
 @compiled
-def sum_footprints(plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern, sums, spans):
+def sum_footprints(work, plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern, sums, spans):
     """Sum some of one sector's samples into columns and bins.
 
     The surface in a sample's rectangle is the plane that its ray met. There 1/r is linear in (u, v) but for
@@ -800,21 +866,20 @@ def sum_footprints(plane_echo, face_id, lattice, strips, bins, spread, elevation
 
     Parameters
     ----------
-    plane_echo, face_id : as in `find_strip`
+    work, plane_echo, face_id : as in `find_strip`
     lattice, strips, bins : tuples of Lattice, StripTable and BinTable
     spread : True spreads each sample over its footprint, False adds it to one bin
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are added to
     spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; widened
     """
-    work = np.empty((FOOTPRINT_ROWS, plane_echo.shape[0] + 1))
     samples = plane_echo, face_id, Lattice(*lattice)
     _sum_strips(work, samples, StripTable(*strips), BinTable(*bins), spread, elevation_pattern, sums, spans)
 
 
 @uncounted
 def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, spans):
-    """Do the work of `sum_footprints`; work : (FOOTPRINT_ROWS, R + 1), overwritten; samples : with the lattice."""
+    """Do the work of `sum_footprints`; samples : with the lattice."""
     (plane_echo, face_id, lattice), untried = samples, 0
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
@@ -1363,6 +1428,7 @@ def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
 
 @compiled
 def sum_bodies(
+    work,
     plane_echo,
     face_id,
     body_id,
@@ -1381,7 +1447,7 @@ def sum_bodies(
 
     Parameters
     ----------
-    plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    work, plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
     body_id : (C, R) uint16, column by column, as a strip reads it
     label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : of ColumnBodies, zeros before and after
@@ -1393,7 +1459,7 @@ def sum_bodies(
     cells, store : or larger ones, where they were full; a plain tuple again
     """
     lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
-    work = np.empty((LABEL_ROWS, plane_echo.shape[0] + 1))
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     numbers, untried = np.empty(plane_echo.shape[0] + 1, np.int64), 0
     bodies, joined = ColumnBodies(np.empty((cells.shape[0], 3), np.int64), 0, cells), -1
     for p in range(strips.middle.shape[0]):
@@ -1775,11 +1841,10 @@ SAME_PLACE, SAME_PLANE = 2e-3, 2e-4
 MIN_REFLECTED = 1e-4  # of the intensity: what reflects less is no reflector
 GRID, SKIRTS_GRID = 24, 12  # directions along each side of a sector that are tried, and of one of the skirts
 HORIZON = 1e-9  # 1/x of a plane past its horizon
-# Rows of `other_leg`: position of each sample for the other of S and S', and whether that is before the
+# Rows of `work` for image sources: position of each sample for the other of S and S', and whether that is before the
 # surface; a direction to look into, zeros for none, and what is seen there, as `find_surfaces` returns it; reflected
 # intensity; the bistatic echo.
-X, Y, Z, SIDE, LEG_X, LEG_Y, LEG_Z, SEEN, REFLECTED, BISTATIC = range(10)
-OTHER_LEG_ROWS = 10
+X, Y, Z, SIDE, LEG_X, LEG_Y, LEG_Z, SEEN, REFLECTED, BISTATIC = range(LABEL_ROWS, WORK_ROWS)
 
 
 # One sector of a ViewIndex: its azimuth's cosine and sine; tangents of half its width and of its lowest and highest
@@ -1998,7 +2063,7 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
 
 
 @inlined
-def _find_other_leg(work, other_leg, strip, other):
+def _find_other_leg(work, strip, other):
     """Find where a strip's samples lie for the other of S and S', and whether that is before their surface."""
     rest, along_u, along, border = work[REST], work[ALONG_U], work[ALONG], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
@@ -2011,28 +2076,28 @@ def _find_other_leg(work, other_leg, strip, other):
         vc = (border[m] + border[uint64(m + 1)]) / 2
         uc, along_v = line_u[m] + tilt[m] * vc, along[m] - along_u[m] * tilt[m]
         depth = 1.0 / max(rest[m] + along[m] * vc, HORIZON)
-        other_leg[X, m] = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
-        other_leg[Y, m] = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
-        other_leg[Z, m] = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
-        other_leg[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * line_u[m]) * ox - along_u[m] * oy + along_v * oz)
+        work[X, m] = (a[0] - b[0] * uc + c[0] * vc) * depth + d[0]
+        work[Y, m] = (a[1] - b[1] * uc + c[1] * vc) * depth + d[1]
+        work[Z, m] = (a[2] - b[2] * uc + c[2] * vc) * depth + d[2]
+        work[SIDE, m] = 1.0 - ((rest[m] - along_u[m] * line_u[m]) * ox - along_u[m] * oy + along_v * oz)
 
 
 @inlined
-def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
+def _find_rays_by_reflector(work, strip, frame, reflection):
     """Find for a strip's samples what a reflector reflects there, and the direction in which the sonar sees it.
 
     Samples that cannot return anything have no direction, and a reflected intensity of 0.
     """
     rest, along, border, echo = work[REST], work[ALONG], work[BORDER], work[ECHO]
     line_u, tilt, loss, from_image = work[LINE_U], work[TILT], reflection.loss, reflection.from_image
-    there_x, there_y, there_z, side = other_leg[X], other_leg[Y], other_leg[Z], other_leg[SIDE]
+    there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
     leg_x, leg_y, leg_z, reflected = (
-        other_leg[LEG_X],
-        other_leg[LEG_Y],
-        other_leg[LEG_Z],
-        other_leg[REFLECTED],
+        work[LEG_X],
+        work[LEG_Y],
+        work[LEG_Z],
+        work[REFLECTED],
     )
-    bistatic, own, ceiling, plane = other_leg[BISTATIC], frame.own, frame.ceiling, reflection.plane
+    bistatic, own, ceiling, plane = work[BISTATIC], frame.own, frame.ceiling, reflection.plane
     x_0, x_u, x_v, y_0, y_u, y_v = own[0, 0], own[0, 1], own[0, 2], own[1, 0], own[1, 1], own[1, 2]
     z_0, z_u, z_v = own[2, 0], own[2, 1], own[2, 2]
     normal_x, normal_y, normal_z, offset = plane[0], plane[1], plane[2], plane[3]
@@ -2064,7 +2129,7 @@ def _find_rays_by_reflector(work, other_leg, strip, frame, reflection):
 
 
 @inlined
-def _keep_seen(other_leg, strip, reflection):
+def _keep_seen(work, strip, reflection):
     """Set the reflected intensity to 0 where the sonar does not see the reflector; turn to the other one.
 
     Returns
@@ -2073,24 +2138,24 @@ def _keep_seen(other_leg, strip, reflection):
     """
     plane, is_body, first, last = reflection.plane, reflection.is_body, strip.last, strip.first
     for m in range(strip.first, strip.last):
-        if other_leg[REFLECTED, m] == 0.0:
+        if work[REFLECTED, m] == 0.0:
             continue
-        leg_x, leg_y, leg_z = other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m]
-        other_leg[LEG_X, m] = other_leg[LEG_Y, m] = other_leg[LEG_Z, m] = 0.0
-        seen = other_leg[SEEN, m]
+        leg_x, leg_y, leg_z = work[LEG_X, m], work[LEG_Y, m], work[LEG_Z, m]
+        work[LEG_X, m] = work[LEG_Y, m] = work[LEG_Z, m] = 0.0
+        seen = work[SEEN, m]
         nearness = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
         if seen < 0.0 or not _is_first(nearness, is_body):
-            other_leg[REFLECTED, m] = 0.0
+            work[REFLECTED, m] = 0.0
             continue
         first, last = min(first, m), m + 1
-        if other_leg[SIDE, m] > 0.0:
-            x, y, z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
-            other_leg[LEG_X, m], other_leg[LEG_Y, m], other_leg[LEG_Z, m] = x, y, z
+        if work[SIDE, m] > 0.0:
+            x, y, z = work[X, m], work[Y, m], work[Z, m]
+            work[LEG_X, m], work[LEG_Y, m], work[LEG_Z, m] = x, y, z
     return first, last
 
 
 @inlined
-def _find_bistatic(work, other_leg, begin, end, elevation_pattern):
+def _find_bistatic(work, begin, end, elevation_pattern):
     """Find the bistatic echo per steradian of a strip's samples that the other one sees, from `begin` to before `end`.
 
     Returns
@@ -2098,13 +2163,13 @@ def _find_bistatic(work, other_leg, begin, end, elevation_pattern):
     first, last : samples with such an echo, from the first to before the last
     """
     border, line_u, tilt, echo = work[BORDER], work[LINE_U], work[TILT], work[ECHO]
-    there_x, there_y, there_z, side = other_leg[X], other_leg[Y], other_leg[Z], other_leg[SIDE]
+    there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
     # directions are no longer needed: their rows take the sines of elevation here and there
     seen, bistatic, sine_here, sine_there = (
-        other_leg[SEEN],
-        other_leg[BISTATIC],
-        other_leg[LEG_X],
-        other_leg[LEG_Y],
+        work[SEEN],
+        work[BISTATIC],
+        work[LEG_X],
+        work[LEG_Y],
     )
     for m in range(uint64(begin), uint64(end)):
         x, y, z = there_x[m], there_y[m], there_z[m]
@@ -2126,7 +2191,7 @@ def _find_bistatic(work, other_leg, begin, end, elevation_pattern):
 
 
 @inlined
-def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounce):
+def _find_single_bounce(work, strip, first, last, other, single_bounce):
     """Find the footprints of echoes that go one way straight and the other by way of the reflector.
 
     first, last : samples of the strip, from the first to before the last
@@ -2144,7 +2209,7 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         q = max(rest[m] + along[m] * vc, HORIZON)
         u2 = 1.0 + uc * uc
         length2 = u2 + vc * vc
-        there_x, there_y, there_z = other_leg[X, m], other_leg[Y, m], other_leg[Z, m]
+        there_x, there_y, there_z = work[X, m], work[Y, m], work[Z, m]
         length = math.sqrt(length2)
         range_there = math.sqrt(there_x * there_x + there_y * there_y + there_z * there_z)
         s = 2.0 / (length / q + range_there)
@@ -2182,7 +2247,7 @@ def _find_single_bounce(work, other_leg, strip, first, last, other, single_bounc
         work[SLANT, m] = 0.0
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
-        strength = single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading
+        strength = single_bounce * work[REFLECTED, m] * work[BISTATIC, m] * spreading * spreading
         work[ENERGY, m] = strength * across * height / (length * length2 * s)
 
 
@@ -2194,12 +2259,12 @@ def clear_columns(first, last, sums, spans):
 
 
 @compiled
-def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, reflection, sums, spans):
+def sum_image_source(work, plane_echo, lattice, strips, bins, elevation_pattern, reflection, sums, spans):
     """Add some of one sector's samples to columns and bins, as a planar reflector returns them.
 
     Parameters
     ----------
-    plane_echo .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
+    work .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
     reflection : tuple of Reflection
     sums, spans : as in `sum_footprints`; the rows of these strips are added to
 
@@ -2211,31 +2276,30 @@ def sum_image_source(plane_echo, lattice, strips, bins, elevation_pattern, refle
     reflection = Reflection(*reflection)
     frame = _sector_frame(reflection)
     view, other_view = reflection.index, reflection.other_index
-    R, no_face_id = plane_echo.shape[0], np.empty((0, 0), np.int32)
-    work, other_leg = np.empty((FOOTPRINT_ROWS, R + 1)), np.empty((OTHER_LEG_ROWS, R + 1))
-    leg_x, leg_y, leg_z, seen = other_leg[LEG_X], other_leg[LEG_Y], other_leg[LEG_Z], other_leg[SEEN]
+    work, no_face_id = as_table(work, WORK_ROWS, WORK_COLUMNS), np.empty((0, 0), np.int32)
+    leg_x, leg_y, leg_z, seen = work[LEG_X], work[LEG_Y], work[LEG_Z], work[SEEN]
     is_reflected = False
     for p in range(strips.middle.shape[0]):
         strip = find_strip(work, plane_echo, no_face_id, lattice, strips, p, bins.q_unseen, (0.0, 0.0))
         if strip.first == strip.last:
             continue
-        _find_other_leg(work, other_leg, strip, frame.other)
-        _find_rays_by_reflector(work, other_leg, strip, frame, reflection)
+        _find_other_leg(work, strip, frame.other)
+        _find_rays_by_reflector(work, strip, frame, reflection)
         find_surfaces(leg_x, leg_y, leg_z, strip.first, strip.last, view, seen)
-        reflected_first, reflected_last = _keep_seen(other_leg, strip, reflection)
+        reflected_first, reflected_last = _keep_seen(work, strip, reflection)
         if reflected_first >= reflected_last:
             continue
         find_surfaces(leg_x, leg_y, leg_z, reflected_first, reflected_last, other_view, seen)
-        first, last = _find_bistatic(work, other_leg, reflected_first, reflected_last, elevation_pattern)
+        first, last = _find_bistatic(work, reflected_first, reflected_last, elevation_pattern)
         is_reflected = True
         if reflection.from_image:
             _find_footprints(work, strip, elevation_pattern, bins.per_metre)
             for m in range(reflected_first, reflected_last):
-                work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]
+                work[ENERGY, m] *= work[REFLECTED, m] * work[REFLECTED, m]
             spread_footprints(
                 work, reflected_first, reflected_last, sums, spans, strip.column, bins, SHORT_RAMP
             )
         if first < last:
-            _find_single_bounce(work, other_leg, strip, first, last, frame.other, reflection.single_bounce)
+            _find_single_bounce(work, strip, first, last, frame.other, reflection.single_bounce)
             spread_footprints(work, first, last, sums, spans, strip.column, bins, SHORT_RAMP)
     return is_reflected

@@ -228,7 +228,14 @@ class Labeller:
             cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
             for arrays, mine in zip(of_sectors, strips[half], strict=True):
                 cells, store = kernels.sum_bodies(
-                    *arrays, mine, *settings, cells, store, columns.all_sums, columns.all_spans
+                    self._workspace.works[half],
+                    *arrays,
+                    mine,
+                    *settings,
+                    cells,
+                    store,
+                    columns.all_sums,
+                    columns.all_spans,
                 )
             room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
 

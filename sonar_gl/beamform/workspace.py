@@ -97,12 +97,14 @@ class Workspace:
     Attributes
     ----------
     pools
+    works : what the kernels sum each half of the strips in
     """
 
     def __init__(self, pools: ArrayPools | None = None):
         self.pools = ArrayPools() if pools is None else pools
         self._weights = self._sums = self._label_sums = None, None
         self._moments = None, None
+        self.works = kernels.make_work(), kernels.make_work()
 
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
         """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.

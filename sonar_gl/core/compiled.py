@@ -6,7 +6,9 @@ import sys
 from functools import cache
 
 from numba import njit
-from numba.core import event
+from numba.core import cgutils, event, types
+from numba.core.imputils import impl_ret_borrowed
+from numba.extending import intrinsic
 
 OPTIONS = {
     "nogil": True,
@@ -49,6 +51,32 @@ def inlined(function):
     With a single caller this compiles faster than two separate functions.
     """
     return njit(inline="always", **OPTIONS)(function)
+
+
+@intrinsic
+def as_table(_typing_context, array, n_rows, n_columns):
+    """Return a table of float64 in the memory of an array at least as large; its shape must be of constants.
+
+    The compiler then knows how far rows are apart. Of an array whose shape it does not know, any two rows might
+    overlap: a loop over several of them compares the places of all first, each time, or does one entry at a time.
+    """
+    if not all(isinstance(n, types.IntegerLiteral) for n in (n_rows, n_columns)):
+        return None
+    shape, table = (n_rows.literal_value, n_columns.literal_value), types.Array(types.float64, 2, "C")
+
+    def generate(context, builder, signature, arguments):
+        def numbers(*values):
+            return [context.get_constant(types.intp, n) for n in values]
+
+        given = context.make_array(signature.args[0])(context, builder, value=arguments[0])
+        out = context.make_array(table)(context, builder)
+        out.data, out.meminfo, out.parent = given.data, given.meminfo, given.parent
+        out.nitems, out.itemsize = numbers(shape[0] * shape[1], 8)
+        out.shape = cgutils.pack_array(builder, numbers(*shape))
+        out.strides = cgutils.pack_array(builder, numbers(8 * shape[1], 8))
+        return impl_ret_borrowed(context, builder, table, out._getvalue())
+
+    return table(array, n_rows, n_columns), generate
 
 
 class _Announcement(event.Listener):

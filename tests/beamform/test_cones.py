@@ -100,7 +100,7 @@ def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
     sonar, max_elevation_deg = FANS[name]
     beams = BeamShape(0.03, False, max_elevation_deg=max_elevation_deg, are_cones=True)
     fan = make_fan(sonar, sg.Sampling(1, 64), beams)
-    work = np.empty((kernels.FOOTPRINT_ROWS, max(sector.rows for sector in fan.sectors) + 1))
+    work = kernels.make_work()
     for sector in fan.sectors:
         lattice = kernels.Lattice(*SectorSamples(sector, None, None).lattice)
         strips, j = sector.strips, np.arange(sector.rows)

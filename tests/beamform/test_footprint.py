@@ -9,7 +9,6 @@ import sonar_gl as sg
 from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights
 from sonar_gl.beamform.kernels import (
     ENERGY,
-    FOOTPRINT_ROWS,
     SHORT_RAMP,
     SLANT,
     A,
@@ -17,6 +16,7 @@ from sonar_gl.beamform.kernels import (
     S,
     beam_tiles,
     bin_table,
+    make_work,
     spread_footprints,
     sum_points,
     weigh_columns,
@@ -34,10 +34,11 @@ def spread(s, a, b, energy=1.0, edges=EDGES, slant=0.0):
     sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
     bins = bin_table(edges)
     spans = np.tile([K, 0], (3, 1))
-    work = np.full((FOOTPRINT_ROWS, len(s) + 2), np.nan)  # the first and the last are not used
-    work[ENERGY, 1:-1], work[S, 1:-1], work[A, 1:-1], work[B, 1:-1] = energy, s, a, b
-    work[SLANT, 1:-1] = slant
-    spread_footprints(work, 1, len(s) + 1, sums, spans, 1, bins, SHORT_RAMP)
+    work, past = make_work(), len(s) + 1
+    work[:, : 2 * past] = np.nan  # the first and those from the last on are not used
+    work[ENERGY, 1:past], work[S, 1:past], work[A, 1:past], work[B, 1:past] = energy, s, a, b
+    work[SLANT, 1:past] = slant
+    spread_footprints(work, 1, past, sums, spans, 1, bins, SHORT_RAMP)
     assert not sums[[0, 2]].any()
     assert (spans[[0, 2]] == [K, 0]).all()
     assert not np.delete(sums[1], slice(*spans[1])).any()  # bins outside of the span are empty

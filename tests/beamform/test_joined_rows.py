@@ -124,3 +124,35 @@ def test_pieces_follow_from_bins_range_and_aperture():
     _, piece_m = kernels.piece_limits(edges)
     assert piece_m / 8 == pytest.approx(0.05 / 160)  # r h² / 8
     assert kernels.piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e300, -1.0])
+@pytest.mark.parametrize(
+    "acoustics", [IDEAL, sg.Acoustics.physical(multipath="incoherent")], ids=["ideal", "multipath"]
+)
+def test_no_bit_depends_on_what_was_in_memory_beside_a_strip(acoustics, value, monkeypatch):
+    """Loops over strips do a few samples more than there are."""
+    mirror = sg.Body(
+        "mirror", trimesh.creation.box((6.0, 0.2, 6.0)), sg.pose(y=3.5, z=-2.0), material="steel"
+    )
+    bodies = [TANK, mirror]
+    clean = ping_of(bodies, acoustics, labels=True)
+    make_work = kernels.make_work
+
+    def make_filled():
+        work = make_work()
+        work[:, :1000] = value
+        return work
+
+    monkeypatch.setattr(kernels, "make_work", make_filled)
+    filled = ping_of(bodies, acoustics, labels=True)
+    for name in (
+        "intensity",
+        "body_id",
+        "elevation_rad",
+        "incidence_rad",
+        "true_range_m",
+        "share",
+        "body_echo",
+    ):
+        np.testing.assert_array_equal(getattr(filled, name), getattr(clean, name), err_msg=name)

@@ -5,7 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from sonar_gl.beamform.kernels import BORDER, FOOTPRINT_ROWS, Lattice, StripTable, bin_table, find_strip
+import sonar_gl as sg
+from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.kernels import (
+    BORDER,
+    MAX_STRIP_ROWS,
+    Lattice,
+    StripTable,
+    bin_table,
+    find_strip,
+    make_work,
+)
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.samples import NO_FACES
 
 EDGES = np.linspace(0.5, 30.0, 100)
@@ -34,10 +45,11 @@ def borders(samples, width=STEP, u=0.0):
     lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), -0.2, 0.2, 1, 0.0, 1.0)
     top = np.array([0.2 * math.hypot(1.0, u)])
     strips = StripTable(np.array([0]), np.array([u]), np.array([width]), -top, top, False)
-    work = np.full((FOOTPRINT_ROWS, ROWS + 1), np.nan)
+    work = make_work()
+    work[:, : 2 * ROWS] = np.nan
     image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)
     strip = find_strip(work, image, NO_FACES, lattice, strips, 0, bin_table(EDGES).q_unseen, (0.0, 0.0))
-    return strip, work[BORDER]
+    return strip, work[BORDER, : ROWS + 1]
 
 
 def scene_of(v_edge, low, high):
@@ -140,3 +152,12 @@ def test_the_ends_of_the_aperture_end_footprints():
     strip, found = borders(scene_of(0.0, Plane(0.2, 0.0), Plane(0.2, 0.0)), u=0.4 * STEP)
     assert found[ROWS] == pytest.approx(0.2 * math.hypot(1, 0.4 * STEP))
     assert (strip.first, strip.last) == (0, ROWS)
+
+
+def test_more_rows_than_there_is_room_for_are_refused():
+    """Kernels do not look where their memory ends. The side lobes of a low aperture reach far beyond it."""
+    sonar, acoustics = sg.Sonar("low", 900e3, 4, 100, 45.0, 1.0, 1.0, 0.5, 15.0), sg.Acoustics.physical()
+    fitting = make_beamformer(sonar, acoustics, sg.Sampling(1, 1_000))
+    assert 1_000 < max(sector.rows for sector in fitting.fan.sectors) <= MAX_STRIP_ROWS
+    with pytest.raises(SampleLimitError, match=f"no more than {MAX_STRIP_ROWS} rows of samples"):
+        make_beamformer(sonar, acoustics, sg.Sampling(1, 16_000))

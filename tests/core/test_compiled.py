@@ -1,9 +1,10 @@
-"""What is said of compilation."""
+"""Compiled functions: tables whose shape the compiler knows, and what is said of compilation."""
 
 import numba
+import numpy as np
 import pytest
 
-from sonar_gl.core.compiled import announce_compilation
+from sonar_gl.core.compiled import announce_compilation, as_table
 
 
 @pytest.mark.parametrize(
@@ -20,3 +21,47 @@ def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys
     assert numba.njit(add)(1) == 2
     announce_compilation(False)
     assert capsys.readouterr().err.startswith("sonar_gl: compiling numerical kernels") == is_announced
+
+
+def test_a_table_of_known_shape_lies_in_the_memory_of_its_array():
+    @numba.njit
+    def double(array):
+        table = as_table(array, 3, 4)
+        for k in range(4):
+            table[2, k] = 2 * table[1, k]
+        return table.shape, table.strides
+
+    array = np.arange(20.0).reshape(4, 5)
+    shape, strides = double(array)
+    assert (shape, strides) == ((3, 4), (32, 8))
+    np.testing.assert_array_equal(array.ravel()[:12].reshape(3, 4)[2], [8, 10, 12, 14])
+    np.testing.assert_array_equal(array.ravel()[12:], np.arange(12.0, 20.0))
+
+
+def test_a_table_keeps_its_array_alive_and_no_longer():
+    """The first form of it counted no reference, so that the array was released while it was in use."""
+
+    @numba.njit
+    def total(n):
+        array = np.ones(12)
+        table = as_table(array, 3, 4)
+        array = np.zeros(n)
+        return table.sum() + array.sum()
+
+    @numba.njit
+    def replaced(array):
+        array = as_table(array, 3, 4)
+        return array.sum()
+
+    given = np.ones((3, 4))
+    assert all(total(12) == replaced(given) == 12 for _ in range(1000))
+    del given  # aborts where it was released already
+
+
+def test_a_table_of_a_shape_that_is_not_constant_is_refused():
+    @numba.njit
+    def of_shape(array, n):
+        return as_table(array, n, 4).sum()
+
+    with pytest.raises(numba.TypingError):
+        of_shape(np.ones((3, 4)), 3)

@@ -6,6 +6,7 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import Beamformer
+from sonar_gl.beamform.kernels import make_work
 from sonar_gl.sonar.samples import SectorSamples
 from tools.chart.rivals.common import Rival
 from tools.chart.rivals.embree import in_embree, make_packet, trace
@@ -142,6 +143,7 @@ class Tubes(Rays):
         self.s, self.echo = np.zeros((2, len(self.rays)), np.float32)
         cut = int(np.searchsorted(columns, self.halves[1].start))
         self.cell_halves = (0, cut), (cut, len(columns))
+        self.works = make_work(), make_work()
 
     def ping(self, pose):
         """Return (B, K) intensity."""
@@ -155,8 +157,8 @@ class Tubes(Rays):
         def spread(half):
             self.sums[self.halves[half]] = 0
             tubes(
-                self.rays, rotation, origin, faces, self.face, self.s, self.echo, self.column, self.width,
-                self.height, *self.cell_halves[half], self.bins, self.sums,
+                self.works[half], self.rays, rotation, origin, faces, self.face, self.s, self.echo, self.column,
+                self.width, self.height, *self.cell_halves[half], self.bins, self.sums,
             )  # fmt: skip
 
         self.both(work)

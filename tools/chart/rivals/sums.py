@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from sonar_gl.beamform.kernels import ENERGY, FOOTPRINT_ROWS, SHORT_RAMP, A, B, S, spread_footprints
+from sonar_gl.beamform.kernels import ENERGY, SHORT_RAMP, SLANT, A, B, S, spread_footprints
 from sonar_gl.core.compiled import compiled
 
 
@@ -104,6 +104,7 @@ def _are_one(rays, rotation, origin, faces, face, s, i, j):
 # not cached: Numba would go on with a `spread_footprints` of before its file changed
 @njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 def tubes(
+    work,
     rays,
     rotation,
     origin,
@@ -126,13 +127,14 @@ def tubes(
 
     Parameters
     ----------
+    work : of kernels.make_work, overwritten
     rays, face, s, echo : (R + 1) (C + 1) rays row by row, at the corners of R by C tubes
     column, width : (C,) fan column, radians of azimuth; height : (R,) steradians to a radian of azimuth
     first, last : which columns of tubes; bins : kernels.BinTable; sums : added to
     """
     C = len(column)
-    # zeros: no footprint is slanted
-    work, spans = np.zeros((FOOTPRINT_ROWS, 4 * len(height))), np.zeros((sums.shape[0], 2), np.int64)
+    spans = np.zeros((sums.shape[0], 2), np.int64)
+    work[SLANT, : 4 * len(height)] = 0.0  # no footprint is slanted
     for i in range(first, last):
         c, n = column[i], 0
         for j in range(len(height)):
