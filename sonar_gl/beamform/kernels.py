@@ -1178,7 +1178,7 @@ def _find_angles(work, strip):
     line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
     inverse_length, elevation_rise, incidence_rise = work[NEAR], work[ELEVATION_RISE], work[INCIDENCE_RISE]
     first, last = strip.first, strip.last
-    for m in range(uint64(first), uint64(last)):
+    for m in range(uint64(first), uint64(_whole(first, last))):
         # of the plane p · x = 1, whose other parts are the slopes
         x, along_v = rest[m] - along_u[m] * line_u[m], along[m] - along_u[m] * tilt[m]
         towards = max(s[m], 0.0)
@@ -1202,7 +1202,7 @@ def _find_rises(work, strip):
     rest, along, border, s = work[REST], work[ALONG], work[BORDER], work[S]
     line_u, tilt, a, b, incidence = work[LINE_U], work[TILT], work[A], work[B], work[INCIDENCE]
     elevation_rise, incidence_rise = work[ELEVATION_RISE], work[INCIDENCE_RISE]
-    for m in range(uint64(strip.first), uint64(strip.last)):
+    for m in range(uint64(strip.first), uint64(_whole(strip.first, strip.last))):
         # the plane's vector has the part s along the ray, and this one across it
         past, low, high = incidence_rise[m], border[m], border[uint64(m + 1)]
         # by linear regression, if s changes across the strip, too: b² / (a² + b²), over b
