@@ -55,26 +55,28 @@ def inlined(function):
 
 @intrinsic
 def as_table(_typing_context, array, n_rows, n_columns):
-    """Return a table of float64 in the memory of an array at least as large; its shape must be of constants.
+    """Return a contiguous (n_rows, n_columns) table in the memory of one at least as large; both must be constants.
 
     The compiler then knows how far rows are apart. Of an array whose shape it does not know, any two rows might
     overlap: a loop over several of them compares the places of all first, each time, or does one entry at a time.
     """
     if not all(isinstance(n, types.IntegerLiteral) for n in (n_rows, n_columns)):
         return None
-    shape, table = (n_rows.literal_value, n_columns.literal_value), types.Array(types.float64, 2, "C")
+    shape, n_bytes = (n_rows.literal_value, n_columns.literal_value), array.dtype.bitwidth // 8
+    table = types.Array(array.dtype, 2, "C")
+    if array != table:
+        return None
 
-    def generate(context, builder, signature, arguments):
+    def generate(context, builder, _signature, arguments):
         def numbers(*values):
-            return [context.get_constant(types.intp, n) for n in values]
+            return cgutils.pack_array(builder, [context.get_constant(types.intp, n) for n in values])
 
-        given = context.make_array(signature.args[0])(context, builder, value=arguments[0])
-        out = context.make_array(table)(context, builder)
-        out.data, out.meminfo, out.parent = given.data, given.meminfo, given.parent
-        out.nitems, out.itemsize = numbers(shape[0] * shape[1], 8)
-        out.shape = cgutils.pack_array(builder, numbers(*shape))
-        out.strides = cgutils.pack_array(builder, numbers(8 * shape[1], 8))
-        return impl_ret_borrowed(context, builder, table, out._getvalue())
+        out, fields = arguments[0], context.data_model_manager[table]
+        parts = {"shape": numbers(*shape), "strides": numbers(n_bytes * shape[1], n_bytes)}
+        parts["nitems"] = context.get_constant(types.intp, shape[0] * shape[1])
+        for name, part in parts.items():
+            out = builder.insert_value(out, part, fields.get_field_position(name))
+        return impl_ret_borrowed(context, builder, table, out)
 
     return table(array, n_rows, n_columns), generate
 

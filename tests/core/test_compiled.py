@@ -43,9 +43,9 @@ def test_a_table_keeps_its_array_alive_and_no_longer():
 
     @numba.njit
     def total(n):
-        array = np.ones(12)
+        array = np.ones((3, 4))
         table = as_table(array, 3, 4)
-        array = np.zeros(n)
+        array = np.zeros((n, 4))
         return table.sum() + array.sum()
 
     @numba.njit
@@ -65,3 +65,13 @@ def test_a_table_of_a_shape_that_is_not_constant_is_refused():
 
     with pytest.raises(numba.TypingError):
         of_shape(np.ones((3, 4)), 3)
+
+
+def test_a_table_in_an_array_that_is_not_contiguous_is_refused():
+    @numba.njit
+    def total(array):
+        return as_table(array, 3, 4).sum()
+
+    for array in (np.ones((8, 8))[::2], np.ones((4, 3)).T, np.ones(12)):
+        with pytest.raises(numba.TypingError):
+            total(array)
