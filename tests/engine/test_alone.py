@@ -87,7 +87,7 @@ def test_a_hard_view_makes_no_other_ping_finer():
 
 
 def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
-    """Views: of the rods two tries, and one coarser than the first; of the wall one, and one coarser."""
+    """Views: of the rods three tries, and one coarser than the first; of the wall one, and one coarser."""
     real, views = error_model.count_bodies, []
     monkeypatch.setattr(
         error_model, "count_bodies", lambda samples, *args: views.append(samples) or real(samples, *args)
@@ -98,7 +98,23 @@ def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
             views.clear()
             make_ping(simulator.run, one)
             counts.append(len(views))
-    assert counts == [3, 2]
+    assert counts == [4, 2]
+
+
+def test_a_ping_takes_no_more_than_four_times_the_samples_at_once(monkeypatch):
+    """A first estimate from few samples once asked for 45 times as many, where 6 times were enough."""
+    real, wanted = ErrorModel.judge, []
+
+    def judge(model, setup, level, tried, before=None):
+        judgement = real(model, setup, level, tried, before)
+        wanted.append((tried.stage.sampling.count(SONAR), judgement.steps))
+        return judgement._replace(steps=8) if len(wanted) == 1 else judgement
+
+    monkeypatch.setattr(ErrorModel, "judge", judge)
+    with sg.Simulator(SCENE, SONAR, tolerance=0.1) as simulator:
+        make_ping(simulator.run, requests()[0])
+    (first, _), (second, steps) = wanted
+    assert steps <= 0 and second == pytest.approx(4 * first, rel=0.05)  # rows are whole numbers
 
 
 def test_the_samples_of_a_ping_keep_the_tolerance_or_its_estimate_says_so(monkeypatch):
