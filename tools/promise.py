@@ -2,12 +2,13 @@
 
     python -m tools.promise                         # 100 worlds, some twenty minutes
     python -m tools.promise --worlds 20 --first 500
+    python -m tools.promise --worlds 20 --alone     # samples chosen from each ping alone, as in batches
 
 A world (`tests/support/worlds.py`) is a scene, a sonar and a pose by a seed: boxes, cylinders, thin rods,
 spheres, tori, floors and hills. Worlds of even seed have profile `ideal`, those of odd seed `physical`. The
 promise is kept if the error against `sonar_gl.reference_ping` is within the tolerance, and the error of every
 body's own echo within five times it. The cost is the time of a ping and its samples, over those of the
-coarsest sampling level that would have kept the promise, in the same run.
+coarsest sampling level that would have kept the promise, in the same run; of pings alone, over those of a planned ping.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
-from sonar_gl.sonar.sampling import WORST_BODY, sampling_at
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
+from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
 from tests.support.worlds import random_world
 from tools.bench import harness
 
@@ -33,7 +36,10 @@ MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the small
 
 @dataclass(frozen=True)
 class Outcome:
-    """One world at one tolerance; errors as shares, times in ms, estimates of the plan."""
+    """One world at one tolerance; errors as shares, times in ms, estimates of the plan.
+
+    Of a ping alone, the estimates are its own, and in place of the cheapest level is that of a plan.
+    """
 
     seed: int
     tolerance: float
@@ -61,6 +67,43 @@ def kept(error: float, body_error: float, tolerance: float) -> bool:
 def profile_of(seed: int) -> sg.Acoustics:
     """Return the acoustics of a world: the two profiles in turn."""
     return sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
+
+
+def try_alone(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03) -> list[Outcome]:
+    """Return the Outcomes of one world whose ping chooses its samples alone; none if it returns no echo."""
+    scene, sonar, pose = random_world(seed)
+    acoustics, out = profile_of(seed), []
+    truth = sg.reference_ping(scene, sonar, pose, acoustics, truth_error, MOST_RAYS)
+    for tolerance in tolerances if truth.intensity.any() else ():
+        settings = {"tolerance": tolerance}
+        with (
+            sg.Simulator(scene, sonar, acoustics, **settings) as alone,
+            sg.Simulator(scene, sonar, acoustics, **settings) as planned,
+        ):
+            plan = planned.plan([pose])
+            ping = make_ping(alone.run, PingRequest(pose, labels=True, alone=True))
+            pings = {
+                "alone": lambda _, run=alone.run: make_ping(run, PingRequest(pose, alone=True)),
+                "planned": lambda _, simulator=planned: simulator.ping(pose),
+            }
+            times = harness.take_turns(pings, ROUNDS, warm_up=1)
+            samples = sg.Sampling(**ping.meta["sampling"]).count(sonar)
+        out.append(
+            Outcome(
+                seed,
+                tolerance,
+                ping.error_estimate <= tolerance,
+                ping_error(ping, truth),
+                ping.error_estimate,
+                worst_body(ping, truth)[0],
+                np.nan,
+                level_of(sonar, samples),
+                plan.level,
+                float(np.median(times["alone"])),
+                float(np.median(times["planned"])),
+            )
+        )
+    return out
 
 
 def try_world(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03, costs: bool = True):
@@ -150,18 +193,23 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tools.promise", description=__doc__.partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=100, help="how many with an echo")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
+    parser.add_argument("--alone", action="store_true", help="have each ping choose its samples alone")
     options = parser.parse_args()
+    try_one = try_alone if options.alone else try_world
     outcomes, seed, first = [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
         while len({o.seed for o in outcomes}) < options.worlds:
-            outcomes += try_world(seed)
+            outcomes += try_one(seed)
             seed += 1
             if sys.stderr.isatty():
                 print(f"\r{seed - first} worlds", end="", file=sys.stderr)
     with sg.Simulator(sg.Scene([]), random_world(0)[1]) as simulator:
         print(f"seeds {first} to {seed - 1}, on {simulator.gl_info['renderer']}")
     report(outcomes)
+    if options.alone:
+        total, of_plans = (sum(getattr(o, name) for o in outcomes) for name in ("ms", "cheapest_ms"))
+        print(f"all pings alone over all planned pings: {total / of_plans:.2f} times the time")
 
 
 if __name__ == "__main__":

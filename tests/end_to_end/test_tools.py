@@ -292,12 +292,14 @@ def test_bench_batch():
 
 
 @pytest.mark.slow
-def test_promise():
-    printed = run("tools.promise", "--worlds", "1", "--first", "1001")
+@pytest.mark.parametrize("how", [[], ["--alone"]])
+def test_promise(how):
+    printed = run("tools.promise", "--worlds", "1", "--first", "1001", *how)
     rows = re.findall(r"^([\d.]+) +1 +([01]) +([01]) +([01]) ", printed, re.MULTILINE)
     assert [float(tolerance) for tolerance, *_ in rows] == [0.05, 0.02, 0.01]
     # one world is no evidence for 95 of 100, but of this one the outcome is known
     assert all(kept == met == "1" for _, kept, met, _ in rows)
+    assert ("all pings alone over all planned pings" in printed) == bool(how)
 
 
 BOX = "<link name='l'><collision name='c'><geometry><box/></geometry></collision></link>"
