@@ -687,7 +687,8 @@ def test_poses_that_make_no_sense():
     )
     assert refused("--pose", "0 0 0 0 12 90") == (
         "--pose '0 0 0 0 12 90': pose angles must be radians, within ±2π (got roll pitch yaw = 0 12 90; "
-        "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
+        "if these are degrees, multiply by π/180; if one is the sum of many turns, wrap it: "
+        "math.remainder(yaw, 2 * math.pi))"
     )
     assert refused(scene="mute.sdf") == (
         "scene 'mute' has no sonar in it; give its place with --pose "

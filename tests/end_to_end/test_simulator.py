@@ -491,7 +491,7 @@ NAN[0, 3] = np.nan
         (
             lambda: sg.pose(0, 0, 0, 0, 0, 90),
             "pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; if these are degrees, "
-            "multiply by π/180; if they are unwrapped radians, wrap them)",
+            "multiply by π/180; if one is the sum of many turns, wrap it: math.remainder(yaw, 2 * math.pi))",
         ),
         (
             lambda: sg.Body("b", trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [])),
