@@ -27,7 +27,7 @@ AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as
 PATIENCE_S = 10.0
 HINT = (
     "nothing on {} yet: does sonar-gl ros2 run, with this transport and domain? Its first ping after an installation "
-    "takes half a minute"
+    "takes a minute or two"
 )
 
 
