@@ -708,7 +708,7 @@ def test_sonar_files_that_make_no_sense():
         ),
         (
             ("n_beams", "n_beam"),
-            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins'?)",
+            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)",
         ),
     ):
         Path("bad.toml").write_text(SONAR.replace(*change))
