@@ -310,7 +310,8 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ),
         (
             {"n_bins_max": 4},
-            "sonar 'a': n_bins must not exceed n_bins_max (got 512 and 4; set a shorter range, or leave n_bins_max out)",
+            "sonar 'a': n_bins must not exceed n_bins_max "
+            "(got 512 and 4; set a shorter range, or leave n_bins_max out)",
         ),
         ({"n_bins_max": 0.5}, "sonar 'a': n_bins_max must be a whole number in 1..65536 (got 0.5)"),
         ({"keeps_n_bins": 1}, "sonar 'a': keeps_n_bins must be true or false (got 1)"),
