@@ -41,8 +41,8 @@ class CommandGroup(click.Group):
                 warnings.simplefilter("always", UserWarning)
                 warnings.showwarning = _one_line_warnings()
                 super().invoke(ctx)
-        except KeyboardInterrupt:
-            message, status = "interrupted; the files written so far are complete", 130
+        except KeyboardInterrupt as why:  # commands that write files say what is with these
+            message, status = "; ".join(["interrupted", *map(str, why.args)]), 130
         except MemoryError as why:
             message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
         except ImportError as why:
