@@ -39,6 +39,11 @@ def is_sdf(what: str) -> bool:
     return what in bundled_scenes() or path.is_dir() or path.suffix.lower() in SDF_SUFFIXES
 
 
+def is_turned(what: str) -> bool:
+    """Return whether a name or path of a scene is one whose y-up axes `load_scene` turns to z-up: glTF."""
+    return not is_sdf(what) and Path(what).suffix.lower() in mesh_files.Y_UP_SUFFIXES
+
+
 def scene_description(path) -> str:
     """Return the first comment of a scene file, else its first `<description>`, on one line; else ""."""
     text = Path(path).read_text(encoding="utf-8", errors="replace")
@@ -118,7 +123,7 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
 
 def _read_mesh_scene(path: Path) -> Scene:
     """Return a scene with one body for each placed geometry of a mesh file."""
-    z_up = mesh_files.Z_UP_FROM_Y_UP if path.suffix.lower() in mesh_files.Y_UP_SUFFIXES else np.eye(4)
+    z_up = mesh_files.Z_UP_FROM_Y_UP if is_turned(str(path)) else np.eye(4)
     parts = mesh_files.read_mesh_parts(path)
     names = _numbered([part.node for part in parts]) if len(parts) > 1 else [path.stem]
     shapes = [transform(part.shape, z_up) for part in parts]
