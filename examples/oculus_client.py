@@ -15,6 +15,7 @@ import socket
 import struct
 from contextlib import suppress
 
+import cv2
 import numpy as np
 
 import sonar_gl as sg
@@ -32,6 +33,7 @@ LOW_FREQUENCY, TEN_PINGS_A_SECOND = 1, 0
 RANGE_IN_METRES, SIMPLE_RESULT, GAIN_ASSISTANCE = 0x01, 0x08, 0x10  # flags
 GAMMA = 127  # counts go as the square root of amplitude
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
+PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is told
 PATIENCE_S = 30.0
 
 
@@ -85,13 +87,15 @@ def ping_of(message):
     return number, start_ns, sg.Ping(share.astype(np.float32), azimuth_rad, range_m)
 
 
-def strongest(ping):
-    """Text about the strongest bin; the nearest one, where automatic gain brings several to full scale."""
-    k = ping.intensity.max(axis=0).argmax()
-    beam = ping.intensity[:, k].argmax()
+def brightest(ping):
+    """Text about the brightest patch; of single bins, grains of speckle, automatic gain brings many to full scale."""
+    half_bins = round(PATCH_M / 2 / ping.bin_size_m)
+    share = cv2.blur(ping.intensity, (2 * half_bins + 1, PATCH_BEAMS), borderType=cv2.BORDER_REPLICATE)
+    k = share.max(axis=0).argmax()  # the nearest, of several that are alike
+    beam = share[:, k].argmax()
     side = "port" if ping.azimuth_rad[beam] > 0 else "starboard"
     return (
-        f"strongest bin {ping.intensity[beam, k]:.0%} of full scale, at {ping.range_m[k]:.2f} m and "
+        f"brightest patch {share[beam, k]:.0%} of full scale, at {ping.range_m[k]:.2f} m and "
         f"{abs(np.degrees(ping.azimuth_rad[beam])):.1f}° to {side}"
     )
 
@@ -101,7 +105,7 @@ def describe(number, ping):
     range_m = ping.range_m
     return (
         f"ping {number}: {len(ping.azimuth_rad)} beams, {len(range_m)} ranges from {range_m[0]:.2f} to "
-        f"{range_m[-1]:.2f} m; {strongest(ping)}"
+        f"{range_m[-1]:.2f} m; {brightest(ping)}"
     )
 
 

@@ -13,6 +13,7 @@ import queue
 import sys
 from contextlib import closing, suppress
 
+import cv2
 import numpy as np
 
 import sonar_gl as sg
@@ -24,10 +25,11 @@ from sonar_gl.live.transport import Topic
 MSGTYPE = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 BYTES = {0: 1, 2: 2}  # of a count: DTYPE_UINT8 and DTYPE_UINT16 of marine_acoustic_msgs/SonarImageData
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
+PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is told
 PATIENCE_S = 10.0
 HINT = (
     "nothing on {} yet: does sonar-gl ros2 run, with this transport and domain? Its first ping after an installation "
-    "takes half a minute"
+    "takes a minute or two"
 )
 
 
@@ -48,13 +50,15 @@ def ping_of(message):
     return sg.Ping(share.astype(np.float32), azimuth_rad[::-1], np.asarray(message.ranges, np.float64))
 
 
-def strongest(ping):
-    """Text about the strongest bin; the nearest one, where automatic gain brings several to full scale."""
-    k = ping.intensity.max(axis=0).argmax()
-    beam = ping.intensity[:, k].argmax()
+def brightest(ping):
+    """Text about the brightest patch; of single bins, grains of speckle, automatic gain brings many to full scale."""
+    half_bins = round(PATCH_M / 2 / ping.bin_size_m)
+    share = cv2.blur(ping.intensity, (2 * half_bins + 1, PATCH_BEAMS), borderType=cv2.BORDER_REPLICATE)
+    k = share.max(axis=0).argmax()  # the nearest, of several that are alike
+    beam = share[:, k].argmax()
     side = "port" if ping.azimuth_rad[beam] > 0 else "starboard"
     return (
-        f"strongest bin {ping.intensity[beam, k]:.0%} of full scale, at {ping.range_m[k]:.2f} m and "
+        f"brightest patch {share[beam, k]:.0%} of full scale, at {ping.range_m[k]:.2f} m and "
         f"{abs(np.degrees(ping.azimuth_rad[beam])):.1f}° to {side}"
     )
 
@@ -64,7 +68,7 @@ def describe(message, ping):
     stamp, range_m = message.header.stamp, ping.range_m
     return (
         f"{message.header.frame_id} at {stamp.sec + stamp.nanosec / 1e9:.3f} s: {len(ping.azimuth_rad)} beams, "
-        f"{len(range_m)} ranges from {range_m[0]:.2f} to {range_m[-1]:.2f} m; {strongest(ping)}"
+        f"{len(range_m)} ranges from {range_m[0]:.2f} to {range_m[-1]:.2f} m; {brightest(ping)}"
     )
 
 

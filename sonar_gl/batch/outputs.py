@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from sonar_gl.batch.ros import (
 )
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import MADE, PingStore
+from sonar_gl.core.errors import errors_at
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import Camera
 from sonar_gl.imaging.boxes import body_map, boxes_of
@@ -152,9 +154,27 @@ class PicturesOutput(CountsOutput):
         if "npz" in self.table.formats:
             self.put(ping_file(f"npz/{sonar}", request.number, "npz"), npz_bytes(ping))
 
+    @property
+    def _filmed(self) -> tuple[str, ...]:
+        """The names of the sonars that have a film."""
+        return tuple(self.requests.sonars) if "mp4" in self.table.formats else ()
+
+    def try_out(self) -> None:
+        """Write a film of one black picture of each sonar; raise an Error if that is not possible on this machine."""
+        for name in self._filmed:
+            sonar = self.requests.sonars[name]
+            silence = np.zeros((sonar.n_beams, sonar.n_bins), np.float32)
+            ping = Ping(silence, sonar.azimuth_rad, sonar.range_m, sonar=sonar)
+            picture = self._draw(None, self.with_counts(name, ping))
+            with (
+                TemporaryDirectory() as folder,
+                errors_at(f"{self.job.where}: pictures: the film of {name!r}"),
+            ):
+                save_animation(Path(folder) / "film.mp4", [picture], self.table.fps)
+
     def join(self, manifest):
         names = []
-        for sonar in self.requests.sonars if "mp4" in self.table.formats else ():
+        for sonar in self._filmed:
             frames = self._frames(sonar, manifest.n_pings)
             if (first := next(frames, None)) is not None:  # otherwise all pings were set aside
                 names.append(f"{sonar}.mp4")
@@ -336,6 +356,12 @@ class RosOutput(CountsOutput):
     def _part_name(part: int) -> str:
         """Return the name of the file with a part's messages."""
         return f"bag/part_{part:07d}.mcap"
+
+
+def try_outputs(requests: BatchRequests, schema: Schema, folder: Folder) -> None:
+    """Raise an Error if this machine cannot write an output, before a batch that cannot be completed is begun."""
+    if requests.job.pictures is not None:
+        PicturesOutput(requests, schema, folder).try_out()
 
 
 def make_outputs(requests: BatchRequests, schema: Schema, folder: Folder) -> list[Output]:

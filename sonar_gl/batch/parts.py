@@ -23,7 +23,7 @@ from sonar_gl.batch.manifest import (
     default_pings_per_part,
     table_name,
 )
-from sonar_gl.batch.outputs import make_outputs
+from sonar_gl.batch.outputs import make_outputs, try_outputs
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import (
@@ -111,10 +111,14 @@ class Batch:
 
 
 def begin(batch: Batch, report: Report = no_report) -> Manifest:
-    """Return the manifest of a new batch, with the engine, driver and libraries of this process."""
+    """Return the manifest of a new batch, with the engine, driver and libraries of this process.
+
+    Raises Error if an output cannot be written here.
+    """
     job, schema = batch.requests.job, batch.schema
     with ExitStack() as stack:
         system = System.of(next(iter(_open_simulators(batch, 0, stack).values())).gl_info)
+    try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
     return Manifest(job.plain, schema.digest, n_pings, per_part, system)

@@ -14,6 +14,7 @@ from sonar_gl.batch import run as runs
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import check
+from sonar_gl.cli.common import FILES_ARE_COMPLETE
 from sonar_gl.cli.common import progress as show_progress
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error, escape_controls
@@ -37,7 +38,11 @@ def batch(options) -> int:
         return 0
     url = options.out or Path(options.job).stem
     settings = runs.RunSettings(options.resume, options.mend, options.any_system, options.cluster)
-    outcome = runs.run(job, url, devices, _report, _progress, settings)
+    try:
+        outcome = runs.run(job, url, devices, _report, _progress, settings)
+    except KeyboardInterrupt:
+        has_files = any(not name.startswith(".") for name in Folder(url, create=False).names(""))
+        raise KeyboardInterrupt(*[FILES_ARE_COMPLETE] * has_files) from None
     for number, why in sorted(outcome.set_aside.items()):
         _report(f"set aside: {outcome.describe(number)}: {why}")
     return _show_outcome(outcome, url, options.job)

@@ -23,6 +23,7 @@ from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 MAX_NAMED = 3  # sensors that are not taken
+FILES_ARE_COMPLETE = "the files written so far are complete"  # of a KeyboardInterrupt
 
 
 def scene_from(scene_name: str, options) -> Scene:

@@ -41,8 +41,8 @@ class CommandGroup(click.Group):
                 warnings.simplefilter("always", UserWarning)
                 warnings.showwarning = _one_line_warnings()
                 super().invoke(ctx)
-        except KeyboardInterrupt:
-            message, status = "interrupted; the files written so far are complete", 130
+        except KeyboardInterrupt as why:  # commands that write files say what is with these
+            message, status = "; ".join(["interrupted", *map(str, why.args)]), 130
         except MemoryError as why:
             message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
         except ImportError as why:
@@ -394,7 +394,7 @@ def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
-    half a minute, later commands then start fast.
+    a minute or two, later commands then start fast.
 
     With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
     its sonars, and everything that was left out or assumed as it was read.

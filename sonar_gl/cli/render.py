@@ -16,7 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.analysis.terms import needed_acoustics
-from sonar_gl.cli.common import acoustics_from, poses_from, progress, scene_from, sonar_from, water_from
+from sonar_gl.cli.common import (
+    FILES_ARE_COMPLETE,
+    acoustics_from,
+    poses_from,
+    progress,
+    scene_from,
+    sonar_from,
+    water_from,
+)
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
@@ -166,6 +174,9 @@ class FrameWriter:
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
+        self._has_files = (
+            False  # whether a file was written, or its writing has begun, which is then finished
+        )
 
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
@@ -174,7 +185,19 @@ class FrameWriter:
         ----------
         poses : (N, 4, 4) world_from_sonar
         times_s : (N,) seconds, for a sequence, whose files are numbered; None for one ping
+
+        Raises
+        ------
+        KeyboardInterrupt
+            of Ctrl-C, with a sentence about the files if there are any.
         """
+        try:
+            return self._write(poses, times_s)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(*[FILES_ARE_COMPLETE] * self._has_files) from None
+
+    def _write(self, poses, times_s) -> str:
+        """Do the work of `write`."""
         self._check_ping_rate(times_s)
         name, last = self.simulator.scene.name, len(poses) - 1
         width = max(4, len(str(last)))
@@ -185,6 +208,7 @@ class FrameWriter:
             for film in films:  # a second film renders all frames again: the same seed gives the same bytes
                 frames = self._frames(names, poses, times_s, stills if film == films[0] else (), calls)
                 save_animation(self.folder / f"{name}.{film}", frames, self.fps)
+                self._has_files = True
             if not films:
                 for _ in self._frames(names, poses, times_s, stills, calls):
                     pass
@@ -251,6 +275,7 @@ class FrameWriter:
                 picture = self.style(self.simulator, ping, number) if needs_picture else None
                 if needs_picture:
                     self._note_bright(self._is_bright(ping, picture))
+                self._has_files |= bool(stills)
                 if "png" in stills:
                     calls.start(save_png, self.folder / f"{names[number]}.png", picture)
                 if "npz" in stills:

@@ -11,13 +11,14 @@ from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import air_text, body_bounds, bounds_of, is_infinite, millimetres_text, size_text
-from sonar_gl.scene.load import is_sdf
+from sonar_gl.scene.load import is_sdf, is_turned
 from sonar_gl.scene.scene import Body, Scene
 
 ECHOING = (
     "bodies are the collisions of links; visuals count where they alone exist, or alone have <laser_retro> or a "
     "sonar_gl tag"
 )
+TURNED = "glTF is y-up: the file is turned to z-up, (x, y, z) of the file to (x, -z, y)"
 MAX_LISTED = 40  # bodies and other things in a list; a terminal shows as many
 
 
@@ -30,7 +31,8 @@ def scene_report(scene_name: str, options) -> str:
     messages += filter(None, [millimetres_text(scene)])
     if scene.sonar_pose is not None:
         messages += filter(None, [air_text(scene, scene.sonar_pose)])
-    return report_text(scene, messages, ECHOING if is_sdf(scene_name) else "")
+    note = ECHOING if is_sdf(scene_name) else TURNED if is_turned(scene_name) else ""
+    return report_text(scene, messages, note)
 
 
 def report_text(scene: Scene, messages: Iterable[str] = (), note: str = "") -> str:
@@ -39,7 +41,7 @@ def report_text(scene: Scene, messages: Iterable[str] = (), note: str = "") -> s
     Parameters
     ----------
     messages : warnings of its reader, in order
-    note : what the bodies are
+    note : what the bodies are, or how they were turned
     """
     surface = "none" if scene.surface_z_m is None else f"surface at z = {scene.surface_z_m:g} m"
     rows = [

@@ -91,7 +91,7 @@ class _Announcement(event.Listener):
             return  # a function of the program that uses this package
         if self.is_wanted:
             print(
-                "sonar_gl: compiling numerical kernels, which takes about half a minute, once after each installation "
+                "sonar_gl: compiling numerical kernels, which takes a minute or two, once after each installation "
                 "('sonar-gl doctor' compiles all of them)",
                 file=sys.stderr,
             )

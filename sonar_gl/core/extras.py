@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import sys
-from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import PackageNotFoundError, distribution, requires
 from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 from sonar_gl.core.errors import Error
 
@@ -27,15 +30,32 @@ def missing_extra(extra: str, why: str) -> Error:
 def install_command(extra: str) -> str:
     """Return the shell command that adds an extra to this installation.
 
-    From a checkout it installs the extra in place; otherwise it installs the requirements of the extra by
-    their own names. It never has pip look for this package on an index, where the name may be another's.
+    From a checkout, and where the checkout that this was installed from is still there, it installs the extra from
+    there; otherwise it installs the requirements of the extra by their own names. It never has pip look for this
+    package on an index, where the name may be another's.
     """
-    checkout = Path(__file__).resolve().parents[2]
-    if all((checkout / name).is_file() for name in ("pyproject.toml", "setup.cfg")):
-        editable = f"-e '.[{extra}]'"
-        return f"cd {shlex.quote(str(checkout))} && {pip_install(editable)}"
+    here, origin = Path(__file__).resolve().parents[2], _installed_from()
+    named = f"'.[{extra}]'"
+    if _is_checkout(here):
+        return f"cd {shlex.quote(str(here))} && {pip_install(f'-e {named}')}"
+    if origin is not None and _is_checkout(origin):
+        return f"cd {shlex.quote(str(origin))} && {pip_install(named)}"
     found = requirements(extra)
     return pip_install(shlex.join(found)) if found else f"install what its extra {extra!r} requires"
+
+
+def _is_checkout(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in ("pyproject.toml", "setup.cfg", "sonar_gl/_version.py"))
+
+
+def _installed_from() -> Path | None:
+    """Return the folder that pip installed this package from, as its metadata say; None if it was no folder."""
+    try:
+        text = distribution("sonar_gl").read_text("direct_url.json")
+        url = urlparse(json.loads(text or "{}").get("url", ""))
+    except (PackageNotFoundError, ValueError, AttributeError):
+        return None
+    return Path(url2pathname(url.path)) if url.scheme == "file" else None
 
 
 def requirements(extra: str) -> list[str]:

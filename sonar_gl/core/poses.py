@@ -73,7 +73,8 @@ def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
     Raises
     ------
     Error
-        if a number is not finite, or an angle is beyond 2π, as degrees would be.
+        if a number is not finite, or an angle is beyond ±2π, as degrees would be. A heading that a vehicle sums over
+        many turns is wrapped first: `math.remainder(yaw, 2 * math.pi)`.
 
     >>> (pose(1, 2, 3, yaw=np.pi / 2) @ [1, 0, 0, 1]).round(6).tolist()
     [1.0, 3.0, 3.0, 1.0]
@@ -82,7 +83,8 @@ def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
     if np.abs(numbers[3:]).max() > TURN_RAD:
         raise Error(
             f"pose angles must be radians, within ±2π (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; "
-            "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
+            "if these are degrees, multiply by π/180; if one is the sum of many turns, wrap it: "
+            "math.remainder(yaw, 2 * math.pi))"
         )
     out = np.empty((4, 4))
     _fill_poses(out, numbers)

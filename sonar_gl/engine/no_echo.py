@@ -9,14 +9,13 @@ import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.scene.extent import bounds_of, scale_text
+from sonar_gl.scene.extent import millimetres_text
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
 
 WIDEST_WEDGE_DEG = 90.0
-SUSPICIOUS_M = 500.0  # no imaging sonar sees as far: a scene in other units
 
 
 def why_no_echo(
@@ -31,12 +30,12 @@ def why_no_echo(
         return "no echo came back: all bodies of the scene are absent"
     inside = _nearest_in_view(samples)
     if inside is not None:
-        return _why_nearest_has_no_echo(sonar, true_range, *inside) + _scale_hint(scene, inside[0])
+        return _why_nearest_has_no_echo(sonar, true_range, *inside) + _scale_hint(scene)
     beyond_m = _nearest_beyond(scene, state, pose, sonar, top_deg)
     if beyond_m is not None:
         nearest = f"the nearest surface in the fan lies at {_length(beyond_m)}"
         reason = f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
-        return reason + _scale_hint(scene, beyond_m)
+        return reason + _scale_hint(scene)
     name, point = _nearest_body(scene, state, pose)
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
@@ -44,8 +43,7 @@ def why_no_echo(
     return (
         f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {_length(range_m)} away at "
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
-        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{top_deg:.4g}°; turn or move the sonar"
-        + _scale_hint(scene, range_m)
+        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{top_deg:.4g}°; turn or move the sonar" + _scale_hint(scene)
     )
 
 
@@ -53,12 +51,10 @@ def _length(length_m: float) -> str:
     return f"{length_m:.2f} m" if length_m < 1000 else f"{length_m / 1000:.2f} km"
 
 
-def _scale_hint(scene: Scene, range_m: float) -> str:
-    """Return the size of a scene that is suspiciously far away, and how to scale it; else ""."""
-    bounds = None if range_m < SUSPICIOUS_M else bounds_of(scene.bodies)
-    if bounds is None:
-        return ""
-    return f"; {scale_text(bounds)}"
+def _scale_hint(scene: Scene) -> str:
+    """Return the size of a scene that is suspiciously large, and how to scale it; else ""."""
+    text = millimetres_text(scene)
+    return f"; {text}" if text else ""
 
 
 def why_view_has_no_echo(sonar: Sonar, true_range: Sonar, samples: Sequence[SectorSamples]) -> str | None:

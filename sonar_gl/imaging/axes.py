@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import FanGeometry, colours, fan_geometry
 from sonar_gl.ping import Ping
-from sonar_gl.sonar.counts import Counts
+from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB, Counts
 
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 # gray level, width, opacity: a dark rim shows light lines on bright echo
@@ -33,7 +35,8 @@ def draw_axes(
 
     Returns
     -------
-    array of shape (H + 2 margin, W + 2 margin + bar, 3), uint8 RGB, black outside the fan
+    array of shape (H + 2 margin, W + 2 margin + bar, 3), uint8 RGB, black outside the fan. The bar is equally wide
+    for all pings of a sonar, whatever their gain
 
     Raises
     ------
@@ -49,7 +52,10 @@ def draw_axes(
             f"{want} (got {picture.shape}, {picture.dtype})"
         )
     law = ping.counts_law(counts)
-    return _Axes(fan).draw(picture, _title(ping, fan, law, colormap), colormap, law)
+    if counts is None:
+        counts = DEFAULT_COUNTS if ping.sonar is None else ping.sonar.counts
+    bar = None if colormap is None else _Bar(colormap, law, counts.gain_percentile is not None)
+    return _Axes(fan).draw(picture, _title(ping, fan, law, colormap), bar)
 
 
 def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> str:
@@ -61,6 +67,42 @@ def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> s
     return ", ".join(parts)
 
 
+@dataclass(frozen=True)
+class _Bar:
+    """What the bar beside a fan shows.
+
+    Attributes
+    ----------
+    law : of the counts, with the gain of this ping
+    gain_varies : whether other pings of the sonar may have another gain
+    """
+
+    colormap: str
+    law: Counts
+    gain_varies: bool
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels at 0, 1/4, 1/2, 3/4 and all of full scale."""
+        return _bar_labels(self.law)
+
+    @property
+    def possible_labels(self) -> list[str]:
+        """The labels of this ping, and the widest that other pings of the sonar may have."""
+        gains_db = (-LEVEL_BOUND_DB, LEVEL_BOUND_DB) if self.gain_varies else ()
+        others = [_bar_labels(replace(self.law, gain_db=gain_db)) for gain_db in gains_db]
+        return [*self.labels, *chain.from_iterable(others)]
+
+
+def _bar_labels(law: Counts) -> list[str]:
+    """Return the counts at 0, 1/4, 1/2, 3/4 and all of full scale, and what the ends stand for by a law in dB."""
+    labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
+    if law.law == "db":  # re a sphere of reflectivity 1 about the sonar
+        labels[0] += f"  {law.low_db - law.gain_db:.0f} dB"
+        labels[-1] += f"  {law.high_db - law.gain_db:.0f} dB"
+    return labels
+
+
 class _Axes:
     """Draws the axes of one fan image. Positions are (..., 2) pixels on the canvas, column and row."""
 
@@ -70,32 +112,29 @@ class _Axes:
         self.margin = round(120 * self.font_size)
         self.arcs_m, self.spokes_deg = self._ticks()
 
-    def draw(self, picture: np.ndarray, title: str, colormap: str | None, law: Counts) -> np.ndarray:
-        """Return the picture with a margin, lines and labels, and with the bar of a colour map."""
+    def draw(self, picture: np.ndarray, title: str, bar: _Bar | None) -> np.ndarray:
+        """Return the picture with a margin, lines and labels, and with a bar, if there is one."""
         canvas = cv2.copyMakeBorder(picture, *[self.margin] * 4, cv2.BORDER_CONSTANT)
         self._blacken_outside(canvas)
         canvas = self._draw_lines(canvas)
         self._draw_labels(canvas)
-        if colormap is not None:
-            canvas = np.hstack([canvas, self._bar(len(canvas), colormap, law)])
+        if bar is not None:
+            canvas = np.hstack([canvas, self._strip(len(canvas), bar)])
         self._draw_title(canvas, title)
         return canvas
 
-    def _bar(self, height: int, colormap: str, law: Counts) -> np.ndarray:
+    def _strip(self, height: int, bar: _Bar) -> np.ndarray:
         """Return the strip beside the fan, (height, W, 3), with the colours of 0 to full scale, from below."""
         size = self.font_size
-        labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
-        if law.law == "db":  # what the ends stand for, re a sphere of reflectivity 1 about the sonar
-            labels[0] += f"  {law.low_db - law.gain_db:.0f} dB"
-            labels[-1] += f"  {law.high_db - law.gain_db:.0f} dB"
-        widest = max(cv2.getTextSize(text, FONT, size, 1)[0][0] for text in (*labels, "counts"))
-        first, bar = round(10 * size), round(34 * size)
-        strip = np.zeros((height, first + bar + widest + round(34 * size), 3), np.uint8)
+        texts = "counts", *bar.possible_labels
+        widest = max(cv2.getTextSize(text, FONT, size, 1)[0][0] for text in texts)
+        first, across = round(10 * size), round(34 * size)
+        strip = np.zeros((height, first + across + widest + round(34 * size), 3), np.uint8)
         top, bottom = round(0.25 * height), round(0.75 * height)
         levels = np.rint(np.linspace(255, 0, bottom - top)).astype(int)
-        strip[top:bottom, first : first + bar] = colours(colormap)[levels]
-        column = first + bar + round(12 * size)
-        for text, row in zip(labels, np.linspace(bottom, top, len(labels)), strict=True):
+        strip[top:bottom, first : first + across] = colours(bar.colormap)[levels]
+        column = first + across + round(12 * size)
+        for text, row in zip(bar.labels, np.linspace(bottom, top, len(bar.labels)), strict=True):
             self._write_from(strip, text, column, row)
         self._write_from(strip, "counts", first, top - 36 * size)
         return strip

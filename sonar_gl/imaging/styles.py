@@ -38,9 +38,8 @@ class FanStyle:
 
     def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
         """Return the (H, W, 3) uint8 RGB picture of a ping."""
-        law = ping.counts_law(self.counts)
-        picture = colorize(fan_image(ping, self.height, law), self.colormap)
-        return draw_axes(picture, ping, self.colormap, law) if self.axes else picture
+        picture = colorize(fan_image(ping, self.height, self.counts), self.colormap)
+        return draw_axes(picture, ping, self.colormap, self.counts) if self.axes else picture
 
 
 def shows_echo(picture: np.ndarray) -> np.ndarray:

@@ -44,21 +44,18 @@ def air_text(scene: Scene, pose: np.ndarray) -> str:
     )
 
 
-def scale_text(bounds: np.ndarray) -> str:
-    """Return the size of a scene between these (2, 3) bounds, and how to scale it if it is in millimetres."""
-    return (
-        f"the scene measures {size_text(np.ptp(bounds, axis=0))}: if it was made in millimetres, scale it by 0.001 "
-        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
-    )
-
-
 def millimetres_text(scene: Scene) -> str:
-    """Return the warning of a scene that is too large for imaging sonars in all directions; else ""."""
+    """Return the warning of a scene that is too large for imaging sonars in all directions, and its cure; else ""."""
     bounds = bounds_of(scene.bodies)
     if bounds is None:
         return ""
     size_m = np.ptp(bounds, axis=0)
-    return scale_text(bounds) if size_m.max() >= LONG_M and size_m.min() >= HIGH_M else ""
+    if size_m.max() < LONG_M or size_m.min() < HIGH_M:
+        return ""
+    return (
+        f"the scene measures {size_text(size_m)}: if it was made in millimetres, scale it by 0.001 "
+        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
+    )
 
 
 def size_text(size_m) -> str:

@@ -13,11 +13,12 @@ import numpy as np
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_is_file, check_no_link_loop
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import mesh_files, mujoco_model
 from sonar_gl.scene.mujoco_model import convert_mujoco_model, is_mujoco_model
 from sonar_gl.scene.primitives import Shape, transform
 from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
-from sonar_gl.scene.scene import Body, Scene, body_at
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Body, Scene, body_at
 from sonar_gl.scene.sdf.reader import read_sdf
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.xacro import split_arguments
@@ -36,6 +37,11 @@ def is_sdf(what: str) -> bool:
     """Return whether a name or path of a scene is one that `read_sdf` reads: SDF, URDF, or a model's folder."""
     path = Path(split_arguments(what)[0])
     return what in bundled_scenes() or path.is_dir() or path.suffix.lower() in SDF_SUFFIXES
+
+
+def is_turned(what: str) -> bool:
+    """Return whether a name or path of a scene is one whose y-up axes `load_scene` turns to z-up: glTF."""
+    return not is_sdf(what) and Path(what).suffix.lower() in mesh_files.Y_UP_SUFFIXES
 
 
 def scene_description(path) -> str:
@@ -67,9 +73,9 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     -----
     Convention: z is up. A glTF file, which is y-up by its standard, is turned by (x, y, z) -> (x, -z, y); all
     other files and objects keep their coordinates. Each placed geometry of a mesh file becomes a body of
-    reflectivity 0.5. Objects of trimesh are shaded flat, because trimesh computes normals where a mesh has
-    none; those of pyrender keep the normals that pyrender renders with. For objects and files of MuJoCo see
-    `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
+    reflectivity 0.5, with one warning. Objects of trimesh are shaded flat, because trimesh computes normals
+    where a mesh has none; those of pyrender keep the normals that pyrender renders with. For objects and files of
+    MuJoCo see `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
     """
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
@@ -117,13 +123,18 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
 
 def _read_mesh_scene(path: Path) -> Scene:
     """Return a scene with one body for each placed geometry of a mesh file."""
-    z_up = mesh_files.Z_UP_FROM_Y_UP if path.suffix.lower() in mesh_files.Y_UP_SUFFIXES else np.eye(4)
+    z_up = mesh_files.Z_UP_FROM_Y_UP if is_turned(str(path)) else np.eye(4)
     parts = mesh_files.read_mesh_parts(path)
     names = _numbered([part.node for part in parts]) if len(parts) > 1 else [path.stem]
     shapes = [transform(part.shape, z_up) for part in parts]
     with errors_at(str(path)):
         bodies = [Body(n, s.mesh, normals=s.normals) for n, s in zip(names, shapes, strict=True)]
-        return Scene(bodies, name=path.stem)
+        scene = Scene(bodies, name=path.stem)
+    warn_caller(
+        f"{path}: a mesh file states no reflectivity; it is taken as {DEFAULT_REFLECTIVITY} (give another in Python, "
+        "or by an SDF file that includes the mesh)"
+    )
+    return scene
 
 
 def _numbered(names: list[str]) -> list[str]:

@@ -98,6 +98,8 @@ class Sonar:
         the housing; azimuths, elevations and the fan are those of the head
     ping_rate_max_hz : pings per second that the device makes at most, however short the range; None: not known
     keeps_n_bins : whether the device divides any range into `n_bins`; otherwise its bins stay as long as they are
+    n_bins_max : most bins that the device delivers: at ranges that would take more, `with_range` makes bins longer;
+        None: no limit
     source_level_db : level of the transmitted pulse on the projector's axis, dB re 1 µPa at 1 m; None: not known
     self_noise_db : mean power of the receiver's own noise before the TVG, dB relative to the echo of a sphere of
         reflectivity 1 about the sonar, at 1 m; `Noise.self_noise` switches it on
@@ -143,6 +145,7 @@ class Sonar:
     tilt_deg: float = 0.0
     ping_rate_max_hz: float | None = None
     keeps_n_bins: bool = False
+    n_bins_max: int | None = None
     source_level_db: float | None = None
     self_noise_db: float = -90.0
     common_noise_db: float | None = None
@@ -157,6 +160,13 @@ class Sonar:
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
         check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, 65536)
+        if self.n_bins_max is not None:
+            check_whole_number(f"{location}: n_bins_max", self.n_bins_max, 1, 65536)
+            if self.n_bins > self.n_bins_max:
+                raise Error(
+                    f"{location}: n_bins must not exceed n_bins_max "
+                    f"(got {self.n_bins} and {self.n_bins_max}; set a shorter range, or leave n_bins_max out)"
+                )
         for key, low, high, hint in (
             ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
             ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
@@ -331,7 +341,15 @@ class Sonar:
         return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
 
     def with_range(self, range_max_m: float) -> Sonar:
-        """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them."""
+        """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them.
+
+        Where they would be more than `n_bins_max`, they are so many and longer. Set each range from the sonar of the
+        shorter bins: a sonar with longer ones keeps their length.
+
+        >>> sonar = load_sonar("oculus-m1200d-lf")  # bins of 2.5 mm, 5000 at most
+        >>> [(s.n_bins, round(s.bin_size_m, 6)) for s in (sonar.with_range(5.1), sonar.with_range(40.1))]
+        [(2000, 0.0025), (5000, 0.008)]
+        """
         if is_number(range_max_m) and not range_max_m > self.range_min_m:  # also NaN
             raise Error(
                 f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "
@@ -341,6 +359,7 @@ class Sonar:
         if self.keeps_n_bins:
             return replace(self, range_max_m=range_max_m)
         n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
+        n_bins = n_bins if self.n_bins_max is None else min(n_bins, self.n_bins_max)
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
 
 

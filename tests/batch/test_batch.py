@@ -18,6 +18,7 @@ from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
 
 import sonar_gl as sg
+from sonar_gl.batch import outputs
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
@@ -449,6 +450,37 @@ def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
     assert COCO(str(tmp_path / "out" / "coco" / "level" / "instances.json")).getImgIds() == []
     assert not list((tmp_path / "out").glob("*.mp4")) and not (tmp_path / "out" / "bag").exists()
     assert check(batch.folder, nullcontext) == []
+
+
+def test_a_film_that_cannot_be_made_is_refused_before_the_first_ping(tmp_path):
+    """Video of MPEG-4 part 2 has no 8192 rows; a batch with all pings made could not be completed without its film."""
+    more = '[pictures]\nformats = ["mp4"]\nheight = 8192'
+    batch = open_batch(write_job(tmp_path, 2, LABELS + more), tmp_path / "out")
+    with pytest.raises(sg.Error) as caught:
+        begin(batch)
+    batch.close()
+    pattern = r".*job\.toml.*: pictures: the film of 'level': OpenCV cannot write an MP4 of \d+ x \d+ pixels here; .*"
+    assert re.fullmatch(pattern, str(caught.value))
+
+
+def test_a_film_that_failed_is_made_by_the_next_try(small, tmp_path, monkeypatch):
+    """As on a full disk: the batch is complete once there is room."""
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    for name in ("level.mp4", "done.json"):
+        (out / name).unlink()
+
+    def full(*_):
+        raise sg.Error("the disk is full")
+
+    batch = open_batch(small / "job.toml", out)
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs, "save_animation", full)
+        with pytest.raises(sg.Error, match=r"^the disk is full$"):
+            finalize(batch)
+    finalize(batch)
+    batch.close()
+    assert files_of(out) == before
 
 
 def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):

@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 from tqdm import tqdm
 
+from sonar_gl.batch import run as runs
 from sonar_gl.cli.batch import Lines
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
+
+POSES = '[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
 
 
 def test_a_bar_without_a_terminal_writes_lines():
@@ -49,6 +52,23 @@ def test_a_file_in_the_place_of_the_folder_of_a_batch_is_called_so(tmp_path, mon
     assert (status, out) == (2, "")
     assert err == f"error: {tmp_path}/{where}: the place of a batch must be a folder (got {got})\n"
     assert Path("file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["batch.json", ".batch.0123.json"])
+def test_an_interrupted_batch_tells_of_its_files_if_there_are_any(name, tmp_path, monkeypatch):
+    """Unfinished files, which begin with a dot, are none."""
+    monkeypatch.chdir(tmp_path)
+    Path("dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")
+    Path("job.toml").write_text('scenes = ["pylon"]\n[[sonars]]\nsonar = "p900-45"\n' + POSES)
+
+    def interrupted(*_, **__):
+        Path("made").mkdir()
+        Path("made", name).write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "run", interrupted)
+    files = "; the files written so far are complete" if name == "batch.json" else ""
+    assert run("batch", "job.toml", "--out", "made") == (130, "", f"error: interrupted{files}\n")
 
 
 @pytest.mark.parametrize("words", [("--dry-run",), ("--out", "made")])

@@ -31,7 +31,7 @@ def test_a_port_that_is_taken_is_an_error_and_nothing_is_said_to_listen(device):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
-    """Noise is compiled by the first ping, for half a minute after an installation: clients gave up before."""
+    """Noise is compiled by the first ping, for a minute after an installation: clients gave up before."""
     pings, listening = [], []
 
     def ping(head, sonar, acoustics, time_s, number):
@@ -70,7 +70,7 @@ def test_port_0_is_told_as_the_port_that_the_system_chose(device, monkeypatch):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
-    """The first ping may compile for half a minute."""
+    """The first ping may compile for a minute or two."""
 
     def interrupt(*_, **__):
         raise KeyboardInterrupt

@@ -687,7 +687,8 @@ def test_poses_that_make_no_sense():
     )
     assert refused("--pose", "0 0 0 0 12 90") == (
         "--pose '0 0 0 0 12 90': pose angles must be radians, within ±2π (got roll pitch yaw = 0 12 90; "
-        "if these are degrees, multiply by π/180; if they are unwrapped radians, wrap them)"
+        "if these are degrees, multiply by π/180; if one is the sum of many turns, wrap it: "
+        "math.remainder(yaw, 2 * math.pi))"
     )
     assert refused(scene="mute.sdf") == (
         "scene 'mute' has no sonar in it; give its place with --pose "
@@ -707,7 +708,7 @@ def test_sonar_files_that_make_no_sense():
         ),
         (
             ("n_beams", "n_beam"),
-            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins'?)",
+            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)",
         ),
     ):
         Path("bad.toml").write_text(SONAR.replace(*change))
@@ -925,7 +926,7 @@ def test_interrupt_and_memory(monkeypatch):
 
     monkeypatch.setattr(sg.Simulator, "ping", raising(KeyboardInterrupt()))
     status, out, err = run("render", "tank.sdf", "--sonar", "small.toml")
-    assert (status, out, err) == (130, "", "error: interrupted; the files written so far are complete\n")
+    assert (status, out, err) == (130, "", "error: interrupted\n")  # before the first file
     monkeypatch.setattr(sg.Simulator, "ping", raising(MemoryError("8 GiB")))
     assert refused() == "memory ran out (8 GiB); ask for fewer beams, bins or pixels"
 

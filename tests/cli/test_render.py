@@ -1,6 +1,7 @@
 """Pictures that show almost nothing; files of a sequence, complete though other threads write them."""
 
 import errno
+import itertools
 import os
 import re
 import threading
@@ -12,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import sonar_gl as sg
 from sonar_gl.cli import render as command
@@ -40,6 +42,8 @@ def complete_files() -> set[str]:
     for name in names:
         if name.endswith(".png"):
             assert cv2.imread(f"out/{name}").shape[0] == 60
+        elif name.endswith(".gif"):
+            assert Image.open(f"out/{name}").n_frames >= 1
         else:
             assert sg.load_npz(f"out/{name}").intensity.shape == (24, 80)
     return names
@@ -148,6 +152,26 @@ def test_interrupt_of_a_sequence(monkeypatch):
     assert (status, out, err) == (130, "", "error: interrupted; the files written so far are complete\n")
     names = complete_files()
     assert "tank_0000.png" in names and not [name for name in names if name >= "tank_0005"]
+
+
+@pytest.mark.parametrize(
+    ("formats", "interrupted_at", "has_files"), [("gif", 3, False), ("gif mp4", FRAMES + 2, True)]
+)
+def test_interrupt_of_a_film(formats, interrupted_at, has_files, monkeypatch):
+    """The second film renders the pings of the first again."""
+    ping, pings = sg.Simulator.ping, itertools.count(1)
+
+    def interrupted(self, *arguments, **more):
+        if next(pings) == interrupted_at:
+            raise KeyboardInterrupt
+        return ping(self, *arguments, **more)
+
+    monkeypatch.setattr(sg.Simulator, "ping", interrupted)
+    options = [word for name in formats.split() for word in ("--format", name)]
+    status, out, err = run("render", *SEQUENCE, "--out", "out", *options)
+    files = "; the files written so far are complete" if has_files else ""
+    assert (status, out, err) == (130, "", f"error: interrupted{files}\n")
+    assert complete_files() == ({"tank.gif"} if has_files else set())
 
 
 def test_film_that_cannot_be_written_leaves_complete_stills(monkeypatch):

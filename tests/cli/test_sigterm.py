@@ -49,7 +49,7 @@ def test_a_live_command_prints_its_closing_line(command, closing_line, unhandled
 def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypatch):
     monkeypatch.setattr(sg.Simulator, "ping", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
     status, _, errors = run("render", "pylon")
-    assert status == 130 and errors.endswith("\nerror: interrupted; the files written so far are complete\n")
+    assert status == 130 and errors.endswith("\nerror: interrupted\n")
     assert not unhandled
 
 
@@ -78,5 +78,5 @@ def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, t
 
     monkeypatch.setattr(sg.Simulator, "ping", ping)
     status, _, errors = run("render", "pylon")
-    assert status == 130 and errors.endswith("\nerror: interrupted; the files written so far are complete\n")
+    assert status == 130 and errors.endswith("\nerror: interrupted\n")
     assert not unhandled

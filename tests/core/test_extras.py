@@ -1,9 +1,13 @@
 """Messages about a missing optional extra."""
 
+import json
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
+
+import pytest
 
 import sonar_gl
 from sonar_gl.core import extras
@@ -31,6 +35,7 @@ def test_a_checkout_is_installed_in_place():
 def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, tmp_path):
     monkeypatch.setattr(extras, "__file__", str(tmp_path / "sonar_gl" / "core" / "extras.py"))
     monkeypatch.setattr(extras, "requires", lambda name: METADATA)
+    monkeypatch.setattr(extras, "_installed_from", lambda: None)
     assert extras.install_command("batch") == f"{PIP} 'rosbags>=0.11' 'embreex>=4.4' 'zarr>=3.1'"
     assert extras.install_command("unknown") == "install what its extra 'unknown' requires"
 
@@ -39,6 +44,30 @@ def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, t
 
     monkeypatch.setattr(extras, "requires", missing)
     assert extras.install_command("batch") == "install what its extra 'batch' requires"
+
+
+@pytest.mark.parametrize("folder", ["a checkout", "an_archive.whl", None])
+def test_what_was_installed_from_a_checkout_takes_the_extra_from_there(monkeypatch, tmp_path, folder):
+    """As the README does; pip notes the folder or file that it installed from."""
+    checkout = tmp_path / "a checkout"
+    for name in ("pyproject.toml", "setup.cfg", "sonar_gl/_version.py"):
+        (checkout / name).parent.mkdir(parents=True, exist_ok=True)
+        (checkout / name).touch()
+    installed = tmp_path / "site-packages"
+    info = installed / "sonar_gl-0.2.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: sonar_gl\nVersion: 0.2.0\nRequires-Dist: zarr; extra == 'batch'\n"
+    )
+    if folder is not None:
+        url = (tmp_path / folder).as_uri()
+        (info / "direct_url.json").write_text(json.dumps({"url": url, "dir_info": {}}))
+    monkeypatch.setattr(extras, "__file__", str(installed / "sonar_gl" / "core" / "extras.py"))
+    monkeypatch.syspath_prepend(installed)
+    command = f"cd '{checkout}' && {PIP} '.[batch]'"
+    assert extras.install_command("batch") == (command if folder == "a checkout" else f"{PIP} zarr")
+    shutil.rmtree(checkout)
+    assert extras.install_command("batch") == f"{PIP} zarr"
 
 
 def test_every_extra_has_requirements_in_the_metadata():

@@ -154,6 +154,14 @@ def test_window(tmp_path, display):
     assert run.pings["ping"].pose[:3, 3] == pytest.approx([0.6, 0, 1.6], abs=0.02)
 
 
+def test_a_window_without_a_display_is_refused_in_one_sentence():
+    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
+    command = [sys.executable, "examples/window_host.py"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
+    sentence = "a display is needed (without one: xvfb-run python examples/window_host.py --frames 60)"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"error: {sentence}\n")
+
+
 @pytest.mark.timeout(300)
 def test_mujoco(tmp_path):
     run = Run("mujoco_host", tmp_path, 360, "FRAMES=10")

@@ -419,8 +419,26 @@ def test_a_far_surface_beside_the_fan_is_in_its_direction():
         it.ping(sg.pose(yaw=math.pi / 2))
     assert [str(w.message) for w in caught] == [
         "no echo came back: no surface lies in the fan; the nearest is 'wall', 700.00 m away at azimuth -90.0° and "
-        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar; the scene measures "
-        f"1 x 20 x 20 m: {MILLIMETRES}"
+        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+    ]
+
+
+def test_a_scene_of_usual_size_is_not_taken_for_one_in_millimetres_however_far_it_is():
+    wall = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(5000.5), 1.0)
+    with simulator([wall]) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 5.00 km, beyond range_max_m = 20"
+    ]
+
+
+def test_a_scene_in_millimetres_is_taken_for_one_also_where_the_sonar_is_near():
+    tank = sg.Body("tank", trimesh.creation.box((1000, 4000, 3000)), sg.pose(600), 1.0)
+    with simulator([tank]) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 100.00 m, beyond range_max_m = 20; the scene "
+        f"measures 1000 x 4000 x 3000 m: {MILLIMETRES}"
     ]
 
 
@@ -491,7 +509,7 @@ NAN[0, 3] = np.nan
         (
             lambda: sg.pose(0, 0, 0, 0, 0, 90),
             "pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; if these are degrees, "
-            "multiply by π/180; if they are unwrapped radians, wrap them)",
+            "multiply by π/180; if one is the sum of many turns, wrap it: math.remainder(yaw, 2 * math.pi))",
         ),
         (
             lambda: sg.Body("b", trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [])),

@@ -9,6 +9,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.imaging import axes
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.fan_image import colorize, fan_geometry, fan_image
+from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar
 from tests.support.fan_ping import fan_ping
@@ -91,6 +92,29 @@ def test_what_the_title_and_the_bar_say(monkeypatch):
     texts.clear()
     draw_axes(picture, ping, "copper", Counts("power", gain_percentile=99, bits=16))
     assert {"mine, 5 to 20 m, gain +20.0 dB", "0", "32768", "65535"} <= set(texts)
+
+
+def test_pictures_of_a_sonar_have_one_size_whatever_the_gain_of_each_ping(monkeypatch):
+    """The size is that of the widest labels, of a gain of ±180 dB; frames of a film must have one size."""
+    texts = []
+    draw = axes.cv2.putText
+    monkeypatch.setattr(axes.cv2, "putText", lambda *more: texts.append(more[1]) or draw(*more))
+    law = Counts(low_db=-40, gain_percentile=99.9)
+    sizes, ends = set(), set()
+    for level_db in (-1000, -330, -181, -179, -100, -99, -41, -9, 0, 1, 41, 100, 200):
+        ping = fan_ping(29, range_m=(0.4, 5.4), fill=10 ** (level_db / 10))
+        sonar = Sonar("mine", 1800e3, *ping.intensity.shape, 29.0, 14.0, 0.3, 0.4, 5.4, counts=law)
+        ping = replace(ping, sonar=sonar)
+        texts.clear()
+        given = draw_axes(colorize(fan_image(ping, 800)), ping, "copper")
+        ends |= {text for text in texts if text.startswith("0  ")}
+        sizes |= {given.shape, FanStyle(800, "copper", True)(None, ping).shape}
+        other = FanStyle(800, "copper", True, law)(None, replace(ping, sonar=None))
+        sizes.add(other.shape)
+    assert len(sizes) == 1
+    assert {"0  -40 dB", "0  -220 dB", "0  140 dB"} <= ends
+    fixed = draw_axes(colorize(fan_image(ping, 800, Counts())), ping, "copper", Counts())
+    assert fixed.shape[1] < sizes.pop()[1]  # no room for what a fixed gain never writes
 
 
 def test_a_title_fits_a_narrow_picture():

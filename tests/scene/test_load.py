@@ -159,6 +159,20 @@ def test_only_gltf_is_turned_to_z_up(tmp_path, suffix, extents):
     assert body.mesh.volume == pytest.approx(6, rel=1e-6)
 
 
+@pytest.mark.parametrize("suffix", ["glb", "obj", "stl"])
+def test_the_reflectivity_that_a_mesh_file_lacks_is_told_of(tmp_path, suffix):
+    parts = {"hull": trimesh.creation.box((1, 2, 3)), "mast": trimesh.creation.box((1, 1, 9))}
+    path = tmp_path / f"a.{suffix}"
+    trimesh.Scene(parts).export(path)
+    with pytest.warns(UserWarning) as caught:
+        scene = load_scene(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: a mesh file states no reflectivity; it is taken as 0.5 (give another in Python, or by an SDF file "
+        "that includes the mesh)"
+    ]
+    assert {body.reflectivity for body in scene.bodies} == {0.5}
+
+
 def test_normals_of_a_glb_turn_with_it(tmp_path):
     ball = trimesh.creation.icosphere(1)
     ball.export(tmp_path / "a.glb", include_normals=True)

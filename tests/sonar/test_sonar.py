@@ -250,7 +250,7 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"n_beam": 2}, "unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins'?)"),
+        ({"n_beam": 2}, "unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)"),
         ({"name": 3}, "name must be text (got 3; put it in quotes)"),
         ({"source": "[1]"}, "source must be text (got [1]; put it in quotes)"),
         ({"n_beams": "256.0"}, "sonar 'a': n_beams must be a whole number in 1..65536 (got 256.0)"),
@@ -308,6 +308,12 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
             {"ping_rate_max_hz": 0},
             "sonar 'a': ping_rate_max_hz must lie in 0.001..10000 (got 0; give pings per second)",
         ),
+        (
+            {"n_bins_max": 4},
+            "sonar 'a': n_bins must not exceed n_bins_max "
+            "(got 512 and 4; set a shorter range, or leave n_bins_max out)",
+        ),
+        ({"n_bins_max": 0.5}, "sonar 'a': n_bins_max must be a whole number in 1..65536 (got 0.5)"),
         ({"keeps_n_bins": 1}, "sonar 'a': keeps_n_bins must be true or false (got 1)"),
         (
             {"source_level_db": -20},
@@ -375,6 +381,21 @@ def test_a_device_that_keeps_its_number_of_bins_has_longer_ones_at_longer_range(
     sonar = load_sonar("didson-hf")
     assert (sonar.n_bins, sonar.with_range(10.4).n_bins) == (512, 512)
     assert sonar.with_range(10.4).bin_size_m == pytest.approx(10 / 512, rel=1e-15)
+
+
+def test_a_device_that_delivers_so_many_bins_at_most_has_longer_ones_at_longer_range():
+    sonar = Sonar("s", **{**KEYS, "n_bins": 59}, n_bins_max=60)
+    assert (sonar.with_range(30.5).n_bins, sonar.with_range(30.5).bin_size_m) == (60, 0.5)
+    assert (sonar.with_range(60.5).n_bins, sonar.with_range(60.5).bin_size_m) == (60, 1.0)
+    assert (sonar.with_range(10.5).n_bins, sonar.with_range(10.5).bin_size_m) == (20, 0.5)
+    assert replace(sonar, n_bins_max=None).with_range(60.5).n_bins == 120
+
+
+@pytest.mark.parametrize("name", [name for name in presets() if name.startswith("oculus")])
+def test_an_oculus_delivers_as_many_bins_at_its_greatest_range_as_a_network_carries(name):
+    sonar = load_sonar(name)
+    assert sonar.n_bins <= sonar.n_bins_max == sonar.with_range(500.0).n_bins == 5000
+    assert "at most 5000 bins" in sonar.source.split("unverified: ")[1]
 
 
 def test_beams_of_a_lens_are_those_of_the_makers_tables():
