@@ -145,6 +145,30 @@ MUTATIONS = (
     ),
     Mutation("footprints/pieces of walls face on", "SLOPE_CHANGE = 1 / 3", "SLOPE_CHANGE = 1e9", (PLANES,)),
     Mutation(
+        "footprints/samples behind a strip",
+        "last = max(last + 1, first) geometry",
+        "last = _whole(0, max(last + 1, first))\n    geometry",
+        ("test_joined_rows::test_no_bit_depends_on_what_was_in_memory_beside_a_strip",),
+    ),
+    Mutation(
+        "strips/upper end",
+        "work[BORDER, 0], work[BORDER, n] = v_low, v_high",
+        "work[BORDER, 0] = v_low",
+        STRIPS,
+    ),
+    Mutation(
+        "strips/more rows than there is room for",
+        "n_rows > kernels.MAX_STRIP_ROWS",
+        "n_rows > 9 * kernels.MAX_STRIP_ROWS",
+        STRIPS,
+    ),
+    Mutation(
+        "samples/sixteen times as many at once",
+        "min(judged.steps, MOST_STEPS_ALONE)",
+        "judged.steps",
+        ("test_alone::test_a_ping_takes_no_more_than_four_times_the_samples_at_once",),
+    ),
+    Mutation(
         "footprints/density of short pieces",
         "LEAST_SLANTED = 1 / 8",
         "LEAST_SLANTED = 1.0",
