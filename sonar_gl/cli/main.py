@@ -442,6 +442,7 @@ def _emulate_options(**more):
     options = {name: PING_OPTIONS.get(name, {}) for name in (*names, "only", "surface")}
     options |= {"poses": {"type": PathText()}}
     options |= {"noise": {"default": "physical"}, "tolerance": {"type": float, "default": 0.05}}
+    options |= {"counts": {"show_default": "the device's"}}
     options |= {"seed": {"type": int, "default": 0}, "host": {"default": "127.0.0.1"}}
     options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
     options |= {"duration": {"type": float, "show_default": "until Ctrl-C"}, **more}
@@ -493,6 +494,7 @@ Examples:
 ROS2_OPTIONS = {
     "rate": {"type": float, "show_default": "as many as sound and the device allow"},
     "noise": {"default": "physical"},
+    "counts": {"show_default": "the sonar's"},
     "tolerance": {"type": float, "default": 0.05},
     "seed": {"type": int, "default": 0},
     "duration": {"type": float, "show_default": "until Ctrl-C"},
