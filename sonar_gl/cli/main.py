@@ -231,7 +231,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 
 
 @main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
-@ping_options(poses={"type": PathText()})
+@ping_options(poses={"type": PathText()}, noise={"default": "physical"})
 @click.pass_context
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
@@ -243,7 +243,8 @@ def plan(ctx, scene, **options):
     Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
     strongest change of one bin, over the strongest bin; the share of the displayed bins that change by more than 3 dB;
     the milliseconds that the term adds to a ping; and whether the image changes by more than the tolerance without it,
-    in its sum or in its displayed bins.
+    in its sum or in its displayed bins. Ring-down, a centre streak and dropped beams are priced where sonar and noise
+    have them.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
     echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
