@@ -381,6 +381,7 @@ Examples:
     help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
     "scenes, to send it in.",
 )
+@option("engine", **ENGINE)
 @option("device", **DEVICE)
 @click.option(
     "--scene", type=PathText(), metavar="SCENE", help="Say what this scene holds; check nothing else."
@@ -395,7 +396,7 @@ def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
-    half a minute, later commands then start fast.
+    half a minute, later commands then start fast. The engine that draws the known scene is that of --engine.
 
     With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
     its sonars, and everything that was left out or assumed as it was read.
