@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from sonar_gl.core.checks import check_choice, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.warn import warn_caller
 
 # For pressure from depth; at 1 km the speed at the poles or the equator differs by 0.05 m/s.
 LATITUDE_DEG = 45.0
@@ -218,6 +219,23 @@ class Water:
             raise Error(
                 f"water: scatterer_density_m3 needs volume_backscatter_db (got {self.scatterer_density_m3:g} without "
                 "it; give the strength of all scatterers in a cubic metre)"
+            )
+
+        for text in self._likely_mistakes():
+            warn_caller(f"water: {text}")
+
+    def _likely_mistakes(self) -> Iterator[str]:
+        """Yield a sentence about each number that looks like one of another unit: unlikely but possible."""
+        alpha_db_m = self.absorption_db_m
+        if alpha_db_m is not None and alpha_db_m > 20.0:  # that of sea water at 9 MHz
+            yield (
+                f"absorption_db_m = {alpha_db_m:g} takes {2 * alpha_db_m:g} dB from an echo at 1 m; if it is in dB per "
+                f"km, give {alpha_db_m / 1e3:g}"
+            )
+        if 0.025 < self.salinity_psu < 0.045:  # a lake may be as fresh as this
+            yield (
+                f"salinity_psu = {self.salinity_psu:g} is fresh water; if it is in kilograms per kilogram, give "
+                f"{1e3 * self.salinity_psu:g}"
             )
 
     @classmethod

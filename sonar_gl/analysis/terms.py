@@ -164,6 +164,49 @@ TERMS = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class StatedTerm:
+    """A term that acts only where the sonar or the noise states it, and has no switch but its field.
+
+    Attributes
+    ----------
+    name : as in reports
+    is_stated : function (noise, sonar) -> whether it acts
+    off : fields that switch it off
+    of_noise : True if these are fields of Noise; else they are of Sonar
+    """
+
+    name: str
+    is_stated: Callable[[Noise, Sonar], bool]
+    off: dict
+    of_noise: bool = False
+
+    def without(self, noise: Noise, sonar: Sonar) -> tuple[Noise, Sonar]:
+        """Return both without the term."""
+        return (replace(noise, **self.off), sonar) if self.of_noise else (noise, replace(sonar, **self.off))
+
+
+DROPPED_BEAMS = StatedTerm(
+    "dropped beams",
+    is_stated=lambda noise, sonar: noise.dropped_beams > 0,
+    off={"dropped_beams": 0.0},
+    of_noise=True,
+)
+STATED_TERMS = (
+    StatedTerm(
+        "ring-down",
+        is_stated=lambda noise, sonar: noise.self_noise and sonar.ring_down_db is not None,
+        off={"ring_down_db": None},
+    ),
+    StatedTerm(
+        "centre streak",
+        is_stated=lambda noise, sonar: noise.self_noise and sonar.common_noise_db is not None,
+        off={"common_noise_db": None},
+    ),
+    DROPPED_BEAMS,
+)
+
+
 def everything_on(acoustics: Acoustics, noise: Noise) -> tuple[Acoustics, Noise]:
     """Return both with every term on; a term that is on stays as it is."""
     for term in TERMS:
@@ -243,6 +286,17 @@ def changed_bins(full, reduced, counts: Counts) -> float:
     return float(changed.sum() / max(shown.sum(), 1))
 
 
+def without_beams(image, share: float) -> np.ndarray:
+    """Return an image, (B, K), in which a share of the beams, one at least, is 0: beams that lie evenly apart.
+
+    >>> without_beams(np.ones((6, 1)), 0.3)[:, 0].tolist()
+    [1.0, 0.0, 1.0, 1.0, 0.0, 1.0]
+    """
+    out, n_dropped = np.array(image), max(1, round(share * len(image)))
+    out[((np.arange(n_dropped) + 0.5) * len(out) / n_dropped).astype(int)] = 0.0
+    return out
+
+
 class _Change(NamedTuple):
     """What some terms change in the image; see `Price`."""
 
@@ -318,11 +372,12 @@ class _Comparison:
         )
         self.planner.plan(case.poses)
 
-    def judge(self) -> list[Price]:
-        """Return the price of each term of TERMS, with a time of 0.
+    def judge(self, stated: Iterable[StatedTerm] = ()) -> dict[Term | StatedTerm, Price]:
+        """Return the price of each term of TERMS, and of stated ones, with a time of 0.
 
         The terms that change least are switched off first, as long as the image without all of them stays
-        within the tolerance: in its echo and in its displayed bins.
+        within the tolerance: in its echo and in its displayed bins. Stated ones come last, so that the others are
+        judged alike with any sonar.
         """
         scene, tolerance = self.planner.scene, self._case.tolerance
         device = self._case.acoustics, self._case.sonar
@@ -335,25 +390,29 @@ class _Comparison:
             if changes[term].most > tolerance or self._change([*off, term]).most > tolerance:
                 break
             off.append(term)
-        return [Price(term.name, *change, 0.0, term not in off) for term, change in changes.items()]
+        changes |= {term: self._change([term]) for term in stated}
+        for term in sorted(stated, key=lambda term: changes[term].most):
+            if changes[term].most == 0 or self._change([*off, term]).most <= tolerance:
+                off.append(term)
+        return {term: Price(term.name, *change, 0.0, term not in off) for term, change in changes.items()}
 
-    def added_times_ms(self, terms: list[Term]) -> dict[str, float]:
+    def added_times_ms(self, terms: list[Term | StatedTerm]) -> dict[str, float]:
         """Return what each term adds to the time of a ping with its noise, milliseconds, by name.
 
         Pings with and without the terms take turns, so that a change of the machine's load affects all alike.
         """
         case = self._case
-        variants = {term: without(case.acoustics, case.noise, [term]) for term in terms}
-        variants[None] = case.acoustics, case.noise
+        variants = {term: self._settings([term]) for term in terms}
+        variants[None] = self._settings(())
         times_s = {variant: [] for variant in variants}
         for turn in range(TURNS):
             pose = case.poses[turn % len(case.poses)]
-            for variant, (acoustics, noise) in variants.items():
+            for variant, (acoustics, noise, sonar) in variants.items():
                 simulator = self._simulator(acoustics)
                 self._before_ping()
                 simulator.ping(pose)  # not timed: the other simulators left the caches cold
                 start = time.perf_counter()
-                ping = simulator.ping(pose)
+                ping = replace(simulator.ping(pose), sonar=sonar)
                 pinged = time.perf_counter()
                 add_noise(ping, noise, SEED)
                 times_s[variant].append((pinged - start, time.perf_counter() - pinged))
@@ -361,7 +420,8 @@ class _Comparison:
         for term in terms:
             added_ms = 1e3 * np.subtract(times_s[None], times_s[term])
             # noise costs less than the time of a ping varies, and does not change that time
-            added = float(np.median(added_ms[:, 1] if term.of_noise else added_ms.sum(1)))
+            of_noise = term.of_noise or isinstance(term, StatedTerm)
+            added = float(np.median(added_ms[:, 1] if of_noise else added_ms.sum(1)))
             out[term.name] = max(added, 0.0)  # a cost below 0 is the variation of the times
         return out
 
@@ -385,12 +445,21 @@ class _Comparison:
             self._pings[acoustics] = pings
         return self._pings[acoustics]
 
-    def _mean_images(self, terms: Iterable[Term]) -> list[np.ndarray]:
-        """Return the (B, K) mean of many pings without these terms, from each pose.
+    def _settings(self, terms: Iterable[Term | StatedTerm]) -> tuple[Acoustics, Noise, Sonar]:
+        """Return the settings without these terms."""
+        stated = [term for term in terms if isinstance(term, StatedTerm)]
+        others = [term for term in terms if not isinstance(term, StatedTerm)]
+        (acoustics, noise), sonar = without(self._case.acoustics, self._case.noise, others), self._case.sonar
+        for term in stated:
+            noise, sonar = term.without(noise, sonar)
+        return acoustics, noise, sonar
+
+    def _mean_images(self, terms: Iterable[Term | StatedTerm]) -> list[np.ndarray]:
+        """Return the (B, K) mean of many pings without these terms, from each pose, without dropped beams.
 
         Speckle has the mean 1; noise adds its mean power, raised by the TVG.
         """
-        (acoustics, noise), sonar = without(self._case.acoustics, self._case.noise, terms), self._case.sonar
+        acoustics, noise, sonar = self._settings(terms)
         tvg = acoustics.tvg(sonar.range_m, sonar)
         power = sum(10 ** (db / 10) for db in receiver_levels_db(noise, sonar, acoustics)) * tvg
         if noise.self_noise and sonar.common_noise_db is not None:
@@ -401,14 +470,14 @@ class _Comparison:
             power = power + ringing
         return [ping.intensity + power for ping in self._pings_with(acoustics)]
 
-    def _change(self, terms: list[Term]) -> _Change:
+    def _change(self, terms: list[Term | StatedTerm]) -> _Change:
         """Return how the image without these terms differs; each measure is the largest over the poses."""
         full, reduced = self._mean_images(()), self._mean_images(terms)
         if SPECKLE in terms:  # a single ping against the mean; no tolerance leaves speckle out
-            full = [
-                add_noise(ping, self._case.noise, SEED).intensity
-                for ping in self._pings_with(self._case.acoustics)
-            ]
+            noise = replace(self._case.noise, dropped_beams=0.0)
+            full = [add_noise(ping, noise, SEED).intensity for ping in self._pings_with(self._case.acoustics)]
+        if DROPPED_BEAMS in terms:  # a single ping, too
+            full = [without_beams(image, self._case.noise.dropped_beams) for image in full]
         pairs, counts = list(zip(full, reduced, strict=True)), self._case.sonar.counts
         found = [_Change(*differs(*pair), changed_bins(*pair, counts)) for pair in pairs]
         return _Change(*np.max(found, axis=0).tolist())
@@ -440,8 +509,9 @@ def price(
 
     Returns
     -------
-    list of Price, one per term, in the order of TERMS. Images are means of many pings, to which noise adds its
-    mean power; for speckle, one ping is compared with that mean
+    list of Price, one per term, in the order of TERMS, then of those STATED_TERMS that sonar and noise state. Images
+    are means of many pings, to which noise adds its mean power; for speckle and dropped beams, one ping is compared
+    with that mean
 
     Raises
     ------
@@ -451,14 +521,10 @@ def price(
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
     with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
         comparison = _Comparison(stack, case, before_ping)
-        prices = comparison.judge()
-        acting = [
-            term
-            for term, found in zip(TERMS, prices, strict=True)
-            if found.changes > 0 or found.changed_bins > 0
-        ]
+        prices = comparison.judge([term for term in STATED_TERMS if term.is_stated(case.noise, case.sonar)])
+        acting = [term for term, found in prices.items() if found.changes > 0 or found.changed_bins > 0]
         times_ms = comparison.added_times_ms(acting)
-    return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices]
+    return [replace(found, time_ms=times_ms.get(found.name, 0.0)) for found in prices.values()]
 
 
 def needed_acoustics(
@@ -488,5 +554,5 @@ def needed_acoustics(
     case = _make_case(scene, sonar, tolerance, poses, acoustics)
     with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
         prices = _Comparison(stack, case).judge()
-    off = [term for term, found in zip(TERMS, prices, strict=True) if not found.on and not term.of_noise]
+    off = [term for term, found in prices.items() if not found.on and not term.of_noise]
     return without(case.acoustics, case.noise, off)[0]

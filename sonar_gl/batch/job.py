@@ -14,12 +14,21 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
+from sonar_gl.imaging.styles import what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 
@@ -184,6 +193,16 @@ class PicturesTable(Table):
     colormap: Annotated[str, AfterValidator(_check_colormap)] = DEFAULT_COLORMAP
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
+
+    @model_validator(mode="after")
+    def _check_bits(self):
+        lacking = what_lacks_16_bits(self.colormap, self.axes, self.formats)
+        if self.counts.get("bits") == 16 and lacking is not None:
+            raise ValueError(
+                "counts of 16 bits need gray PNG pictures without axes, since others have 8 bits "
+                f'(got {lacking}; give colormap = "gray" and formats = ["png"])'
+            )
+        return self
 
 
 class CocoTable(Table):

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from sonar_gl.cli.common import acoustics_from, check_address, check_duration, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
+from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.hosts import is_local
 from sonar_gl.live.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
@@ -19,24 +20,33 @@ from sonar_gl.live.ping360 import PORT, Ping360Head, Ping360Server
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulated_head import SimulatedHead
 from sonar_gl.noise.settings import Noise
+from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+# fields of the law of counts that the protocols leave to the device
+OCULUS_COUNTS = ("gain_percentile",)
+PING360_COUNTS = "law", "exponent", "low_db", "high_db"
 
 
 def oculus(scene_name: str, options) -> str:
     """Serve an Oculus until it is stopped; return a line about what was sent."""
     model = MODELS[options.model]
     check_address("--status-to", options.status_to)
+    preset = load_sonar(model.presets[1])
+    counts = _counts_from(
+        options, preset, OCULUS_COUNTS, "programs set its gain, gamma and bits by the protocol"
+    )
 
     def serve(simulation, head):
         port = DATA_PORT if options.port is None else options.port
         status_to = None if options.host == "0.0.0.0" else (options.status_to, STATUS_PORT)
-        server = OculusServer(OculusHead(model, head), simulation, options.host, port, status_to)
+        server = OculusServer(OculusHead(model, head, counts), simulation, options.host, port, status_to)
         where = "no status, since --host 0.0.0.0 is no address that a program could connect to"
         if status_to is not None:
             where = f"status to {options.status_to}:{STATUS_PORT} every second"
         return server, lambda: f"Oculus {options.model.upper()} at {options.host}:{server.port}; {where}"
 
-    server = _serve(scene_name, options, load_sonar(model.presets[1]), serve)
+    server = _serve(scene_name, options, preset, serve)
     return (
         f"{server.counts.sent} results sent, {server.counts.missed} missed by programs that read too slowly"
     )
@@ -44,14 +54,30 @@ def oculus(scene_name: str, options) -> str:
 
 def ping360(scene_name: str, options) -> str:
     """Serve a Ping360 until it is stopped; return a line about what was sent."""
+    preset = load_sonar("ping360")
+    counts = _counts_from(
+        options, preset, PING360_COUNTS, "programs set its gain by the protocol, which has 8 bits"
+    )
 
     def serve(simulation, head):
         port = PORT if options.port is None else options.port
-        server = Ping360Server(Ping360Head(head), simulation, options.host, port)
+        server = Ping360Server(Ping360Head(head, counts), simulation, options.host, port)
         return server, lambda: f"Ping360 at {options.host}:{server.port} (UDP)"
 
-    server = _serve(scene_name, options, load_sonar("ping360"), serve)
+    server = _serve(scene_name, options, preset, serve)
     return f"{server.pings} pings sent, {server.dropped} messages dropped as more came than could be answered"
+
+
+def _counts_from(options, preset: Sonar, free: tuple[str, ...], why: str) -> dict:
+    """Return the changes of --counts to a preset's law, or raise an Error that says why a field is not free."""
+    if options.counts is None:
+        return {}
+    _, changes = parse_fields("--counts", options.counts, Counts)
+    for name in changes:
+        if name in vars(DEFAULT_COUNTS) and name not in free:
+            raise Error(f"--counts of this device may change {', '.join(free)} alone (got {name}; {why})")
+    preset.counts.parse_changes("--counts", options.counts)  # which raises Error for a wrong one
+    return changes
 
 
 def _serve(scene_name: str, options, sonar: Sonar, make_server):

@@ -231,7 +231,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 
 
 @main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
-@ping_options(poses={"type": PathText()})
+@ping_options(poses={"type": PathText()}, noise={"default": "physical"})
 @click.pass_context
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
@@ -243,7 +243,8 @@ def plan(ctx, scene, **options):
     Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
     strongest change of one bin, over the strongest bin; the share of the displayed bins that change by more than 3 dB;
     the milliseconds that the term adds to a ping; and whether the image changes by more than the tolerance without it,
-    in its sum or in its displayed bins.
+    in its sum or in its displayed bins. Ring-down, a centre streak and dropped beams are priced where sonar and noise
+    have them.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
     echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
@@ -380,6 +381,7 @@ Examples:
     help="Write all this to a file, with the driver's limits, the noise of its samples, and times of the bundled "
     "scenes, to send it in.",
 )
+@option("engine", **ENGINE)
 @option("device", **DEVICE)
 @click.option(
     "--scene", type=PathText(), metavar="SCENE", help="Say what this scene holds; check nothing else."
@@ -394,7 +396,7 @@ def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
     This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
-    a minute or two, later commands then start fast.
+    a minute or two, later commands then start fast. The engine that draws the known scene is that of --engine.
 
     With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
     its sonars, and everything that was left out or assumed as it was read.
@@ -442,6 +444,7 @@ def _emulate_options(**more):
     options = {name: PING_OPTIONS.get(name, {}) for name in (*names, "only", "surface")}
     options |= {"poses": {"type": PathText()}}
     options |= {"noise": {"default": "physical"}, "tolerance": {"type": float, "default": 0.05}}
+    options |= {"counts": {"show_default": "the device's"}}
     options |= {"seed": {"type": int, "default": 0}, "host": {"default": "127.0.0.1"}}
     options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
     options |= {"duration": {"type": float, "show_default": "until Ctrl-C"}, **more}
@@ -493,6 +496,7 @@ Examples:
 ROS2_OPTIONS = {
     "rate": {"type": float, "show_default": "as many as sound and the device allow"},
     "noise": {"default": "physical"},
+    "counts": {"show_default": "the sonar's"},
     "tolerance": {"type": float, "default": 0.05},
     "seed": {"type": int, "default": 0},
     "duration": {"type": float, "show_default": "until Ctrl-C"},

@@ -16,6 +16,7 @@ from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.engine.error_model import Plan
+from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, check_tolerance
@@ -36,15 +37,17 @@ BOUND_BY = {
 def plan(scene_name: str, options) -> dict:
     """Return the plan of a scene for the tolerance of the options, as plain values."""
     load_numba()
-    acoustics = acoustics_from(options, options.profile)
+    acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     scene = scene_from(scene_name, options)
     poses = poses_from(options, scene)[1]
     sonar = sonar_from(options, scene)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
-    return compare_plans(scene, sonar, acoustics, poses, options.tolerance)
+    return compare_plans(scene, sonar, acoustics, poses, options.tolerance, noise)
 
 
-def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float) -> dict:
+def compare_plans(
+    scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float, noise: Noise | None = None
+) -> dict:
     """Plan for a tolerance, for half and for twice of it; time their pings and price the terms."""
     check_tolerance(tolerance)
     simulators, plans, times_ms, has_echo = {}, {}, {}, False
@@ -65,7 +68,7 @@ def compare_plans(scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, toler
                 simulator.ping(poses[at])
                 times_ms[name].append(1e3 * (time.perf_counter() - start))
                 has_echo |= ping.meta["has_echo"] or plans[name]["error_estimate"] > 0
-        terms = price(simulators["chosen"], sonar, tolerance, poses, acoustics) if has_echo else []
+        terms = price(simulators["chosen"], sonar, tolerance, poses, acoustics, noise) if has_echo else []
     for name, facts in plans.items():
         facts["time_ms"] = float(np.median(times_ms[name]))
         facts["time_ratio"] = facts["time_ms"] / float(np.median(times_ms["chosen"]))

@@ -28,10 +28,11 @@ from sonar_gl.cli.common import (
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
-from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo
+from sonar_gl.imaging.styles import FILMS, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.sonar import Sonar
 
 FAN_ONLY = ("counts", "colormap", "axes")  # options of one style
 REPLACED = {  # options of former versions: what stands in their place
@@ -39,7 +40,7 @@ REPLACED = {  # options of former versions: what stands in their place
     "db_range": '--counts "law=db,low_db=-50,high_db=0"',
 }
 DEMARCO_ONLY = ("form", "join")
-STILLS, FILMS = ("png", "npz"), ("gif", "mp4")
+STILLS = ("png", "npz")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
 VISIBLE_SHARE = 0.05  # of full scale: brightness that one tells from black
@@ -72,7 +73,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     times_s, poses = poses_from(options, scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
-        sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))
+        sonar = _with_counts(sonar, options)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
@@ -110,6 +111,18 @@ def _check_combination(options, given: set[str]):
         raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")
     if "fps" in given and not films:
         raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
+
+
+def _with_counts(sonar: Sonar, options) -> Sonar:
+    """Return the sonar with the law of --counts; raise an Error where pictures cannot hold the bits that it adds."""
+    law = sonar.counts.parse_changes("--counts", options.counts)
+    lacking = what_lacks_16_bits(options.colormap, options.axes, options.formats)
+    if law.bits > sonar.counts.bits and lacking is not None:
+        raise Error(
+            "--counts bits=16 needs gray PNG pictures without axes, since others have 8 bits "
+            f"(got --{lacking}; give --colormap gray --format png, or --format npz)"
+        )
+    return replace(sonar, counts=law)
 
 
 class BackgroundCalls:
@@ -154,7 +167,7 @@ class FrameWriter:
 
     Parameters
     ----------
-    style : function (simulator, ping, number) -> (H, W, 3) uint8 picture
+    style : function (simulator, ping, number) -> (H, W, 3) uint8 or (H, W) uint16 picture
     formats : which of png, npz, gif and mp4
     noise, seed, labels, label_level_db : as for `Simulator.ping`
     fps : frames per second of gif and mp4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 from sonar_gl import live
@@ -53,6 +54,8 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
     scene = scene_from(scene_name, options)
     track = None if settings.pose_from is not None else PoseTrack(*poses_from(options, scene)[::-1])
     sonar = sonar_from(options, scene)
+    if options.counts is not None:
+        sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))
     with contextlib.ExitStack() as stack:
         transports = []
         for kind in dict.fromkeys(options.transport):

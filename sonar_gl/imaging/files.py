@@ -190,8 +190,8 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     Parameters
     ----------
     path : ends in .gif or .mp4; its folder exists
-    frames : pictures of one size, (H, W) or (H, W, 3) RGB, uint8 or float 0..1. May be a generator; for .mp4
-        one frame at a time is in memory
+    frames : pictures of one size, (H, W) or (H, W, 3) RGB, uint8 or float 0..1; or (H, W) uint16, rounded to 8 bits.
+        May be a generator; for .mp4 one frame at a time is in memory
     fps : frames per second, 0.01..120
 
     Raises
@@ -260,7 +260,9 @@ def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     """Yield the frames in 8 bits; raise an Error for one whose shape differs from the first one's."""
     shape = None
     for index, frame in enumerate(frames):
-        frame = eight_bit(np.asarray(frame), f"frame {index} of an animation")
+        frame = np.asarray(frame)
+        frame = frame / np.float32(65535) if _is_16_bit(frame) else frame
+        frame = eight_bit(frame, f"frame {index} of an animation")
         shape = shape or frame.shape
         if frame.shape != shape:
             raise Error(
@@ -272,8 +274,12 @@ def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
 def whole_numbers(picture: np.ndarray, what: str) -> np.ndarray:
     """Return 16-bit gray, (H, W) uint16, as it is, and any other picture as `eight_bit` does."""
     picture = np.asarray(picture)
-    is_16_bit = picture.ndim == 2 and picture.dtype == np.uint16 and picture.size
-    return picture if is_16_bit else eight_bit(picture, what)
+    return picture if _is_16_bit(picture) else eight_bit(picture, what)
+
+
+def _is_16_bit(picture: np.ndarray) -> bool:
+    """Return whether a picture is 16-bit gray."""
+    return picture.ndim == 2 and picture.dtype == np.uint16 and picture.size > 0
 
 
 def eight_bit(picture: np.ndarray, what: str) -> np.ndarray:

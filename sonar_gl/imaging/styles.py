@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,32 @@ from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
 DARK_BLUE = 128  # the first colour of Jet
+FILMS = ("gif", "mp4")  # formats that have 8 bits at most
+
+
+def holds_16_bits(law: Counts, colormap: str, axes: bool = False) -> bool:
+    """Return whether a picture by a law of counts holds its 16 bits: gray and bare, since colours have 8."""
+    return law.bits == 16 and colormap == "gray" and not axes
+
+
+def what_lacks_16_bits(colormap: str, axes: bool, formats: Iterable[str]) -> str | None:
+    """Return which setting of fan images has no place for counts of 16 bits; None if all have.
+
+    >>> what_lacks_16_bits("copper", False, ["png"])
+    'colormap copper'
+    """
+    if set(formats) == {"npz"}:  # a file of intensities, and of the law
+        return None
+    if films := [one for one in FILMS if one in formats]:
+        return f"format {films[0]}"
+    if colormap != "gray":
+        return f"colormap {colormap}"
+    return "axes" if axes else None
 
 
 @dataclass(frozen=True)
 class FanStyle:
-    """Fan images in colour. Raises Error if the colour map is unknown.
+    """Fan images in colour, or in gray of 16 bits. Raises Error if the colour map is unknown.
 
     Parameters
     ----------
@@ -37,8 +59,12 @@ class FanStyle:
         colours(self.colormap)
 
     def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
-        """Return the (H, W, 3) uint8 RGB picture of a ping."""
-        picture = colorize(fan_image(ping, self.height, self.counts), self.colormap)
+        """Return the picture of a ping: (H, W, 3) uint8 RGB; or its counts, (H, W) uint16, where it `holds_16_bits`."""
+        law = ping.counts_law(self.counts)
+        picture = fan_image(ping, self.height, law)
+        if holds_16_bits(law, self.colormap, self.axes):
+            return law.counts_of(picture)
+        picture = colorize(picture, self.colormap)
         return draw_axes(picture, ping, self.colormap, self.counts) if self.axes else picture
 
 

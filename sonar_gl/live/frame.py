@@ -22,7 +22,7 @@ class LiveFrame:
     time_s : seconds: of the trajectory while the sonar follows one, else since the session began
     pose : (4, 4) world_from_sonar
     ping : Ping, whose sonar has the law of counts of the settings
-    picture : (H, W, 3) uint8 RGB
+    picture : (H, W, 3) uint8 RGB; of a still in gray of 16 bits (H, W) uint16
     settings : LiveSettings that it was made with
     rate_hz : pings per second, the mean of the last three seconds; 0 for the first since somebody listens, or since the
         settings were changed

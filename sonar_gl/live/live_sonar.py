@@ -15,7 +15,7 @@ from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
-from sonar_gl.live.pictures import picture_of, pixel_bins, pixels_of
+from sonar_gl.live.pictures import picture_of, pixel_bins, pixels_of, still_of
 from sonar_gl.live.readings import body_number
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
@@ -118,7 +118,7 @@ class LiveSonar:
                 ping = simulator.ping(pose, settings.noise, settings.seed)
                 samples = simulator.sampling.count(settings.device)
         return replace(
-            frame, number=0, time_s=0.0, pose=pose, ping=ping, picture=picture_of(ping, settings), samples=samples,
+            frame, number=0, time_s=0.0, pose=pose, ping=ping, picture=still_of(ping, settings), samples=samples,
             highlight=None, notes=(),
         )  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -70,10 +71,11 @@ class OculusHead:
     ----------
     model : OculusModel
     head : SimulatedHead
+    counts : changes of the presets' laws of counts, in what fire messages do not set
     """
 
-    def __init__(self, model: OculusModel, head: SimulatedHead):
-        self.model, self.head = model, head
+    def __init__(self, model: OculusModel, head: SimulatedHead, counts: Mapping | None = None):
+        self.model, self.head, self._counts = model, head, counts or {}
 
     def sonar(self, fire: FireMessage) -> Sonar:
         """Return the sonar with the settings of a fire message.
@@ -103,7 +105,7 @@ class OculusHead:
             n_bins=n_bins,
             range_min_m=0.0,
             range_max_m=range_m,
-            counts=preset.counts.changed({"law": "power", **counts}),
+            counts=preset.counts.changed(self._counts).changed({"law": "power", **counts}),
         )
 
     def ping(self, fire: FireMessage, time_s: float, number: int) -> OculusResult:

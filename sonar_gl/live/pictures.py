@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 
 from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, colorize, fan_geometry, fan_image
+from sonar_gl.imaging.styles import holds_16_bits
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import Counts
 
 OUTLINE_WIDTH = 2  # pixels: a JPEG has the colours of thinner lines washed out
 OUTLINE_GAP = 7  # pixels
@@ -25,17 +27,27 @@ class PixelBins(NamedTuple):
 
 def picture_of(ping: Ping, settings: LiveSettings) -> np.ndarray:
     """Return the picture of a ping as the settings show it, (H, W, 3) uint8 RGB."""
+    return colorize(_share(ping, settings, ping.counts_law(settings.law)), settings.colormap)
+
+
+def still_of(ping: Ping, settings: LiveSettings) -> np.ndarray:
+    """Return the picture of a ping for a PNG file: of its counts, (H, W) uint16, where it `holds_16_bits`."""
     law = ping.counts_law(settings.law)
+    if not holds_16_bits(law, settings.colormap):
+        return picture_of(ping, settings)
+    return law.counts_of(_share(ping, settings, law))
+
+
+def _share(ping: Ping, settings: LiveSettings, law: Counts) -> np.ndarray:
+    """Return the picture as shares of full scale, (H, W) float32."""
     if settings.form == "fan":
-        return colorize(fan_image(ping, settings.height, law), settings.colormap)
+        return fan_image(ping, settings.height, law)
     polar = np.ascontiguousarray(ping.intensity.T[::-1, ::-1], np.float32)
     rows, columns = polar.shape
     # of bins finer than pixels the mean is shown, as in a fan image, so that no echo is lost between pixels
     means = cv2.resize(polar, (columns, min(rows, settings.height)), interpolation=cv2.INTER_AREA)
-    share = cv2.resize(
-        law.share(means), (settings.height, settings.height), interpolation=cv2.INTER_NEAREST_EXACT
-    )
-    return colorize(share, settings.colormap)
+    size = settings.height, settings.height
+    return cv2.resize(law.share(means), size, interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def pixel_bins(ping: Ping, settings: LiveSettings) -> PixelBins:

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 import socket
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -53,10 +54,13 @@ class Ping360Head:
     Parameters
     ----------
     head : SimulatedHead
+    counts : changes of the preset's law of counts, in what messages do not set
     """
 
-    def __init__(self, head: SimulatedHead):
-        self.head, self._preset, self._number = head, load_sonar("ping360"), 0
+    def __init__(self, head: SimulatedHead, counts: Mapping | None = None):
+        preset = load_sonar("ping360")
+        self._preset = replace(preset, counts=preset.counts.changed(counts or {}))
+        self.head, self._number = head, 0
 
     def sonar(self, settings: TransducerSettings) -> Sonar:
         """Return the sonar with these settings: a sample is a bin, the pulse's bandwidth is one over its length.

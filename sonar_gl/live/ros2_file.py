@@ -81,6 +81,7 @@ class Ros2File(Table):
     acoustics: str = None
     water: str = None
     noise: str = None
+    counts: str = None
     tolerance: float = None
     seed: Annotated[int, Field(ge=0)] = None
     surface: float = None

@@ -278,8 +278,8 @@ class LiveSession:
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `sonar-gl render` makes it: with its pose rounded, and samples planned for that pose alone.
 
-        It is the first ping of its noise, at time 0. Its bodies are where the frame has them. Raises Error if the ping
-        fails.
+        It is the first ping of its noise, at time 0. Its bodies are where the frame has them. Its picture is that of
+        `still_of`: gray of 16 bits is (H, W) uint16. Raises Error if the ping fails.
         """
         return self._thread.do(lambda: self._sonar.still(frame))
 

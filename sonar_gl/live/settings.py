@@ -79,6 +79,11 @@ class LiveSettings:
         if self.engine is not None:
             check_choice("engine", self.engine, ENGINES)
         colours(self.colormap)
+        if self.counts is not None and self.counts.bits > self.sonar.counts.bits and self.colormap != "gray":
+            raise Error(
+                "counts of 16 bits need the colour map gray, since others have 8 bits "
+                f"(got {self.colormap}; give gray, or bits = 8)"
+            )
         check_choice("form", self.form, FORMS)
         check_whole_number("height", self.height, 1, MAX_HEIGHT, "give pixels")
         check_number("max_rate_hz", self.max_rate_hz, 0.01, 1000.0, "give pings per second")

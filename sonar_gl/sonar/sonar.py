@@ -241,6 +241,30 @@ class Sonar:
                 f"beam_width_deg = {self.beam_width_deg:g} leaves gaps between beams that are {spacing_deg:.3g} "
                 f"degrees apart; if it is in radians, give {math.degrees(self.beam_width_deg):.4g}"
             )
+        # the elevations of devices are 1 degree and more; single beams may be anything
+        if self.n_beams > 8 and self.elevation_fov_deg < 0.9:
+            yield (
+                f"elevation_fov_deg = {self.elevation_fov_deg:g} is lower than the fan of any device; if it is in "
+                f"radians, give {math.degrees(self.elevation_fov_deg):.4g}"
+            )
+        width_deg = self.transmit_width_deg
+        if width_deg is not None and width_deg <= 3.1416 and width_deg < self.azimuth_fov_deg / 10:
+            yield (
+                f"transmit_width_deg = {width_deg:g} leaves most of a fan of {self.azimuth_fov_deg:g} degrees without "
+                f"sound; if it is in radians, give {math.degrees(width_deg):.4g}"
+            )
+        # no more than 45 degrees in radians, and so little that a picture does not show it
+        if 0 < abs(self.tilt_deg) < min(0.8, self.elevation_fov_deg / 10):
+            yield (
+                f"tilt_deg = {self.tilt_deg:g} is little against an elevation of {self.elevation_fov_deg:g} degrees; "
+                f"if it is in radians, give {math.degrees(self.tilt_deg):.4g}"
+            )
+        # bandwidths of devices are 1 kHz and more, but for long pulses of low frequencies
+        if self.bandwidth_hz is not None and self.bandwidth_hz < min(500.0, self.frequency_hz / 1e3):
+            yield (
+                f"bandwidth_hz = {self.bandwidth_hz:g} makes a resolution cell of "
+                f"{750.0 / self.bandwidth_hz:.3g} m; if it is in kHz, give {1e3 * self.bandwidth_hz:g}"
+            )
         # a pulse shorter than a half of its wavelength has no bandwidth to be resolved with; c is about 1500 m/s
         half_wavelength_m = 750.0 / self.frequency_hz
         if self.bin_size_m < half_wavelength_m / 20:

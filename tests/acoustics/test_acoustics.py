@@ -97,6 +97,7 @@ def test_the_printed_law_is_a_tvg_of_40_log_r(sonar):
     np.testing.assert_allclose(printed * sonar.range_max_m**2, tvg, rtol=1e-13)
 
 
+@pytest.mark.filterwarnings("ignore:water. absorption_db_m")
 @pytest.mark.parametrize("k", [0, 20, 60])
 @pytest.mark.parametrize(("absorption", "assumed"), [(0, 1e5), (1e5, 0), (1e5, 1e5)])
 def test_range_gain_is_finite_and_positive_in_float32(sonar, k, absorption, assumed):

@@ -332,6 +332,7 @@ def test_straight_arrays_are_limited_in_steering():
     )
 
 
+@pytest.mark.filterwarnings("ignore:.* elevation_fov_deg = 0.6")
 def test_side_lobes_are_received_down_to_80_db_and_nearly_straight_up():
     def max_deg(**device):
         sonar, acoustics = described(SONAR, elevation_pattern="line_array", **device)

@@ -1,6 +1,7 @@
 """Absorption and speed of sound against published and independently computed numbers."""
 
 import sys
+import warnings
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -177,6 +178,34 @@ def test_fields_are_checked(settings, message):
         with pytest.raises(sg.Error) as caught:
             make()
         assert str(caught.value) == f"water: {message}"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"absorption_db_m": 300},
+            "absorption_db_m = 300 takes 600 dB from an echo at 1 m; if it is in dB per km, give 0.3",
+        ),
+        (
+            {"salinity_psu": 0.035},
+            "salinity_psu = 0.035 is fresh water; if it is in kilograms per kilogram, give 35",
+        ),
+    ],
+)
+def test_numbers_of_other_units_are_warned_of(settings, message):
+    for make in (lambda: sg.Water(**settings), lambda: sg.Water(ph=7.9).changed(settings)):
+        with pytest.warns(UserWarning) as caught:
+            make()
+        assert [str(one.message) for one in caught] == [f"water: {message}"]
+        assert [one.filename for one in caught] == [__file__]
+
+
+def test_usual_and_unusual_waters_give_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for settings in ({}, {"salinity_psu": 0.0}, {"salinity_psu": 0.3}, {"absorption_db_m": 10.0}):
+            sg.Water(**settings)
 
 
 def test_water_is_a_value():

@@ -21,7 +21,7 @@ from sonar_gl.analysis.terms import (
 )
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import receiver_levels_db
+from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db
 from tests.support.plain_scenes import without_materials
 
 SONAR = sg.Sonar("small", 900e3, 32, 160, 40.0, 16.0, 2.0, 0.5, 12.5)
@@ -196,6 +196,48 @@ def test_the_transmit_beam_of_a_sonar_that_has_one_is_priced():
     assert found.changes > 0.1 and found.on
     assert needed_acoustics(room(), narrow, 0.05).transmit_beam
     assert not needed_acoustics(room(), SONAR, 0.05).transmit_beam
+
+
+STATED = replace(
+    SONAR, ring_down_db=10.0, ring_down_decay_db_m=40.0, common_noise_db=-70.0, common_noise_width_deg=4.0
+)
+
+
+def test_what_sonar_and_noise_state_is_priced_by_itself():
+    """By hand: each adds its power to an image that has everything else; a lost beam is black."""
+    scene, noise = room(), replace(sg.Noise.physical(), dropped_beams=0.1)
+    found = {one.name: one for one in price(scene, STATED, 0.05, noise=noise)}
+    assert list(found) == [*NAMES, "ring-down", "centre streak", "dropped beams"]
+    full = everything_on(sg.Acoustics.physical(), noise)[0]
+    with sg.Simulator(scene, STATED, full, tolerance=0.05) as simulator:
+        simulator.plan([scene.sonar_pose])
+        ping = simulator.ping(scene.sonar_pose)
+    tvg = full.tvg(SONAR.range_m, SONAR)
+    streak = np.outer(common_noise_pattern(SONAR.azimuth_rad, 4.0), 10**-7.0 * tvg)
+    ringing = np.tile(10 ** (1.0 - 4.0 * SONAR.range_m) * tvg, (SONAR.n_beams, 1))
+    image = ping.intensity + 10**-9.0 * tvg + streak + ringing
+    for name, power in (("ring-down", ringing), ("centre streak", streak)):
+        assert found[name].changes == pytest.approx(power.sum() / image.sum(), rel=1e-6)
+        assert found[name].worst_bin == pytest.approx(power.max() / image.max(), rel=1e-6)
+    stay = np.ones(32, bool)
+    stay[[5, 16, 26]] = False  # 0.1 of 32 beams, evenly apart
+    lost, shown = found["dropped beams"], image >= SHOWN
+    assert lost.changes == pytest.approx(image[~stay].sum() / image[stay].sum(), rel=1e-6)
+    assert lost.changed_bins == pytest.approx(shown[~stay].sum() / shown.sum()) and lost.on
+    together = found["ring-down"].changes + found["centre streak"].changes
+    assert found["receiver noise"].changes > together  # which are parts of it
+
+
+def test_what_is_stated_changes_no_other_price():
+    scene, noise = room(), replace(sg.Noise.physical(), dropped_beams=0.3)
+    plain = price(scene, SONAR, 0.05)
+    found = price(scene, SONAR, 0.05, noise=noise)
+    assert [replace(one, time_ms=0.0) for one in found[: len(TERMS)]] == [
+        replace(one, time_ms=0.0) for one in plain
+    ]
+    assert [one.name for one in found[len(TERMS) :]] == ["dropped beams"]
+    # a sonar's ring-down is part of its own noise
+    assert [one.name for one in price(scene, STATED, 0.05, noise=sg.Noise(ambient_db=-90.0))] == NAMES
 
 
 @pytest.mark.slow

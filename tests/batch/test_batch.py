@@ -935,6 +935,17 @@ BAD = [
         "[pictures]\ncounts = { low_db = 0, high_db = -60 }\n[labels]",
         "pictures.counts: counts: low_db must be less than high_db (got 0 and -60)",
     ),
+    (
+        "[labels]",
+        "[pictures]\ncounts = { bits = 16 }\n[labels]",
+        "pictures: counts of 16 bits need gray PNG pictures without axes, since others have 8 bits "
+        '(got colormap copper; give colormap = "gray" and formats = ["png"])',
+    ),
+    (
+        "[labels]",
+        '[pictures]\ncounts = { bits = 16 }\ncolormap = "gray"\nformats = ["png", "mp4"]\n[labels]',
+        "without axes, since others have 8 bits (got format mp4; ",
+    ),
     ("[labels]", "[coco]\ncounts = { gain = 3 }\n[labels]", "coco.counts: counts: unknown key (got 'gain'"),
     ("[labels]", "[coco]\ncounts = 3\n[labels]", "coco.counts: should be a table, such as { law"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),

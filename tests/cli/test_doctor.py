@@ -171,6 +171,23 @@ def test_the_engine_that_draws_is_told_and_why_no_other(monkeypatch, wanted, tol
     assert ok and re.fullmatch(told, detail)
 
 
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_the_command_takes_an_engine(monkeypatch, nothing_to_compile, engine):
+    monkeypatch.setenv("SONAR_GL_ENGINE", {"cpu": "opengl", "opengl": "cpu"}[engine])
+    before, drawn = os.environ["SONAR_GL_ENGINE"], []
+    ping = Simulator.ping
+    monkeypatch.setattr(
+        Simulator,
+        "ping",
+        lambda self, *_, **more: (drawn.append(self.gl_info["engine"]), ping(self, *_, **more))[1],
+    )
+    result = CliRunner().invoke(cli.main, ["doctor", "--engine", engine])
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in result.output.splitlines() if line.split()[:2] == ["ok", "engine"]]
+    assert line.split()[2] == f"{engine}:" and set(drawn) == {engine}  # of the known scene
+    assert os.environ["SONAR_GL_ENGINE"] == before
+
+
 def test_command_is_quiet_about_cures_when_all_is_well(monkeypatch, well):
     monkeypatch.setattr(doctor, "examine", lambda: list(well.values()))
     result = CliRunner().invoke(cli.main, ["doctor"])

@@ -47,6 +47,51 @@ def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
     assert pings == [({"oculus": "oculus-m1200d-hf", "ping360": "ping360"}[device], (4, 4), 0)]
 
 
+@pytest.mark.parametrize(
+    ("device", "name", "text", "changes"),
+    [
+        ("oculus", "OculusHead", "gain_percentile=90", {"gain_percentile": 90}),
+        ("ping360", "Ping360Head", "law=db,low_db=-40", {"law": "db", "low_db": -40}),
+        ("ping360", "Ping360Head", "exponent=0.5", {"exponent": 0.5}),
+    ],
+)
+def test_counts_change_what_programs_do_not_set(device, name, text, changes, monkeypatch):
+    make, given = getattr(emulate, name), []
+
+    def noted(*arguments):
+        given.append(arguments[-1])
+        return make(*arguments)
+
+    monkeypatch.setattr(emulate, name, noted)
+    status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1", "--counts", text)
+    assert status == 0, errors
+    assert given == [changes]
+
+
+@pytest.mark.parametrize(
+    ("device", "text", "sentence"),
+    [
+        (
+            "oculus",
+            "gain_db=20",
+            "--counts of this device may change gain_percentile alone "
+            "(got gain_db; programs set its gain, gamma and bits by the protocol)",
+        ),
+        (
+            "ping360",
+            "bits=16",
+            "--counts of this device may change law, exponent, low_db, high_db alone "
+            "(got bits; programs set its gain by the protocol, which has 8 bits)",
+        ),
+        ("oculus", "gain_percentile=200", "gain_percentile must lie in 0..100 (got 200)"),
+        ("ping360", "gamma=3", "--counts 'gamma=3': unknown name (got 'gamma'"),
+    ],
+)
+def test_counts_that_programs_set_are_refused(device, text, sentence):
+    status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1", "--counts", text)
+    assert status == 2 and sentence in errors
+
+
 @pytest.mark.parametrize("device", KINDS)
 def test_a_device_that_listens_says_so_once(device):
     status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1")

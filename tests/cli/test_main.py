@@ -282,6 +282,46 @@ def test_counts_are_recorded_and_presets_have_their_own():
     assert ping().sonar.counts == sg.Counts("power", gain_db=40)
 
 
+def test_gray_pictures_hold_16_bits():
+    render("--counts", "bits=16", "--colormap", "gray")
+    got = ping()
+    law = got.counts_law()
+    written = cv2.imread("tank.png", cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(written, law.counts_of(sg.fan_image(got, 60)))
+    assert law.bits == 16 and written.dtype == np.uint16 and len(np.unique(written)) > 256
+
+
+@pytest.mark.parametrize(
+    ("options", "lacking"),
+    [
+        ((), "colormap copper"),
+        (("--colormap", "gray", "--axes"), "axes"),
+        (("--colormap", "gray", "--poses", "dive.csv", "--format", "png", "--format", "gif"), "format gif"),
+        (("--poses", "dive.csv", "--format", "mp4"), "format mp4"),
+    ],
+)
+def test_16_bits_that_no_picture_would_hold(options, lacking):
+    assert refused("--counts", "bits=16", *options) == (
+        "--counts bits=16 needs gray PNG pictures without axes, since others have 8 bits "
+        f"(got --{lacking}; give --colormap gray --format png, or --format npz)"
+    )
+    assert not list(Path().glob("tank*.png"))
+
+
+def test_a_sonar_of_16_bits_is_shown_in_colour_and_in_films():
+    text = Path("small.toml").read_text()
+    Path("deep.toml").write_text(text + "counts = { bits = 16 }\n")
+    quick = ("--sonar", "deep.toml", "--tolerance", 0.05, "--height", 60)
+    render("--format", "png", quick=quick)
+    assert cv2.imread("tank.png", cv2.IMREAD_UNCHANGED).dtype == np.uint8
+    films = "--format", "png", "--format", "gif", "--poses", "dive.csv"
+    render(*films, "--colormap", "gray", quick=quick)
+    still = cv2.imread("tank_0000.png", cv2.IMREAD_UNCHANGED)
+    assert still.dtype == np.uint16
+    with Image.open("tank.gif") as film:
+        np.testing.assert_array_equal(np.asarray(film.convert("L")), np.rint(still / 257))
+
+
 def test_demarco_style_is_the_founding_papers_picture():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     with sg.Simulator(scene, sonar, sg.Acoustics.demarco2015(), tolerance=0.05) as simulator:

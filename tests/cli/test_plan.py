@@ -100,6 +100,13 @@ def test_it_prices_every_term():
         assert changes > 0 or (term["time_ms"], term["on"]) == (0, False)
 
 
+def test_it_prices_what_sonar_and_noise_state():
+    more = "small.toml,ring_down_db=10,common_noise_db=-60"
+    terms = plan("--sonar", more, "--noise", "physical,dropped_beams=0.1")["terms"][len(TERMS) :]
+    assert [term["name"] for term in terms] == ["ring-down", "centre streak", "dropped beams"]
+    assert all(term["changes"] > 0 for term in terms)
+
+
 def test_it_prices_what_the_options_say():
     """A scene without planar reflectors that matter, smooth faces, bubbles: these terms change nothing."""
     terms = {

@@ -127,6 +127,24 @@ def test_the_file_sets_options_and_topics_and_the_command_line_comes_first(trans
     )
 
 
+def test_counts_are_those_of_the_option_else_of_the_file(transports, tmp_path):
+    (tmp_path / "deep.toml").write_text('counts = "bits=16"\n')
+    quick = "pylon", *FAST, "--duration", "0.3", "--rate", "20", "--config", str(tmp_path / "deep.toml")
+    for words, of_image, of_ping in (((), "mono16", 2), (("--counts", "gain_percentile=97"), "mono8", 0)):
+        found = run(*quick, *words)
+        assert found.exit_code == 0, found.output
+        transport = transports["DdsTransport"]
+        assert transport.messages("/sonar/image")[0].encoding == of_image
+        assert (
+            transport.messages("/sonar/projected_image")[0].image.dtype == of_ping
+        )  # DTYPE_UINT8, DTYPE_UINT16
+    found = run(*quick, "--counts", "bits=12")
+    assert (found.exit_code, "--counts 'bits=12': counts: bits must be 8 or 16 (got 12)" in found.output) == (
+        2,
+        True,
+    )
+
+
 def test_time_and_poses_come_from_other_programs(transports, monkeypatch):
     """With /clock at the times of a bag, a thousand times quicker than real time."""
     types, at = message_types(), sg.load_scene("pylon").sonar_pose

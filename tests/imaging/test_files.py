@@ -203,6 +203,13 @@ def test_gif_reads_back(tmp_path, name):
     assert sum(durations) == 470 and set(durations) == {60, 70}  # 7 / 15 s
 
 
+def test_gif_of_16_bits_is_rounded_to_8(tmp_path):
+    ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    save_animation(tmp_path / "a.gif", [ramp], fps=10)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert (np.asarray(film.convert("L")) == np.rint(ramp / 257)).all()
+
+
 def test_gif_of_256_colours_is_exact(tmp_path):
     ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8).reshape(16, 16), cv2.COLORMAP_JET)
     save_animation(tmp_path / "a.gif", [ramp, ramp[::-1]], fps=10)

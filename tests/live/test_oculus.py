@@ -4,6 +4,7 @@ import random
 import socket
 import struct
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -336,6 +337,13 @@ def test_range_of_the_device_is_kept(server, changes, words):
 def test_range_in_per_cent_is_of_the_greatest():
     fire = FireMessage(1, LOW, 0, 127, 0, 25.0, 50.0, 0.0, b"")
     assert OculusHead(MODELS["m1200d"], None).sonar(fire).range_max_m == 10.0
+
+
+def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
+    device = OculusHead(MODELS["m1200d"], None, {"gain_percentile": 90.0})
+    fire = FireMessage(1, LOW, 0, 127, METRES | ASSISTANCE, 5.0, 50.0, 0.0, b"")
+    laws = [device.sonar(one).counts for one in (fire, replace(fire, flags=METRES))]
+    assert [(law.gain_percentile, law.gain_db) for law in laws] == [(90.0, 0.0), (None, 30.0)]
 
 
 def test_short_fire_message_is_refused():

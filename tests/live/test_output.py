@@ -50,6 +50,7 @@ CHANGES = [
     {"sonar": "p900-90,receive_taper=hamming", "n_bins": 300, "noise": "physical,looks=2", "seed": 3},
     {"water": sg.Water(temperature_c=4.0), "counts": sg.Counts(low_db=-40.0), "noise": "gaussian=0.01"},
     {"acoustics": sg.Acoustics.ideal(), "engine": "cpu"},
+    {"counts": sg.Counts("power", gain_percentile=99, bits=16), "colormap": "gray"},
 ]
 
 
@@ -66,6 +67,19 @@ def test_the_command_line_makes_the_saved_picture(session, tmp_path, changes):
     for suffix in (".png", ".npz"):
         again = (tmp_path / "again" / "pylon").with_suffix(suffix)
         assert again.read_bytes() == saved.with_suffix(suffix).read_bytes()
+
+
+@pytest.mark.parametrize("form", ["fan", "polar"])
+def test_saved_gray_pictures_hold_16_bits(session, form):
+    session.change(counts=sg.Counts(bits=16), colormap="gray", form=form, height=600)
+    frame = session.next_frame()
+    assert frame.picture.dtype == np.uint8  # what the page shows
+    written = cv2.imread(str(session.output.save_picture(frame)), cv2.IMREAD_UNCHANGED)
+    assert written.dtype == np.uint16 and len(np.unique(written)) > 256
+    if form == "polar":  # whole bins, port on the left, the far end at the top
+        assert np.isin(written, session.still(frame).ping.counts()).all()
+    with pytest.raises(sg.Error, match="counts of 16 bits need the colour map gray"):
+        session.change(colormap="copper")
 
 
 def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_path):

@@ -491,7 +491,7 @@ def test_a_program_that_changes_the_sonar_again_and_again_fills_no_list(session,
     dropdown = browser.values[browser.uuid("sonar")]
     first, own = dropdown["value"], session.settings.sonar
     for number in range(2, 13):
-        session.change(sonar=replace(own, tilt_deg=number / 10))
+        session.change(sonar=replace(own, tilt_deg=number))
         wait_until(lambda number=number: dropdown["value"] == f"{own.name} (given {number})")
     wait_until(lambda: dropdown["value"] in dropdown["options"])
     offered = [name for name in dropdown["options"] if "given" in name]

@@ -6,6 +6,7 @@ import socket
 import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import brping
 import numpy as np
@@ -14,7 +15,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error, MachineError
-from sonar_gl.live.ping360 import Ping360Head, Ping360Server
+from sonar_gl.live.ping360 import FIRST_SETTINGS, Ping360Head, Ping360Server
 from sonar_gl.live.ping360_messages import (
     AUTO_PAYLOAD,
     AUTO_TRANSMIT,
@@ -61,6 +62,11 @@ def strongest_m(answer, sound_speed_m_s):
     """Return the range of the strongest sample."""
     sample_m = answer.sample_period * 25e-9 * sound_speed_m_s / 2
     return (np.frombuffer(bytes(answer.data), np.uint8).argmax() + 0.5) * sample_m
+
+
+def test_counts_change_the_law_and_programs_the_gain():
+    device = Ping360Head(SimpleNamespace(acoustics=sg.Acoustics.physical()), {"law": "db", "low_db": -40.0})
+    assert device.sonar(FIRST_SETTINGS).counts == sg.Counts(low_db=-40.0, gain_db=10.0, exponent=0.26)
 
 
 def test_each_angle_shows_what_lies_there(client):

@@ -17,7 +17,13 @@ from sonar_gl.scene import primitives
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
 from tests.support.worlds import random_world, terrain
 
-SCENES = "pylon", "diver", "diver_vertical", "diver_swimming", "ocean_floor"
+SCENES = (
+    "pylon",
+    *(
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in ("diver", "diver_vertical", "diver_swimming", "ocean_floor")
+    ),
+)
 SAMPLING = sg.Sampling(1, 100)
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.0, 0.5, 20.0)
 FAR_M = FAR_FACTOR * SONAR.range_max_m
@@ -127,7 +133,6 @@ def test_random_worlds():
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.slow
 def test_bundled_scenes(name):
     """Scenes with shading normals and reflectivity maps."""
     scene, sonar = sg.load_scene(name), sg.load_sonar("p900-45")
@@ -141,7 +146,6 @@ def test_bundled_scenes(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.slow
 def test_images_of_bundled_scenes(name, monkeypatch):
     """The same sums of both engines' samples: images differ by less than 1.5e-4 of the echo.
 
@@ -178,6 +182,10 @@ def worlds():
     fence = trimesh.creation.box((30, 0.2, 0.2)).subdivide_to_size(0.5)
     yield "wide", [*ring, floor()], wide, np.eye(4)
     yield "rolled", [*ring, floor()], wide, sg.pose(roll=2.0, pitch=0.3)
+    around = [ball(str(k), sg.pose(6 * np.cos(k), 6 * np.sin(k), 0.1 * k)) for k in range(7)]
+    full = replace(wide, azimuth_fov_deg=360.0)
+    yield "full circle", [*around, floor()], full, np.eye(4)
+    yield "full circle rolled", [*around, floor()], full, sg.pose(roll=0.7, pitch=0.2, yaw=0.5)
     yield "inside", [sg.Body("hull", hull, sg.pose(1, 1, 0)), ball("ball", sg.pose(5))], SONAR, np.eye(4)
     yield "near", [sg.Body("fence", fence, sg.pose(3, 0.11, -0.15, yaw=0.01)), floor()], SONAR, np.eye(4)
     away = [sg.Body(b.name, b.mesh, sg.pose(*far) @ b.pose, b.reflectivity) for b in [*ring, floor()]]

@@ -368,6 +368,10 @@ def test_real_and_unusual_sonars_give_no_warning():
         Sonar("one narrow beam", **{**KEYS, "n_beams": 1, "azimuth_fov_deg": 0.01})
         Sonar("fine beams", **{**KEYS, "n_beams": 4096, "azimuth_fov_deg": 45.0})
         Sonar("narrow fan", **{**KEYS, "n_beams": 64, "azimuth_fov_deg": 6.0})
+        Sonar("low fan", **{**KEYS, "elevation_fov_deg": 1.0, "tilt_deg": 0.5})
+        Sonar("one low beam", **{**KEYS, "n_beams": 1, "elevation_fov_deg": 0.5})
+        Sonar("narrow transmitter", **{**KEYS, "transmit_width_deg": 5.0, "bandwidth_hz": 1e3})
+        Sonar("long pulse", **{**KEYS, "frequency_hz": 12e3, "bandwidth_hz": 100.0})
 
 
 def test_max_ping_rate_is_one_over_the_two_way_travel_time_and_no_more_than_the_device_makes():
@@ -434,6 +438,22 @@ def test_the_head_is_tilted_down_within_its_housing():
             {"beam_width_deg": 0.01745},
             "beam_width_deg = 0.01745 leaves gaps between beams that are 0.176 degrees apart; "
             "if it is in radians, give 0.9998",
+        ),
+        (
+            {"elevation_fov_deg": 0.35},
+            "elevation_fov_deg = 0.35 is lower than the fan of any device; if it is in radians, give 20.05",
+        ),
+        (
+            {"azimuth_fov_deg": 60.0, "transmit_width_deg": 1.0},
+            "transmit_width_deg = 1 leaves most of a fan of 60 degrees without sound; if it is in radians, give 57.3",
+        ),
+        (
+            {"tilt_deg": -0.17},
+            "tilt_deg = -0.17 is little against an elevation of 20 degrees; if it is in radians, give -9.74",
+        ),
+        (
+            {"bandwidth_hz": 30},
+            "bandwidth_hz = 30 makes a resolution cell of 25 m; if it is in kHz, give 30000",
         ),
         (
             {"range_min_m": 0.0005, "range_max_m": 0.03, "n_bins": 1161},

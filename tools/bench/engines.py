@@ -16,6 +16,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.core.warn import collected_warnings
 from tools import internals
 from tools.bench import harness
 from tools.bench.changes import drop
@@ -36,6 +37,11 @@ def one_triangle() -> sg.Scene:
     """Make a triangle of half a metre, 5 m ahead."""
     mesh = trimesh.Trimesh([(5, -0.25, -0.25), (5, 0.25, -0.25), (5, 0, 0.25)], [(0, 2, 1)])
     return sg.Scene([sg.Body("triangle", mesh)], np.eye(4), "one triangle")
+
+
+def nothing() -> sg.Scene:
+    """Make an empty scene: the time of its ping is what Python takes around a ping."""
+    return sg.Scene([], np.eye(4), "nothing")
 
 
 def turns(stack, scene, rounds: int, contenders: dict) -> dict:
@@ -92,9 +98,12 @@ def picture(ping: sg.Ping) -> None:
 
 
 def others(rounds: int) -> dict[str, float]:
-    """Return the times of a triangle, of what a strong image source adds to a ping, and of a whole frame."""
+    """Return the times of nothing, of a triangle, of what a strong image source adds to a ping, and of a frame."""
     sonar, p900 = make_sonar("pylon", "wide"), sg.load_sonar("p900-45")
     out = {}
+    with ExitStack() as stack, collected_warnings():  # that no echo came back
+        empty = {"cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None)}
+        out["nothing, ms"] = float(np.median(turns(stack, nothing(), rounds, empty)["cpu"]))
     with ExitStack() as stack:
         one = {"cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None)}
         out["one triangle, ms"] = float(np.median(turns(stack, one_triangle(), rounds, one)["cpu"]))
@@ -142,6 +151,7 @@ def run(options) -> dict:
         aims.append(
             Aim(f"{name}: ping() / pings()", one["one by one / sequence"], "times", 1.6, at_least=True)
         )
+    aims.append(Aim("empty scene, a ping: the share of Python", more["nothing, ms"], "ms", 0.06))
     aims.append(Aim("one triangle, a ping", more["one triangle, ms"], "ms", 0.2))
     n = more["image sources"]
     each = (more["multipath"] - 1) / n if n else 0.0
