@@ -579,8 +579,8 @@ MUTATIONS = (
     ),
     Mutation(
         "multipath/spreading",
-        "single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading * spreading",
-        "single_bounce * other_leg[REFLECTED, m] * other_leg[BISTATIC, m] * spreading",
+        "single_bounce * work[REFLECTED, m] * work[BISTATIC, m] * spreading * spreading",
+        "single_bounce * work[REFLECTED, m] * work[BISTATIC, m] * spreading",
         MULTIPATH,
         (
             (
@@ -591,8 +591,8 @@ MUTATIONS = (
     ),
     Mutation(
         "multipath/two reflections",
-        "work[ENERGY, m] *= other_leg[REFLECTED, m] * other_leg[REFLECTED, m]",
-        "work[ENERGY, m] *= other_leg[REFLECTED, m]",
+        "work[ENERGY, m] *= work[REFLECTED, m] * work[REFLECTED, m]",
+        "work[ENERGY, m] *= work[REFLECTED, m]",
         MULTIPATH,
         (("work[ENERGY, m] *= there[LEFT, m] * there[LEFT, m]", "work[ENERGY, m] *= there[LEFT, m]"),),
     ),
@@ -624,8 +624,8 @@ MUTATIONS = (
     # small triangles, filled in on the CPU
     Mutation(
         "triangles/grid of the driver",
-        "math.floor(column * GRID + 0.5)",
-        "math.floor(column * GRID)",
+        "math.floor(columns[w] * GRID + 0.5)",
+        "math.floor(columns[w] * GRID)",
         TRIANGLES,
     ),
     Mutation(
