@@ -241,8 +241,8 @@ class Sonar:
                 f"beam_width_deg = {self.beam_width_deg:g} leaves gaps between beams that are {spacing_deg:.3g} "
                 f"degrees apart; if it is in radians, give {math.degrees(self.beam_width_deg):.4g}"
             )
-        # the elevations of devices are 1 degree and more; single beams may be anything
-        if self.n_beams > 8 and self.elevation_fov_deg < 0.9:
+        # the elevations of devices are 1 degree, 0.017 rad, and more; single beams may be anything
+        if self.n_beams > 8 and 0.015 < self.elevation_fov_deg < 0.9:
             yield (
                 f"elevation_fov_deg = {self.elevation_fov_deg:g} is lower than the fan of any device; if it is in "
                 f"radians, give {math.degrees(self.elevation_fov_deg):.4g}"

@@ -152,7 +152,7 @@ counts = { law = "db", low_db = -50.0, gain_percentile = 99.0 }
 formats = ["png"]
 height = 64
 counts = { law = "power", exponent = 0.3, bits = 16 }
-colormap = "jet"
+colormap = "gray"
 fps = 5.0
 """
 SHAPES = """<cylinder><radius>0.5</radius><length>2</length></cylinder>
