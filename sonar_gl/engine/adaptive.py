@@ -35,8 +35,8 @@ MAX_POSES = 24  # of a sequence are tried
 # A ping alone is first tried with as many samples, or what most pings need for the tolerance if that is more: so many
 # take less time than the rest of a ping, which another try would repeat.
 FIRST_SAMPLES = 1 << 14
-# Finer by so many levels at once, of four times the samples: a body that few samples met is estimated roughly. What is
-# tried on the way costs a third of the last try; a sonar before a net of thin bodies took 45 times the samples at once.
+# Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
+# on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one

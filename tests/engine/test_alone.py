@@ -102,7 +102,7 @@ def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
 
 
 def test_a_ping_takes_no_more_than_four_times_the_samples_at_once(monkeypatch):
-    """A first estimate from few samples once asked for 45 times as many, where 6 times were enough."""
+    """Estimates from few samples led to 45 times as many in a view of `diver`, where 6 times were enough."""
     real, wanted = ErrorModel.judge, []
 
     def judge(model, setup, level, tried, before=None):
