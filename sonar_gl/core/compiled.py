@@ -87,7 +87,8 @@ class _Announcement(event.Listener):
     is_wanted = True
 
     def on_start(self, event):
-        if not event.data["dispatcher"].py_func.__module__.startswith("sonar_gl."):
+        module = event.data["dispatcher"].py_func.__module__ or ""  # None of a function that `exec` made
+        if not module.startswith("sonar_gl."):
             return  # a function of the program that uses this package
         if self.is_wanted:
             print(

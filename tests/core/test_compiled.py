@@ -8,10 +8,14 @@ from sonar_gl.core.compiled import announce_compilation, as_table
 
 
 @pytest.mark.parametrize(
-    ("module", "is_announced"), [("sonar_gl.beamform.kernels", True), ("program_of_a_user", False)]
+    ("module", "is_announced"),
+    [("sonar_gl.beamform.kernels", True), ("program_of_a_user", False), (None, False)],
 )
 def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys):
-    """An early version announced its kernels when a program compiled a function of its own."""
+    """An early version announced its kernels when a program compiled a function of its own.
+
+    A function that `exec` made has no module; to compile it raised an AttributeError.
+    """
 
     def add(x):
         return x + 1
