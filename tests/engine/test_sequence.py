@@ -357,11 +357,12 @@ def test_bodies_that_change_between_two_pings_are_warned_of_once(it, change):
     assert lines == [0] + [1] * 10
     text = str(caught[0].message)
     match = re.fullmatch(
-        r"bodies were placed or added between two pings of a sequence, whose next (\d+) pings are made ahead and have "
-        r"them as they were; give bodies= to pings\(\), place them in the generator of poses, or use ping\(\)",
+        r"bodies were placed or added between two pings of a sequence, whose next "
+        r"(?:(\d+) pings are made ahead and have|ping is made ahead and has) them as they were; "
+        r"give bodies= to pings\(\), place them in the generator of poses, or use ping\(\)",
         text,
     )
-    assert 1 <= int(match[1]) <= 10
+    assert 1 <= int(match[1] or 1) <= 10  # one on a machine with one core
     assert caught[0].filename == __file__
 
 
