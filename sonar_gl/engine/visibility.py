@@ -158,7 +158,10 @@ def is_unobstructed(
         frustum = _frustum(sector, rotation, sonar.range_max_m)
         if frustum.is_beside(sphere.centre, sphere.radius_m):
             continue
-        x, y, z = rotation @ points_within(frustum, edges, below_m).T
+        points = points_within(frustum, edges, below_m)
+        if not len(points):
+            continue
+        x, y, z = rotation @ points.T
         u, v, q = -y / x, z / x, 1 / x
         lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
         origin = np.array([[sector.u[0]], [sector.v[0]]])
