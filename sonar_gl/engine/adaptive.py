@@ -148,8 +148,11 @@ class Sampler(Protocol):
     def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
         """Choose samples for all of some pings, and stay with them."""
 
-    def choose(self, setup: PingSetup) -> ChosenView | None:
-        """Return a view of a ping with samples chosen from it alone, or None if all pings have the same samples."""
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView | None:
+        """Return a view of a ping with samples chosen from it alone, or None if all pings have the same samples.
+
+        further : states of which views are drawn along
+        """
 
     def error_estimate(self, pose) -> float | None:
         """Return the estimated error of a ping from `pose`."""
@@ -185,7 +188,7 @@ class FixedSampling:
     def fix(self, setups: Sequence[PingSetup]) -> None:
         """Return None: the samples are fixed."""
 
-    def choose(self, setup: PingSetup) -> None:
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> None:
         """Return None: the samples are fixed."""
 
     def error_estimate(self, pose) -> None:
@@ -357,7 +360,7 @@ class AdaptiveSampling:
         is_due = is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
 
-    def choose(self, setup: PingSetup) -> ChosenView:
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
 
         The choice depends on this ping alone, and is not followed by others.
@@ -367,7 +370,7 @@ class AdaptiveSampling:
         while True:
             level = min(level, model.finest)
             try:
-                tried = model.draw(setup, level, for_labels=setup.request.labels)
+                tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
                 judged = model.judge(setup, level, tried, before)
             except SampleLimitError:
                 if level == 0:

@@ -10,6 +10,7 @@ These constants, and the rates at which errors decrease, were fitted to random w
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import BodyCounts, BodyExtents, Reception, count_bodies, is_unobstructed
+from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
     ERROR_RATE,
@@ -115,6 +117,7 @@ class TriedView(NamedTuple):
     echo : BeamEcho
     counts : BodyCounts
     bodies : BodySums for the labels of the ping; None where they are not summed
+    further : ViewSamples that were drawn along
     """
 
     stage: Stage
@@ -122,6 +125,7 @@ class TriedView(NamedTuple):
     echo: BeamEcho
     counts: BodyCounts
     bodies: BodySums | None = None
+    further: Sequence[ViewSamples] = ()
 
 
 class ErrorModel:
@@ -160,24 +164,36 @@ class ErrorModel:
         """Return the stage of a sampling level."""
         return self._stages.stage(sampling_at(self._sonar, level))
 
-    def draw(self, setup: PingSetup, level: int, for_labels: bool = False) -> TriedView:
-        """Draw and sum the view of a ping with a sampling level; each body by itself `for_labels`."""
-        return self._drawn(self.stage_at(level), setup, for_labels)
-
-    def _drawn(self, stage: Stage, setup: PingSetup, for_labels: bool = False) -> TriedView:
-        (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
-        if for_labels:
-            return self.tried(stage, view, *stage.beamformer.sum_bodies(view, setup.gain))
-        return self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain))
-
-    def tried(
-        self, stage: Stage, view: ViewSamples, echo: BeamEcho, bodies: BodySums | None = None
+    def draw(
+        self, setup: PingSetup, level: int, further: Sequence[SceneState] = (), for_labels: bool = False
     ) -> TriedView:
+        """Draw and sum the view of a ping with a sampling level.
+
+        Parameters
+        ----------
+        further : states of which views are drawn along
+        for_labels : each body is summed by itself, too
+        """
+        return self._drawn(self.stage_at(level), setup, further, for_labels)
+
+    def _drawn(
+        self, stage: Stage, setup: PingSetup, further: Sequence[SceneState] = (), for_labels: bool = False
+    ) -> TriedView:
+        states = [setup.state, *further]
+        view, *along = stage.draw([setup.head_pose] * len(states), states, with_bodies=True)
+        beamformer, bodies = stage.beamformer, None
+        if for_labels:
+            echo, bodies = beamformer.sum_bodies(view, setup.gain)
+        else:
+            echo = beamformer.sum_view(view, setup.gain)
+        return self.tried(stage, view, echo)._replace(bodies=bodies, further=along)
+
+    def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
         """Return a view that was drawn and summed already, with what was met of each body."""
         if self._extents.n_bodies < len(self.bodies):  # some were added
             self._extents = BodyExtents(self.bodies, self._specular)
         counts = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
-        return TriedView(stage, view, echo, counts, bodies)
+        return TriedView(stage, view, echo, counts)
 
     def judge(
         self, setup: PingSetup, level: int, tried: TriedView, before: TriedView | None = None

@@ -65,17 +65,14 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
 
 def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     """Draw and receive a ping with samples chosen from it alone; None if all pings have the same samples."""
-    chosen = run.sampler.choose(setup)
+    further = further_states(setup)
+    chosen = run.sampler.choose(setup, further.needed)
     if chosen is None:
         return None
     tried, plan = chosen
-    stage = tried.stage
-    resolution = Resolution(stage, is_final=True, error_estimate=plan.bound)
-    further = further_states(setup)
-    states = further.needed
-    views = stage.draw([setup.head_pose] * len(states), states, keep_last=True) if states else []
+    resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
     (images,) = draw_images(run.image_sources_for(resolution, [setup]), resolution, [tried.view], [setup])
-    drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(views)))
+    drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(tried.further)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 

@@ -13,6 +13,7 @@ from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
+from sonar_gl.engine.stage import Stage
 from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.sampling import ToleranceWarning
 
@@ -99,6 +100,18 @@ def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
             make_ping(simulator.run, one)
             counts.append(len(views))
     assert counts == [4, 2]
+
+
+def test_further_views_are_drawn_with_the_one_that_is_tried(monkeypatch):
+    """Lobes and textures alone, for noise: a view of their own would place and draw all bodies once more."""
+    real, states = Stage.draw, []
+    monkeypatch.setattr(
+        Stage, "draw", lambda stage, *args, **more: states.append(len(args[1])) or real(stage, *args, **more)
+    )
+    polished = sg.Scene([WALL, sg.Body("plate", trimesh.creation.box((0.02, 1, 1)), sg.pose(5), "steel")])
+    with sg.Simulator(polished, SONAR, tolerance=0.1, acoustics=sg.Acoustics.physical()) as simulator:
+        make_ping(simulator.run, PingRequest(sg.pose(), alone=True, noise_parts=True))
+    assert states == [2, 1]  # with the lobes, and the coarser view beside
 
 
 def test_a_ping_takes_no_more_than_four_times_the_samples_at_once(monkeypatch):
