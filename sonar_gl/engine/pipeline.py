@@ -180,7 +180,8 @@ def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
     """Sum a part of the surfaces' echo by itself, where a ping needs it. Bubbles attenuate it, but are not in it."""
     if view is None:
         return None
-    return drawn.resolution.stage.beamformer.sum_footprints(view.sectors, drawn.setup.gain)
+    samples = [one.with_echo() for one in view.sectors]
+    return drawn.resolution.stage.beamformer.sum_footprints(samples, drawn.setup.gain)
 
 
 def label(drawn: DrawnPing, bodies: BodySums) -> Labels:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,11 +78,7 @@ class SectorView:
         """Return the sector whose lattice is that of a window; kept, since windows often stay as they are."""
         last = self._last  # other threads may replace it
         if last[0] != window:
-            i, j, columns, rows = window
-            u, v = (
-                np.array([w[0] + w[1] * i + w[2] * j, w[1], w[2]]) for w in (self.sector.u, self.sector.v)
-            )
-            last = self._last = window, replace(self.sector, u=u, v=v, columns=columns, rows=rows)
+            last = self._last = window, self.sector.within(*window)
         return last[1]
 
 

@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.sector import Sector
 
 NO_FACES = np.empty((0, 0), np.int32)
+# Samples about those with an echo: a footprint ends where the plane of a neighbour begins.
+BESIDE_ECHO = 2
 
 
 class SectorSamples(NamedTuple):
@@ -37,6 +40,43 @@ class SectorSamples(NamedTuple):
         sector = self.sector
         turn = math.sin(sector.azimuth_rad), math.cos(sector.azimuth_rad)
         return sector.u, sector.v, sector.tan_low, sector.tan_high, sector.columns, *turn
+
+    def with_echo(self) -> SectorSamples:
+        """Return the window of these samples that holds all with an echo: few where few bodies return one."""
+        sector = self.sector
+        if not sector.columns:
+            return self
+        low, past, bottom, top = _limits_of_echo(whole_rows(self.plane_echo), sector.columns)
+        if low < past:
+            low, bottom = max(low - BESIDE_ECHO, 0), max(bottom - BESIDE_ECHO, 0)
+            past, top = min(past + BESIDE_ECHO, sector.columns), min(top + BESIDE_ECHO, sector.rows)
+        here = slice(bottom, top), slice(low, past)
+        arrays = (one[here] if one.size else one for one in self[1:])
+        return SectorSamples(sector.within(low, bottom, past - low, top - bottom), *arrays)
+
+
+@compiled
+def _limits_of_echo(plane_echo, columns):
+    """Return first and past the last column, and first and past the last row, of samples with an echo; zeros without.
+
+    plane_echo : of `SectorSamples`, in `whole_rows`
+    """
+    low, past, bottom, top = columns, 0, 0, 0
+    for j in range(plane_echo.shape[0]):
+        greatest = np.float32(0.0)
+        for i in range(columns):
+            greatest = max(greatest, plane_echo[j, i, 3])
+        if greatest <= np.float32(0.0):
+            continue
+        bottom, top = (bottom if top else j), j + 1
+        i = 0
+        while i < low and plane_echo[j, i, 3] <= np.float32(0.0):
+            i += 1
+        low, i = i, columns
+        while i > past and plane_echo[j, i - 1, 3] <= np.float32(0.0):
+            i -= 1
+        past = i
+    return (low, past, bottom, top) if top else (0, 0, 0, 0)
 
 
 def whole_rows(window: np.ndarray) -> np.ndarray:

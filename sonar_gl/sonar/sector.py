@@ -13,7 +13,7 @@ upright planes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -92,6 +92,13 @@ class Sector:
     tan_low: float
     tan_high: float
     strips: Strips | None = None
+
+    def within(self, first_column: int, first_row: int, columns: int, rows: int) -> Sector:
+        """Return the sector whose lattice is that of a window of the samples."""
+        u, v = (
+            np.array([w[0] + w[1] * first_column + w[2] * first_row, w[1], w[2]]) for w in (self.u, self.v)
+        )
+        return replace(self, u=u, v=v, columns=columns, rows=rows)
 
     def sample_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return u and v of all samples on the image plane, each (R, C) float64."""
