@@ -139,7 +139,7 @@ def main():
 RENDER_EXAMPLES = """\b
 Examples:
   sonar-gl render pylon
-  sonar-gl render diver --sonar didson-hf --range 9 --noise physical --axes
+  sonar-gl render diver --sonar didson-hf --range 9 --axes
   sonar-gl render diver --sonar demarco-2015 --style demarco2015 --range-law constant
   sonar-gl render ocean_floor --pose "0 0 -8 0 0.25 0" --range 20 --axes
   sonar-gl render pylon --poses dive.csv --format gif --fps 5 --out dive
@@ -157,7 +157,7 @@ Examples:
 @option("acoustics", show_default="the profile's")
 @option("water", show_default="the sea at 10 °C")
 @option("range_law", "printed", "constant", "inverse", show_default="printed")
-@option("noise", show_default="none; demarco2015 in that style")
+@option("noise", show_default="physical with that profile, demarco2015 in that style, else none")
 @option("style", "fan", "demarco2015", default="fan")
 @option("counts", show_default="the sonar's")
 @click.option("--scale", hidden=True, help="Replaced by --counts.")

@@ -63,7 +63,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     acoustics = acoustics_from(options, profile)
     if options.range_law is not None:
         acoustics = replace(acoustics, range_law=options.range_law)
-    default_noise = "demarco2015" if in_demarco else "none"
+    default_noise = "demarco2015" if in_demarco else "physical" if profile == "physical" else "none"
     noise = Noise.parse(default_noise if options.noise is None else options.noise)
     if in_demarco:
         style = DemarcoStyle(options.height, options.form, options.join, noise, options.seed)

@@ -185,12 +185,19 @@ def test_without_a_sonar_the_scenes_own_is_taken_and_named():
 
 
 def test_profile_is_that_of_the_simulator():
+    """A whole device has its noise, too, unless there is to be none; the other profiles have none."""
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     for name in settings.PROFILES:
-        render("--profile", name, "--format", "npz")
+        own = sg.Noise.physical() if name == "physical" else None
         with sg.Simulator(scene, sonar, sg.Acoustics(name), tolerance=0.05) as simulator:
-            np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4)).intensity)
-        assert ping().meta["profile"] == name
+            for options, noise in (
+                ((), own),
+                (("--noise", "none"), None),
+                (("--noise", "physical"), sg.Noise.physical()),
+            ):
+                render("--profile", name, *options, "--format", "npz")
+                np.testing.assert_array_equal(ping().intensity, simulator.ping(np.eye(4), noise).intensity)
+                assert ping().meta["profile"] == name
 
 
 def test_range_law_is_that_of_the_paper_s_profile():
@@ -409,7 +416,7 @@ def test_the_surface_by_option_is_that_of_the_scene():
     scene, sonar = sg.load_scene("tank.sdf").with_surface(0.2), sg.load_sonar("small.toml")
     acoustics = sg.Acoustics.parse("multipath=incoherent", "physical")
     with sg.Simulator(scene, sonar, acoustics, tolerance=0.05) as simulator:
-        expected = simulator.ping(scene.sonar_pose)
+        expected = simulator.ping(scene.sonar_pose, sg.Noise.physical())
     np.testing.assert_array_equal(pings["option"].intensity, expected.intensity)
     assert not np.array_equal(pings["option"].intensity, pings["scene"].intensity)
     assert pings["option"].meta["sampling"] == expected.meta["sampling"]
@@ -448,6 +455,8 @@ def test_empty_ping_warns_on_one_line():
         40,
         "--pose",
         "0 0 0 0 0 3.14159265",
+        "--noise",
+        "none",
     )
     status, out, err = run("render", "tank.sdf", *arguments)
     assert status == 0 and "80 bins, no echo; " in out

@@ -47,7 +47,9 @@ def test_the_window_with_echo_holds_all_of_it_and_its_neighbours_alone(places):
     np.testing.assert_array_equal(part.plane_echo, samples.plane_echo[here])
     np.testing.assert_array_equal(part.face_id, samples.face_id[here])
     assert part.plane_echo.shape[:2] == (part.sector.rows, part.sector.columns) and not part.body_id.size
-    for mine, whole in zip(part.sector.sample_coordinates(), samples.sector.sample_coordinates(), strict=True):
+    for mine, whole in zip(
+        part.sector.sample_coordinates(), samples.sector.sample_coordinates(), strict=True
+    ):
         np.testing.assert_allclose(mine, whole[here], rtol=0, atol=1e-15)  # rounding of float64
 
 
