@@ -19,6 +19,7 @@ from tests.support.worlds import random_world, terrain
 
 SCENES = (
     "pylon",
+    "harbour",
     *(
         pytest.param(name, marks=pytest.mark.slow)
         for name in ("diver", "diver_vertical", "diver_swimming", "ocean_floor")
@@ -139,10 +140,12 @@ def test_bundled_scenes(name):
     samples, drawn = both_engines(scene, sonar, scene.sonar_pose)
     hits, others, echoes = compare(scene, scene.sonar_pose, samples, drawn)
     assert hits > 20_000
-    assert others == 0
+    # the outline of a bright pile in the harbour passes two samples by less than the driver's snapping
+    on_edges = 1e-4 if name == "harbour" else 0
+    assert others <= on_edges * hits
     assert echoes <= 2e-4 * hits
     sums = [sum(float(plane_echo[..., 3].sum()) for _, plane_echo, *_ in views) for views in (samples, drawn)]
-    assert sums[0] == pytest.approx(sums[1], rel=1e-4)
+    assert sums[0] == pytest.approx(sums[1], rel=1e-4 + on_edges)
 
 
 @pytest.mark.parametrize("name", SCENES)

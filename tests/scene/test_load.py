@@ -73,7 +73,10 @@ def test_bundled_scenes_name_materials_and_return_no_more_than_arrives():
             assert np.max(body.reflectivity) + body.specular <= 1, (name, body.name)
             names.add(body.material)
     # None: shapes of several materials that are one body, the suit and the fins of the swimming diver
-    assert names == {"medium_sand", "concrete", "smooth_concrete", "steel", "brass", "foam_neoprene", None}
+    assert names == {
+        *("medium_sand", "medium_silt", "rock", "concrete", "smooth_concrete", "steel", "corroded_steel"),
+        *("brass", "foam_neoprene", "rubber", "wet_wood", None),
+    }
 
 
 @pytest.fixture

@@ -53,6 +53,8 @@ COMPARISONS = {
     "diver_vertical": Comparison("diver_vertical", "p900-45", 8.0),
     "diver_swimming": Comparison("diver_swimming", "p900-45", 10.0),
     "ocean_floor": Comparison("ocean_floor", "p900-45", 30.0),
+    "harbour": Comparison("harbour", "p900-45", 18.0),
+    "harbour_130": Comparison("harbour", "p900-130", 18.0, 360),
     # effects that the founding paper shows in its real images and leaves out
     "diver_upright": Comparison("diver_vertical", "p900-90", 10.0, 400, ("without", "with")),
     "diver_breath": Comparison("diver_swimming", "p900-45", 10.0, 480, ("without", "with")),

@@ -1,4 +1,4 @@
-"""Write the bundled scenes that are generated: the divers, the ocean floor and its heightmap.
+"""Write the bundled scenes that are generated: the divers, the harbour, the ocean floor and its heightmap.
 
     python -m tools.docs.make_scenes            # into scenes/
     python -m tools.docs.make_scenes --out DIR
@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import argparse
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+
+import sonar_gl as sg
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 COMMAND = "Generated: python -m tools.docs.make_scenes"
@@ -23,12 +26,13 @@ COMMAND = "Generated: python -m tools.docs.make_scenes"
 class Surface(NamedTuple):
     """What a shape is made of: a material of sonar_gl, the colour that Gazebo shows, and a laser_retro.
 
-    laser_retro, 0..255, overrides the diffuse part of the material.
+    laser_retro, 0..255, overrides the diffuse part of the material; speckle is the shape of its K distribution.
     """
 
     material: str
     colour: str
     retro: int | None = None
+    speckle: float | None = None
 
 
 SURFACES = {
@@ -41,6 +45,13 @@ SURFACES = {
     "sand": Surface("sand", "0.62 0.55 0.40 1"),
     # so smooth that it reflects; by its laser_retro the diffuse part is weaker than that of bare concrete
     "tiles": Surface("smooth_concrete", "0.62 0.55 0.40 1", 60),
+    # few shells and stones in soft mud: stronger grain than of many alike scatterers
+    "silt": Surface("silt", "0.36 0.34 0.28 1", speckle=2.0),
+    "stone": Surface("rock", "0.42 0.40 0.37 1"),
+    "concrete": Surface("concrete", "0.55 0.55 0.52 1"),
+    "timber": Surface("wet_wood", "0.35 0.25 0.15 1"),
+    "tyre": Surface("rubber", "0.10 0.10 0.10 1"),
+    "rust": Surface("corroded_steel", "0.45 0.28 0.16 1"),
 }
 
 
@@ -59,16 +70,20 @@ def add(parent, tag, text=None, **attributes):
     return child
 
 
-def geometry(parent, shape: str, **sizes):
-    """Add the `<geometry>` of one shape."""
-    inner = add(add(parent, "geometry"), shape)
-    for tag, value in sizes.items():
-        add(inner, tag, value if isinstance(value, str) else numbers(*np.ravel(value)))
+def geometry(parent, shape: str, rings=(), **sizes):
+    """Add the `<geometry>` of one shape; rings are the outlines of a polyline, those inside others holes."""
+    parent = add(parent, "geometry")
+    for ring in rings or ((),):
+        inner = add(parent, shape)
+        for point in ring:
+            add(inner, "point", numbers(*point))
+        for tag, value in sizes.items():
+            add(inner, tag, value if isinstance(value, str) else numbers(*np.ravel(value)))
 
 
 def place(link, name: str, surface: str, shape: str, position=(0, 0, 0), rotation=(0, 0, 0), **sizes):
     """Add one shape to a link: its collision, and a visual like it."""
-    material, colour, retro = SURFACES[surface]
+    material, colour, retro, speckle = SURFACES[surface]
     for tag in ("collision", "visual"):
         part = add(link, tag, name=name)
         if np.any(position) or np.any(rotation):
@@ -81,6 +96,8 @@ def place(link, name: str, surface: str, shape: str, position=(0, 0, 0), rotatio
             add(paint, "ambient", colour)
             add(paint, "diffuse", colour)
         add(part, "sonar_gl:material", material)
+        if speckle is not None:
+            add(part, "sonar_gl:speckle_shape", f"{speckle:g}")
 
 
 def model(world, name: str, pose=None):
@@ -266,6 +283,135 @@ def make_divers(out: Path):
     save(out / "diver_swimming.sdf", root, text)
 
 
+# --- the harbour; a place at the quay is along the wall (to port), out from it, and up from the floor
+
+BASIN = -9.0  # z of the floor; the surface is at 0
+QUAY_AT, QUAY_YAW = (
+    (13.5, 0.0),
+    -0.2,
+)  # where the sonar ahead meets the wall; shapes of this yaw stand square to it
+BERTH_PILES = (-9.6, -6.4, -3.2, 0.0, 3.2, 6.4, 9.6)  # along the wall
+PILES_OUT = 2.6
+RUSTED = 0.0  # the pile here
+STEPS = 2.6
+RUBBLE = -3.6
+STONES, STONES_BELOW = 48, 34  # the others lie on these
+MOORING = (9.5, 1.3)  # x y
+# x y of the chain that lies on the floor
+SLACK = ((9.1, 1.5), (8.6, 1.6), (8.0, 1.4), (7.6, 1.5), (7.4, 2.0), (7.6, 2.6), (8.1, 3.0), (8.6, 3.5))
+CHAIN_LINK = (0.05, 0.16)  # thickness and width, as of a bar of 50 mm
+CHAIN_PITCH = 0.3
+
+
+def at_quay(along: float, out: float, up: float) -> np.ndarray:
+    """Return x, y, z in the world."""
+    c, s = np.cos(QUAY_YAW), np.sin(QUAY_YAW)
+    return np.array([QUAY_AT[0] - out * c - along * s, QUAY_AT[1] - out * s + along * c, BASIN + up])
+
+
+def polygon(n: int, radius: float) -> np.ndarray:
+    """Return (n, 2) corners of a regular polygon."""
+    angles = np.arange(n) * 2 * np.pi / n
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def note(world, text: str):
+    """Add a comment on what follows."""
+    world.append(ET.Comment(f" {text} "))
+
+
+def add_at_quay(link, name: str, surface: str, position, size):
+    """Add a box that stands square to the wall: `size` is out from the wall, along it, and up."""
+    place(link, name, surface, "box", at_quay(*position), (0, 0, QUAY_YAW), size=size)
+
+
+def add_tyre(world, name: str, pose):
+    """Add a lorry's tyre, a ring about z, its middle at `pose`."""
+    rings = [polygon(20, 0.52), polygon(20, 0.28)]
+    place(model(world, name, pose), "tyre", "tyre", "polyline", (0, 0, -0.14), rings=rings, height=0.28)
+
+
+def add_chain(world, name: str, points):
+    """Add oblong links along a line of points, every other one turned by 90 degrees."""
+    link, points = model(world, name), np.array(points, float)
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    count = int(along[-1] / CHAIN_PITCH)
+    ends = np.linspace(0, along[-1], count + 1)
+    ends = np.stack([np.interp(ends, along, axis) for axis in points.T], axis=1)
+    for k, (start, end) in enumerate(pairwise(ends)):
+        across = CHAIN_LINK if k % 2 else CHAIN_LINK[::-1]
+        middle, axis = (start + end) / 2, turn(end - start)
+        # a link reaches into its neighbours
+        place(link, f"link_{k + 1}", "rust", "box", middle, axis, size=(*across, 1.3 * CHAIN_PITCH))
+
+
+def add_rubble(world):
+    """Add stones, tilted prisms of five to seven corners: a heap at the wall's foot that thins out."""
+    link, rng = model(world, "rubble"), np.random.default_rng(9)
+    for k in range(1, STONES + 1):
+        n, radius = int(rng.integers(5, 8)), rng.uniform(0.16, 0.42)
+        angles = (np.arange(n) + rng.uniform(-0.3, 0.3, n)) * 2 * np.pi / n
+        corners = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        corners *= radius * rng.uniform(0.75, 1.1, n)[:, None]
+        height = radius * rng.uniform(0.8, 1.4)
+        spread = 1.0 if k <= STONES_BELOW else 0.5
+        out = min(0.3 + spread * abs(rng.normal(0, 1.8)), 4)
+        along = RUBBLE + spread * rng.normal(0, 1.2)
+        rotation = (*rng.uniform(-0.5, 0.5, 2), rng.uniform(0, np.pi))
+        below = sg.pose(0, 0, 0, *rotation)[2, :2] @ corners.T  # the base's corners
+        rests_at = -0.2 * radius if k <= STONES_BELOW else max(0.35 - 0.15 * out, 0)
+        position = at_quay(along, out, rests_at - min(below))
+        place(link, f"stone_{k}", "stone", "polyline", position, rotation, rings=[corners], height=height)
+
+
+def make_harbour(out: Path):
+    """Write a berth in a basin with a floor of silt."""
+    root, world = new_world("harbour", (0, 0, BASIN + 3.2, 0, 0.22, 0))
+    note(world, "sheltered water, with ripples of 2 mm: too rough to be a mirror")
+    add(world, "sonar_gl:surface", "0", roughness="0.002")
+    note(world, "soft mud with few shells and stones, which speckles more than many alike scatterers would")
+    floor = model(world, "floor", (0, 0, BASIN, 0, 0, 0))
+    place(floor, "floor", "silt", "plane", normal=(0, 0, 1), size=(80, 80))
+
+    note(
+        world,
+        "the quay: wall, fender of timber, iron steps, and the piles of the berth, one of them corroded",
+    )
+    add_at_quay(model(world, "quay"), "wall", "concrete", (0, -0.6, 5.25), (1.2, 60, 12.5))
+    fender = model(world, "fender")
+    for k, along in enumerate((-8.0, -4.8, -1.6, 1.6, 4.8, 8.0), 1):
+        add_at_quay(fender, f"post_{k}", "timber", (along, 0.15, 5), (0.3, 0.3, 10))
+    for k, up in enumerate((7.2, 9.6), 1):
+        add_at_quay(fender, f"waler_{k}", "timber", (0, 0.4, up), (0.2, 20, 0.3))
+    steps = model(world, "steps")
+    for side, sign in (("left", 1), ("right", -1)):
+        add_at_quay(steps, f"rail_{side}", "rust", (STEPS + 0.22 * sign, 0.2, 6), (0.08, 0.03, 8.4))
+    for k in range(27):
+        add_at_quay(steps, f"bar_{k + 1}", "rust", (STEPS, 0.2, 2 + 0.3 * k), (0.03, 0.44, 0.03))
+    for k, along in enumerate(BERTH_PILES, 1):
+        link = model(world, f"pile_{k}", (*at_quay(along, PILES_OUT, 4.5), 0, 0, 0))
+        place(link, "pile", "rust" if along == RUSTED else "steel", "cylinder", radius=0.3, length=13)
+
+    note(world, "on the floor: stones that fell from the quay's foot, two tyres")
+    add_rubble(world)
+    add_tyre(world, "tyre_flat", (7.6, -0.45, BASIN + 0.12, 0.06, -0.08, 0))
+    add_tyre(world, "tyre_leaning", (*at_quay(3.2, PILES_OUT + 0.6, 0.45), 0, 1.2, QUAY_YAW))
+
+    note(world, "a mooring: block on the floor, chain that hangs from the buoy, and its slack end")
+    sinker = model(world, "sinker", (*MOORING, BASIN + 0.3, 0.08, 0.05, 0.6))
+    place(sinker, "sinker", "concrete", "box", size=(0.9, 0.9, 0.7))
+    buoy = model(world, "buoy", (*MOORING, -0.1, 0, 0, 0))
+    place(buoy, "buoy", "steel", "cylinder", radius=0.6, length=1.2)
+    add_chain(world, "chain", [(*MOORING, BASIN + 0.6), (*MOORING, -0.6)])
+    add_chain(world, "slack_chain", [(*xy, BASIN + 0.06) for xy in SLACK])
+
+    text = (
+        "A berth in 9 m of water: a quay wall with a fender and steps, steel piles before it, and rubble,\n"
+        "     tyres and a mooring's chain on silt. Range 18 m."
+    )
+    save(out / "harbour.sdf", root, text)
+
+
 # --- the ocean floor
 
 GRID, EXTENT = 513, 60.0  # samples a side (2^n + 1, as Gazebo wants), metres a side
@@ -365,6 +511,7 @@ def main():
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     make_divers(out)
+    make_harbour(out)
     make_ocean_floor(out)
 
 
