@@ -58,7 +58,7 @@ class Ping:
         `Acoustics.has_cones`) the true azimuth of what lies at elevation 0 alone
     range_m : (K,) float64, bin centres, metres
     body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none, or none that a
-        display shows; likewise the other labels of a bin
+        display shows above the noise; likewise the other labels of a bin
     elevation_rad : (B, K) float32 or None, mean elevation of that echo, radians, NaN if there is none
     pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
         azimuths and elevations refer to

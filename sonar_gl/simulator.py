@@ -148,7 +148,8 @@ class Simulator:
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
         label_level_db : with labels, the level of a bin's mean echo, dB of `Ping.intensity`, from which on the bin is
-            labelled; None for what a display of the sonar's counts shows, see `Counts.least_shown`
+            labelled, whatever the noise; None for what a display of the sonar's counts shows, see `Counts.least_shown`,
+            of which noise, now or by `add_noise`, hides what is weaker than its mean power, see `receiver_power`
 
         Warns
         -----

@@ -389,6 +389,18 @@ MUTATIONS = (
         (("_clear_faint(intensity, np.float32(least)", "_clear_faint(intensity, np.float32(0.0)"),),
     ),
     Mutation(
+        "labels/hidden by noise",
+        "is_hidden = ping.intensity < power",
+        "is_hidden = ping.intensity < power.max()",
+        (*LABELS, "test_hidden_labels"),
+    ),
+    Mutation(
+        "labels/hidden by the second noise",
+        """ or "noise" in ping.meta:""",
+        ":",
+        ("test_hidden_labels",),
+    ),
+    Mutation(
         "labels/total of a third body",
         "total[bins + k] += rows[at + k]",
         "total[bins + k] = best[at + k] + rows[at + k]",

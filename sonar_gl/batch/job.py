@@ -164,6 +164,7 @@ class LabelsTable(Table):
     background : bodies on which shadows fall
     height : height in pixels of the fan image in which bounding boxes are given
     level_db : bins of at least this mean echo are labelled, dB; None for what the display of each sonar shows
+        above the noise
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))

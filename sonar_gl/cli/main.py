@@ -174,7 +174,7 @@ Examples:
 @option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
 @option("fps", type=float, default=10.0)
 @option("labels", is_flag=True)
-@option("label_level", type=float, show_default="what the display shows")
+@option("label_level", type=float, show_default="what the display shows above the noise")
 @option("resource_path", multiple=True, type=PathText())
 @option("skip_missing", is_flag=True)
 @option("without", multiple=True)

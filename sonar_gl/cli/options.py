@@ -36,7 +36,7 @@ HELP = {
     "formats": "File format; may be repeated. gif and mp4 need --poses.",
     "fps": "Frames per second of gif and mp4.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
-    "label_level": "Label bins of at least this mean echo, dB; needs --labels.",
+    "label_level": "Label bins of at least this mean echo, dB, whatever the noise; needs --labels.",
     "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
     "skip_missing": "Leave out models and meshes that are not found or cannot be read, and unknown shapes, with a "
     "warning; not what a xacro file includes.",

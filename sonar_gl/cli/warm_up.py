@@ -58,6 +58,7 @@ NOISES = (
     Noise(speckle=True, looks=2, self_noise=True, ambient_db=-60.0),
     Noise(self_noise=True, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
 )
+HIDING = Noise(ambient_db=100.0)  # all echoes, so that labels go
 FAST = Sampling(1.0, 24)
 
 
@@ -195,6 +196,7 @@ def _work_without_opengl():
     for noise in NOISES:
         add_noise(replace(ping, texture_deviation=ping.intensity), noise, 0)
     add_noise(replace(ping, sonar=WIDE_BEAMS), Noise.physical(), 0)
+    add_noise(replace(ping, meta={"labels_above_noise": True}), HIDING, 0)
     for density_m3 in (10.0, 1000.0):  # few scatterers in all bins, and many in the last ones
         murky = Acoustics.physical(water=Water(volume_backscatter_db=-60.0, scatterer_density_m3=density_m3))
         add_noise(replace(ping, acoustics=murky, volume=ping.intensity), Noise.physical(), 0)

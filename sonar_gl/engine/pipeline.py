@@ -230,7 +230,7 @@ def assemble(
     )
     if texture is not None and coherent is not None:  # specular lobes are in both views
         texture = np.maximum(texture - coherent, 0)
-    if received.labels is not None:  # before the noise: they do not depend on its seed
+    if received.labels is not None:  # by the mean echo: they do not depend on the noise's seed
         label_level_db = request.label_level_db
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
@@ -264,6 +264,9 @@ def ping_of(
     """
     setup = received.drawn.setup
     time_s = None if setup.state is None else setup.state.time_s
+    of_labels = {} if label_level_db is None else {"label_level_db": label_level_db}
+    if setup.request.noise_hides_labels:  # as `add_noise` reads it, now or later
+        of_labels["labels_above_noise"] = True
     meta = instrument.provenance.meta(
         origin,
         setup.acoustics,
@@ -272,7 +275,7 @@ def ping_of(
         seed=setup.request.seed,
         has_echo=received.total > 0,
         **({} if time_s is None else {"time_s": time_s}),
-        **({} if label_level_db is None else {"label_level_db": label_level_db}),
+        **of_labels,
     )
     return Ping(
         azimuth_rad=instrument.azimuth_rad,

@@ -36,7 +36,8 @@ class PingRequest:
     noise_parts : find what specular lobes return, and textures, by themselves, for speckle that is added later
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
     label_level_db : with labels, the level of a bin's mean echo, dB, from which on the bin is labelled; None for what
-        the display of the sonar shows
+        the display of the sonar shows, above the noise
+    labels_above_noise : also with a `label_level_db`, noise that is added takes the labels of bins that it hides
 
     Raises
     ------
@@ -58,11 +59,17 @@ class PingRequest:
     noise_parts: bool = False
     alone: bool = False
     label_level_db: float | None = None
+    labels_above_noise: bool = False
 
     @property
     def needs_noise_parts(self) -> bool:
         """Whether it needs the specular lobes, and the textures of bodies, by themselves."""
         return self.noise_parts or (self.noise is not None and self.noise.speckle)
+
+    @property
+    def noise_hides_labels(self) -> bool:
+        """Whether noise that is added, with the ping or later, takes the labels of bins that it hides."""
+        return self.labels and (self.label_level_db is None or self.labels_above_noise)
 
     def __post_init__(self):
         check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")

@@ -12,6 +12,8 @@ import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.warn import collected_warnings
+from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.request import PingRequest
 from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -21,6 +23,8 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.live.sonar_motion import TimedPose
 from sonar_gl.live.surfaces import surface_in_bin
+from sonar_gl.noise.field import receiver_power
+from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
@@ -76,15 +80,16 @@ class LiveSonar:
         simulator, number = self._simulator(settings), self._number
         self._number += 1
         with collected_warnings() as found:
-            ping = simulator.ping(
+            labels = _labels_shown(request.gain_from, settings) if highlight else {}
+            wanted = PingRequest(
                 request.place.pose,
                 settings.noise,
                 settings.seed,
-                ping_number=number,
+                number,
                 time_s=request.place.time_s,
-                labels=bool(highlight),
-                label_level_db=_label_level_db(request.gain_from, settings) if highlight else None,
+                **labels,
             )
+            ping = make_ping(simulator.run, wanted)
         ping = replace(ping, sonar=settings.device)
         shown = None
         if highlight:
@@ -123,18 +128,22 @@ class LiveSonar:
         )  # fmt: skip
 
     def labelled(self, frame: LiveFrame) -> Ping:
-        """Return a frame's ping with labels, made again without noise; those of the last few frames are kept."""
+        """Return a frame's ping with labels, made again without noise; those of the last few frames are kept.
+
+        Bins in which the noise of the frame's settings is stronger have none.
+        """
         if frame not in self._labels:
             while len(self._labels) >= KEPT_LABELS:
                 self._labels.popitem(last=False)
+            wanted = PingRequest(
+                frame.pose,
+                time_s=frame.time_s,
+                bodies=self._home | frame.bodies,
+                **_labels_shown(frame, frame.settings),
+            )
             with collected_warnings():
-                self._labels[frame] = self._simulator(frame.settings).ping(
-                    frame.pose,
-                    labels=True,
-                    time_s=frame.time_s,
-                    bodies=self._home | frame.bodies,
-                    label_level_db=_label_level_db(frame, frame.settings),
-                )
+                ping = make_ping(self._simulator(frame.settings).run, wanted)
+            self._labels[frame] = without_hidden_labels(ping, receiver_power(ping, frame.settings.noise))
         return self._labels[frame]
 
     def surface(self, frame: LiveFrame, beam: int, bin: int) -> Surface:
@@ -170,7 +179,8 @@ class LiveSonar:
         return (len(pinged_s) - 1) / gone_s if gone_s > 0 else 0.0
 
 
-def _label_level_db(frame: LiveFrame, settings: LiveSettings) -> float:
-    """Return the level from which on a bin is not black, dB, with the gain that the settings have in a frame."""
+def _labels_shown(frame: LiveFrame, settings: LiveSettings) -> dict:
+    """Return what asks for the labels of bins that are not black, with the gain of a frame, and that no noise hides."""
     least = settings.law.least_shown(frame.ping.intensity)
-    return min(max(10 * math.log10(least), -LEVEL_BOUND_DB), LEVEL_BOUND_DB)
+    level_db = min(max(10 * math.log10(least), -LEVEL_BOUND_DB), LEVEL_BOUND_DB)
+    return {"labels": True, "label_level_db": level_db, "labels_above_noise": True}

@@ -90,6 +90,34 @@ class RecentFields:
 _FIELDS = RecentFields(2)  # speckle and texture
 
 
+def receiver_power(ping: Ping, noise: Noise) -> np.ndarray | None:
+    """Return the mean power of the noise that the receiver of a ping adds, after the TVG.
+
+    Parameters
+    ----------
+    ping : with the sonar and the acoustics that the levels and the TVG need
+    noise : Noise, of which self-noise, thermal noise and ambient noise count
+
+    Returns
+    -------
+    (1, K) float32, in the unit of `Ping.intensity`; (B, K) where channels have noise in common; None without such noise
+
+    Raises
+    ------
+    Error
+        if the ping lacks a sonar or acoustics that the levels need.
+
+    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> sonar = load_sonar("p900-45")
+    >>> range_m = sonar.range_m
+    >>> ping = Ping(np.zeros((1, len(range_m)), np.float32), np.zeros(1), range_m, sonar=sonar)
+    >>> power = receiver_power(ping, Noise(self_noise=True))  # without acoustics, which have the TVG
+    >>> round(10 * math.log10(power[0, 0]), 3) == sonar.self_noise_db
+    True
+    """
+    return FieldNoise(ping, noise, seed=0, ping_number=0).receiver_power
+
+
 class FieldNoise:
     """The noise terms of one ping that act on its complex echo field.
 
@@ -117,8 +145,7 @@ class FieldNoise:
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
         noise = self._noise
-        levels_db = self._levels_db()
-        power = self._receiver_power(levels_db) if levels_db else None
+        power = self.receiver_power
         for part in (self._ping.coherent, self._ping.volume):
             if part is not None and noise.speckle:  # what is left is diffuse; rounding may make it negative
                 np.maximum(intensity - part, 0, out=intensity)
@@ -228,9 +255,13 @@ class FieldNoise:
             self._streams[term] = stream(self._seed, self._ping_number, term)
         return self._streams[term]
 
-    def _receiver_power(self, levels_db: list[float]) -> np.ndarray:
-        """Return the mean power of the receiver's noise after the TVG, (1, K), or (B, K) where beams differ."""
-        power, sonar = self._mean_power(*levels_db)[None], self._ping.sonar
+    @cached_property
+    def receiver_power(self) -> np.ndarray | None:
+        """The mean power of the receiver's noise, as of the function of this name."""
+        levels_db, sonar = self._levels_db(), self._ping.sonar
+        if not levels_db:
+            return None
+        power = self._mean_power(*levels_db)[None]
         if not self._noise.self_noise or sonar.common_noise_db is None:
             return power
         pattern = common_noise_pattern(self._ping.azimuth_rad, sonar.common_noise_width_deg)

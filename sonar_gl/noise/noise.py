@@ -9,6 +9,7 @@ import numpy as np
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
+from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.noise.random_streams import check_seed, stream
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
@@ -19,6 +20,8 @@ def add_noise(
     ping: Ping, noise: Noise | None, seed: int, ping_number: int = 0, thread: SecondThread | None = None
 ) -> Ping:
     """Return the ping with noise, and with a record of it in `meta`.
+
+    Labels go where the mean noise of the receiver is stronger than the mean echo, as `without_hidden_labels` says.
 
     Parameters
     ----------
@@ -43,8 +46,9 @@ def add_noise(
     if noise is None or not (noise.acts_on_field or noise.acts_on_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")
+    field = FieldNoise(ping, noise, seed, ping_number, thread)
     if noise.acts_on_field:
-        FieldNoise(ping, noise, seed, ping_number, thread).apply(out)
+        field.apply(out)
     ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
     if ringing is not None:
         out += ringing.astype(np.float32)
@@ -63,4 +67,5 @@ def add_noise(
     out.setflags(write=False)
     # as asdict, in a twentieth of its time
     record = {"noise": dict(vars(noise)), "seed": seed, "ping_number": ping_number}
-    return replace(ping, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})
+    labelled = without_hidden_labels(ping, field.receiver_power)
+    return replace(labelled, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})

@@ -32,6 +32,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine import pipeline, sequence
 from sonar_gl.engine.run import Run
 from sonar_gl.imaging.boxes import body_map, boxes_of
+from sonar_gl.noise.field import receiver_power
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import LABELS, MORE, files_of, make_all, open_batch, write_job, write_plain_job
 from tests.support.command_line import run
@@ -523,6 +524,35 @@ def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tm
                 name = folder / kind / image["file_name"]
                 assert (tmp_path / "out" / name).read_bytes() == (small / "out" / name).read_bytes()
     assert 0 < left_out < len(of_all)
+
+
+def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
+    """Beside the same batch without noise: whether a bin keeps its label follows from its echo there."""
+    data, masks, noise = {}, {}, sg.Noise(self_noise=True, ambient_db=-32.0)
+    for name, text in (("quiet", 'preset = "none"'), ("noisy", "self_noise = true\nambient_db = -32.0")):
+        (folder := tmp_path / name).mkdir()
+        path = write_plain_job(folder, 2, 2, LABELS + "[coco]\nheight = 100\n[arrays]\nmantissa_bits = 23")
+        path.write_text(path.read_text().replace('preset = "physical"', text))
+        make_all(path, folder / "out")
+        data[name] = xr.open_dataset(folder / "out" / "pings.zarr")
+        found = sorted((folder / "out" / "coco" / "level" / "masks").rglob("*.png"))
+        masks[name] = [cv2.imread(str(one), cv2.IMREAD_UNCHANGED) for one in found]
+    requests = BatchRequests(read_job(path))
+    about = {"sonar": requests.sonars["level"], "acoustics": requests.acoustics}
+    for number in range(2):
+        quiet, noisy = (data[name].isel(ping=number) for name in ("quiet", "noisy"))
+        arrays = quiet.intensity.values, quiet.azimuth_rad.values, quiet.range.values
+        ping = sg.Ping(*arrays, **about)
+        is_above = ping.intensity >= receiver_power(ping, noise)
+        labels = np.where(is_above, quiet.body_id, 0)
+        assert np.array_equal(noisy.body_id, labels) and np.array_equal(noisy.shadow, quiet.shadow)
+        assert 0 < (labels > 0).sum() < 0.9 * (quiet.body_id.values > 0).sum()
+        ping = replace(ping, body_id=labels, body_echo=np.zeros(1 + len(noisy.body_bins)))
+        boxes, mask = boxes_of(ping, 512), masks["noisy"][number]
+        assert np.array_equal(noisy.body_bins[boxes.body_id - 1], boxes.n_bins)
+        # black pixels belong to no body
+        assert (mask[mask > 0] == body_map(ping, 100)[mask > 0]).all()
+        assert 0 < (mask > 0).sum() < 0.9 * (masks["quiet"][number] > 0).sum()
 
 
 def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):

@@ -13,6 +13,8 @@ from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import asin, atan, bin_table
 from sonar_gl.beamform.labels import label_columns
 from sonar_gl.embed.sensor import Sensor
+from sonar_gl.noise.field import receiver_power
+from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import ViewSamples
@@ -455,13 +457,80 @@ def test_labelled_bins_are_those_that_a_display_shows(law):
     assert shown.shadow.any()
 
 
-def test_labels_do_not_depend_on_noise():
-    automatic = replace(SONAR, counts=sg.Counts(low_db=-30.0, gain_percentile=95.0))
-    still = ping([FLOOR], automatic)
-    loud = ping([FLOOR], automatic, noise=sg.Noise(speckle=True, ambient_db=-20.0), seed=3)
-    assert (still.intensity != loud.intensity).any()
-    for name in PER_BIN:
-        np.testing.assert_array_equal(getattr(still, name), getattr(loud, name))
+def assert_same_labels(one, other):
+    for name in (*PER_BIN, "shadow", "body_echo"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+AMBIENT = sg.Noise(speckle=True, ambient_db=-28.0)
+AUTOMATIC = replace(SONAR, counts=sg.Counts(low_db=-30.0, gain_percentile=95.0))
+PHYSICAL = sg.Acoustics.physical(tvg_k=20.0, cross_talk=True)
+LEAKY = replace(AUTOMATIC, cross_talk_db=-20.0, self_noise_db=-55.0)
+
+
+@pytest.mark.parametrize(
+    ("sonar", "acoustics", "noise", "more"),
+    [
+        (AUTOMATIC, IDEAL, AMBIENT, {}),
+        (LEAKY, PHYSICAL, sg.Noise.physical(), {"background": ["floor"]}),
+        (LEAKY, PHYSICAL, sg.Noise.physical(), {"velocity": (1.0, 0, 0, 0, 0, 0.3)}),
+        (replace(LEAKY, common_noise_db=-40.0), PHYSICAL, sg.Noise(self_noise=True), {}),
+    ],
+    ids=["ambient", "cross-talk", "motion", "common"],
+)
+def test_labels_are_those_of_bins_above_the_mean_noise(sonar, acoustics, noise, more):
+    """Whether the noise comes with the ping or later, alone or in a sequence, and whatever its seed."""
+    bodies = [FLOOR, plate("box", 7.0, -HEIGHT_M, -1, y=(-1, 1))]
+    with sg.Simulator(sg.Scene(bodies), sonar, acoustics, sg.Sampling(2, 160)) as simulator:
+        quiet = simulator.ping(HERE, labels=True, **more)
+        noisy = simulator.ping(HERE, noise, 3, True, ping_number=0, **more)
+        others = [simulator.ping(HERE, noise, 4, True, ping_number=0, **more)]
+        if "velocity" not in more:
+            others += simulator.pings([HERE, HERE], noise, 3, True, **more)
+    others += [add_noise(quiet, noise, 3), add_noise(quiet, noise, 5, 1)]
+    is_above = quiet.intensity >= receiver_power(quiet, noise)
+    assert 0 < (is_above & (quiet.body_id > 0)).sum() < (quiet.body_id > 0).sum()
+    for name, empty in zip(PER_BIN, (0, np.nan, np.nan, np.nan, 0.0), strict=True):
+        array = getattr(quiet, name)
+        np.testing.assert_array_equal(
+            getattr(noisy, name), np.where(is_above, array, array.dtype.type(empty))
+        )
+    assert noisy.shadow is None or noisy.shadow.any()
+    np.testing.assert_array_equal(noisy.body_echo, quiet.body_echo)
+    for other in others:
+        assert_same_labels(other, noisy)
+    assert (others[0].intensity != noisy.intensity).any()
+
+
+def test_noise_hides_no_labels_of_a_stated_level():
+    for level_db in (-180.0, -40.0):
+        quiet = ping([FLOOR], AUTOMATIC, label_level_db=level_db)
+        noisy = ping([FLOOR], AUTOMATIC, noise=AMBIENT, seed=3, label_level_db=level_db)
+        assert (quiet.intensity < receiver_power(quiet, AMBIENT))[quiet.body_id > 0].any()
+        assert_same_labels(noisy, quiet)
+        assert_same_labels(add_noise(quiet, AMBIENT, 3), quiet)
+        assert noisy.meta["label_level_db"] == level_db and "labels_above_noise" not in noisy.meta
+    assert ping([FLOOR]).meta["labels_above_noise"] is True
+    assert "labels_above_noise" not in ping([FLOOR], labels=False).meta
+
+
+def test_noise_of_bins_alone_hides_no_labels():
+    quiet = ping([FLOOR], AUTOMATIC)
+    for noise in (sg.Noise.demarco2015(), sg.Noise(speckle=True), sg.Noise()):
+        assert_same_labels(ping([FLOOR], AUTOMATIC, noise=noise, seed=3), quiet)
+
+
+def test_side_lobes_of_a_pile_in_open_water_mark_no_stripe_where_there_is_noise():
+    """A preset's law shows 58 dB: without noise a stripe 10 degrees wide behind the pile has its label."""
+    sonar, body = sg.load_sonar("p900-45").with_range(30.0), replace(PILE, pose=sg.pose(20, 0, 0))
+    with sg.Simulator(sg.Scene([body]), sonar, sampling=sg.Sampling(4, 100)) as simulator:
+        quiet = simulator.ping(HERE, labels=True)
+        noisy = simulator.ping(HERE, sg.Noise.physical(), 1, labels=True)
+    aside, behind = np.abs(quiet.azimuth_rad) > math.radians(2.0), quiet.range_m > 23.0
+    assert (quiet.body_id[aside][:, behind] > 0).sum() > 3000
+    assert not noisy.body_id[aside][:, behind].any()
+    ahead, face = np.abs(quiet.azimuth_rad) < math.radians(0.5), np.abs(quiet.range_m - 19.86).argmin()
+    assert (noisy.body_id[ahead, face] == 1).all()
 
 
 def test_level_of_labels_in_sequences_and_of_depth_images():
@@ -477,9 +546,14 @@ def test_level_of_labels_in_sequences_and_of_depth_images():
             sensor.ping_from_depth(image, camera, body_id=numbers, labels=True, label_level_db=level_db)
             for level_db in (-15.0, -180.0)
         )
+        shown = sensor.ping_from_depth(image, camera, body_id=numbers, labels=True)
+        noisy = sensor.ping_from_depth(image, camera, body_id=numbers, labels=True, noise=AMBIENT, seed=1)
     bright = got.intensity >= np.float32(10**-1.5)
     np.testing.assert_array_equal(got.body_id, np.where(bright, all_of_it.body_id, 0))
     assert 0 < bright.sum() < (all_of_it.body_id > 0).sum()
+    is_above = shown.intensity >= receiver_power(shown, AMBIENT)
+    np.testing.assert_array_equal(noisy.body_id, np.where(is_above, shown.body_id, 0))
+    assert 0 < (noisy.body_id > 0).sum() < (shown.body_id > 0).sum()
 
 
 def test_level_of_labels_that_is_wrong():

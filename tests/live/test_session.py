@@ -572,6 +572,26 @@ def test_frames_highlight_the_pixels_of_a_body(session):
     assert session.next_frame().highlight is None
 
 
+def test_what_noise_hides_has_neither_a_reading_nor_a_highlight(scene):
+    """The echo of the wall lies below the noise at -12 dB, that of the ball in part above it."""
+    settings = QUIET.changed(noise="ambient_db=-12", counts=sg.Counts(low_db=-60.0))
+    quiet = expected(scene, settings.changed(noise="none"), labels=True, label_level_db=-180.0)
+    is_above = quiet.intensity >= np.float32(10**-1.2)
+    with LiveSession(scene, settings) as session:
+        for body, number in (("wall", 1), ("ball", 2)):
+            assert (session.bins_of(session.frame, body) == (is_above & (quiet.body_id == number))).all()
+        assert (quiet.body_id == 1).any() and session.bins_of(session.frame, "ball").any()
+        assert not session.bins_of(session.frame, "wall").any()
+        beam, bin = np.argwhere(quiet.body_id == 1)[0]
+        reading = session.reading(session.frame, beam, bin)
+        assert reading.body == "" and reading.elevation_rad is None and reading.count > 0
+        plain = session.pixels_of(session.frame, "ball")
+        session.highlight("ball")
+        assert session.next_frame().highlight.tolist() == plain.tolist()
+        session.highlight("wall")
+        assert not session.next_frame().highlight.any()
+
+
 def test_labels_follow_the_gain_of_the_display(session):
     session.change(counts=sg.Counts(low_db=-30.0))
     strict = session.next_frame()
