@@ -29,6 +29,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.styles import FILMS, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
+from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.simulator import Simulator
@@ -43,6 +44,7 @@ DEMARCO_ONLY = ("form", "join")
 STILLS = ("png", "npz")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
+OVER_NOISE = 8.0  # times its mean power, which noise exceeds in e^-8 of all cells, fewer than NEARLY_EMPTY
 VISIBLE_SHARE = 0.05  # of full scale: brightness that one tells from black
 CLEARLY_BRIGHT_SHARE = 1 / 3  # of full scale: an echo as bright as this is easy to see
 
@@ -306,7 +308,8 @@ class FrameWriter:
         if isinstance(self.style, DemarcoStyle):
             return shows_echo(picture)
         law = ping.counts_law()
-        return ping.intensity > law.intensity_of(VISIBLE_SHARE * law.full_scale)
+        least, power = law.intensity_of(VISIBLE_SHARE * law.full_scale), receiver_power(ping, self.noise)
+        return ping.intensity > (least if power is None else np.maximum(least, OVER_NOISE * power))
 
     def _note_bright(self, bright: np.ndarray):
         """Remember the largest share of bright cells, or pixels."""

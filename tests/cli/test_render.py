@@ -210,6 +210,17 @@ def test_a_picture_that_shows_almost_nothing_says_what_to_change():
     )
 
 
+def test_noise_does_not_fill_an_empty_picture():
+    """It is as bright as an echo, but not the picture of one."""
+    Path("box.sdf").write_text(BOX_ONLY)
+    noisy = *QUICK, "--profile", "ideal", "--noise", "speckle=yes,ambient_db=-50"
+    err = run("render", "box.sdf", *noisy, "--pose", "-4 0 0 0 0 0")[2]
+    assert (sg.load_npz("box.npz").intensity > 10**-5.7).mean() > 0.5
+    match = re.match(r"warning: the picture is nearly empty: (0\.\d+) % of its cells are bright enough", err)
+    assert 0 < float(match[1]) < 1
+    assert run("render", "tank.sdf", *noisy)[2] == ""
+
+
 def test_a_dark_picture_says_which_gain_shows_it():
     dark = ("--counts", "law=db,low_db=20,high_db=40")
     status, _, err = run("render", "tank.sdf", *QUICK, *dark)
