@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine import pipeline
 from sonar_gl.live import Publisher, PublisherSettings
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
@@ -28,15 +29,15 @@ class Gate:
 
     def __init__(self, monkeypatch):
         self.is_inside, self._may_go_on, self._is_shut = threading.Event(), threading.Event(), False
-        ping = sg.Simulator.ping
+        sample = pipeline.sample
 
-        def held_up(simulator, *values, **more):
+        def held_up(run, setup):
             if self._is_shut and threading.current_thread() is not threading.main_thread():
                 self.is_inside.set()
                 assert self._may_go_on.wait(WAIT_S)
-            return ping(simulator, *values, **more)
+            return sample(run, setup)
 
-        monkeypatch.setattr(sg.Simulator, "ping", held_up)
+        monkeypatch.setattr(pipeline, "sample", held_up)
 
     def shut(self):
         self._is_shut = True
