@@ -18,7 +18,7 @@ from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import WIDE_COLUMNS_PER_SUPPORT, BeamShape, Fan, make_fan
-from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
+from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
 from sonar_gl.sonar.sonar import Sonar
@@ -78,11 +78,11 @@ class ShadowedBackground(NamedTuple):
     Attributes
     ----------
     is_background : (n_bodies + 1,) bool by number
-    samples : SectorSamples of these bodies alone, one of each sector
+    view : ViewSamples of these bodies alone
     """
 
     is_background: np.ndarray
-    samples: Sequence[SectorSamples]
+    view: ViewSamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,19 +394,28 @@ class Beamformer:
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        return self._with_bubbles(self.sum_footprints(view.sectors, gain), view, gain)
+        return self._with_bubbles(self.sum_footprints(view.sectors, gain, view.body_spans), view, gain)
 
     def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
         return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
 
-    def sum_footprints(self, samples: Sequence[SectorSamples], gain=NO_GAIN) -> BeamEcho:
-        """Return the echo of surfaces, times the (K,) float32 gain."""
-        self._sum_footprints(samples)
+    def sum_footprints(
+        self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
+    ) -> BeamEcho:
+        """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
+        self._sum_footprints(samples, body_spans)
         return self.weigh(gain)
 
-    def _sum_footprints(self, samples: Sequence[SectorSamples]) -> None:
+    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> None:
         """Sum surfaces into columns."""
-        of_sectors = [(whole_rows(one.plane_echo), whole_rows(one.face_id), one.lattice) for one in samples]
+        of_sectors = [
+            (
+                *(whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id)),
+                body_spans if one.body_id.size else NO_SPANS,
+                one.lattice,
+            )
+            for one in samples
+        ]
         columns = self._column_sums()
 
         def work(half):
@@ -495,7 +504,7 @@ class Beamformer:
         is_little = self._rows(samples) < FEW_LABEL_ROWS
         for half in range(2):
             self.clear_columns(half, columns)
-        runs = self._labeller.sum_up(samples, self.strips, partial(self._run, serial=is_little), columns)
+        runs = self._labeller.sum_up(view, self.strips, partial(self._run, serial=is_little), columns)
         self.share_wide_columns(columns)
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, BodySums(runs, is_little)
@@ -513,8 +522,8 @@ class Beamformer:
         """
         mask, unshadowed = None, None
         if background is not None:
-            mask, samples = background
-            self._sum_footprints(samples)
+            mask, view = background
+            self._sum_footprints(view.sectors, view.body_spans)
             unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies.runs, run, gain, n_bodies, mask, unshadowed)

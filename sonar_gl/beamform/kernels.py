@@ -139,6 +139,9 @@ LEAST_SLANTED = 1 / 8
 SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
 # strips after one where it does not save time that are not tried, as neighbours are mostly alike
 UNTRIED_STRIPS = 15
+# Of its range: a longer footprint is kept within the range of its body. Half a sample beyond a face that is seen nearly
+# edge-on may lie metres from it.
+LONG_FOOTPRINT = 1 / 64
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
@@ -682,6 +685,42 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         slant[m] = (rise if is_nearer_above else -rise) if is_slanted else 0.0
 
 
+@inlined
+def _is_long(work, m):
+    """Return whether a footprint is so long that it is kept within the range of its body."""
+    return (
+        work[ENERGY, m] > 0.0 and work[S, m] > 0.0 and work[A, m] + work[B, m] > LONG_FOOTPRINT * work[S, m]
+    )
+
+
+@uncounted
+def _keep_within(work, m, furthest, nearest):
+    """Move the ends of a footprint in s to where its body lies, between `furthest` and `nearest`; its echo stays."""
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    s, half = work[S, m], work[A, m] + work[B, m]
+    if s - half >= furthest and s + half <= nearest:
+        return
+    far, near = max(s - half, furthest), min(s + half, nearest)
+    share = max(near - far, 0.0) / (2 * half)
+    middle = (far + near) / 2 if share > 0.0 else min(max(s, furthest), nearest)
+    work[ENERGY, m] *= s / middle  # which is multiplied by s later
+    work[S, m], work[A, m], work[B, m] = middle, share * work[A, m], share * work[B, m]
+
+
+@uncounted
+def _keep_within_bodies(work, strip, body_id, body_spans, columns):
+    """Keep a strip's long footprints within the ranges of their bodies.
+
+    body_id : (R, C) uint16, in `whole_rows`; body_spans : of `ViewSamples`; columns : of Lattice
+    """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    for m in range(uint64(strip.first), uint64(strip.last)):
+        if _is_long(work, m):
+            i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
+            number = uint64(body_id[uint64(work[ROW, m]), i])
+            _keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+
+
 @uncounted
 def _is_slanted(s, a, b, per_metre):
     """Return whether density changes along a footprint: it covers a bin, or if it is narrow, LEAST_SLANTED of one."""
@@ -857,7 +896,20 @@ def _bin_points(work, sums, spans, u, strip, bins):
 
 
 @compiled
-def sum_footprints(work, plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern, sums, spans):
+def sum_footprints(
+    work,
+    plane_echo,
+    face_id,
+    body_id,
+    body_spans,
+    lattice,
+    strips,
+    bins,
+    spread,
+    elevation_pattern,
+    sums,
+    spans,
+):
     """Sum some of one sector's samples into columns and bins.
 
     The surface in a sample's rectangle is the plane that its ray met. There 1/r is linear in (u, v) but for
@@ -867,20 +919,22 @@ def sum_footprints(work, plane_echo, face_id, lattice, strips, bins, spread, ele
     Parameters
     ----------
     work, plane_echo, face_id : as in `find_strip`
+    body_id : (R, C) uint16, in `whole_rows`
+    body_spans : of `ViewSamples`; of no length if it or `body_id` is not known
     lattice, strips, bins : tuples of Lattice, StripTable and BinTable
     spread : True spreads each sample over its footprint, False adds it to one bin
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are added to
     spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; widened
     """
-    samples = plane_echo, face_id, Lattice(*lattice)
+    samples = plane_echo, face_id, body_id, body_spans, Lattice(*lattice)
     _sum_strips(work, samples, StripTable(*strips), BinTable(*bins), spread, elevation_pattern, sums, spans)
 
 
 @uncounted
 def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, spans):
     """Do the work of `sum_footprints`; samples : with the lattice."""
-    (plane_echo, face_id, lattice), untried = samples, 0
+    (plane_echo, face_id, body_id, body_spans, lattice), untried = samples, 0
     for p in range(strips.middle.shape[0]):
         is_tried = spread and untried == 0
         if is_beside(lattice, strips, p, plane_echo.shape[0]):
@@ -892,6 +946,8 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
         if strip.first == strip.last:
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
+        if body_spans.shape[0] > 0:
+            _keep_within_bodies(work, strip, body_id, body_spans, lattice.columns)
         if spread:
             short_ramp = SHORT_RAMP_OF_JOINED if strip.are_joined else SHORT_RAMP
             spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins, short_ramp)
@@ -1432,6 +1488,7 @@ def sum_bodies(
     plane_echo,
     face_id,
     body_id,
+    body_spans,
     lattice,
     strips,
     bins,
@@ -1447,7 +1504,7 @@ def sum_bodies(
 
     Parameters
     ----------
-    work, plane_echo, face_id, lattice, strips, bins, spread, elevation_pattern : as in `sum_footprints`
+    work .. elevation_pattern : as in `sum_footprints`, but for body_id
     body_id : (C, R) uint16, column by column, as a strip reads it
     label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : of ColumnBodies, zeros before and after
@@ -1475,8 +1532,13 @@ def sum_bodies(
             store = _store_runs(bodies, joined, store)
             bodies, joined = ColumnBodies(bodies.slots, 0, bodies.cells), label_column[column]
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
-        _find_angles(work, strip)
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
+        if body_spans.shape[0] > 0:
+            for m in range(uint64(start), uint64(last)):
+                if _is_long(work, m):
+                    number = uint64(numbers[m])
+                    _keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+        _find_angles(work, strip)
         if spread:
             _find_intervals(work, start, last, bins)
         else:

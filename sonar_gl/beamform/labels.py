@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.fan import Fan
-from sonar_gl.sonar.samples import SectorSamples, whole_rows
+from sonar_gl.sonar.samples import ViewSamples, whole_rows
 
 # A bin is in shadow where less than this remains of the echo that the background alone would return: nine
 # tenths of the beam are covered there, and what side lobes receive from beside a shadow (−13 dB for a uniform
@@ -197,7 +197,7 @@ class Labeller:
 
     def sum_up(
         self,
-        samples: Sequence[SectorSamples],
+        view: ViewSamples,
         strips,
         run: Callable,
         columns: ColumnSums,
@@ -206,6 +206,7 @@ class Labeller:
 
         Parameters
         ----------
+        view : whose samples hold the numbers of bodies
         strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
         run : function (work) that does work(0) and work(1)
         columns : the sums of all bodies are added to it, as by `Beamformer.sum_footprints`
@@ -219,9 +220,10 @@ class Labeller:
                 whole_rows(one.plane_echo),
                 whole_rows(one.face_id),
                 np.ascontiguousarray(one.body_id.T),
+                view.body_spans,
                 one.lattice,
             )
-            for one in samples
+            for one in view.sectors
         ]
 
         def work(half):

@@ -216,7 +216,7 @@ def _receive():
     _embed()
     for simulator in _simulators():
         with simulator:
-            simulator.ping(POSE, velocity=VELOCITY, time_s=1.0)
+            simulator.ping(POSE, Noise(speckle=True), velocity=VELOCITY, time_s=1.0)  # with a view of lobes
             simulator.ping(POSE, labels=True, background=["floor"])
             for _ in simulator.pings([POSE] * 6):
                 pass

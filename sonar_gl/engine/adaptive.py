@@ -241,7 +241,7 @@ class AdaptiveSampling:
         if self.choice.planned_poses is not None:
             return self.resolution
         may_search = check and self._trigger.is_far(before, setup.head_pose, setup.state)
-        return replace(self.resolution, with_bodies=True, check=check, may_search=may_search)
+        return replace(self.resolution, check=check, may_search=may_search)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Estimate the error of a ping if that is due; return other samples if it is to be sampled again."""
@@ -311,7 +311,7 @@ class AdaptiveSampling:
             raise error
         self._model.finest = level
         self.choice = replace(self.choice, resolution=self._resolution_at(level), level=level, is_due=True)
-        return replace(self.resolution, with_bodies=True, check=True)
+        return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""

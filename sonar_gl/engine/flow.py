@@ -58,7 +58,6 @@ class Resolution:
     Attributes
     ----------
     stage : Stage of the direct view
-    with_bodies : samples know their bodies, so that the error can be estimated
     check : the error of this ping is to be estimated
     may_search : if it is wrong, other samples are searched at once: the ping lies far from the one before
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
@@ -67,7 +66,6 @@ class Resolution:
     """
 
     stage: Stage
-    with_bodies: bool = False
     check: bool = False
     may_search: bool = False
     is_final: bool = False

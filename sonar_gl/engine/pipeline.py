@@ -88,7 +88,7 @@ def draw(
     views = resolution.stage.draw(
         poses,
         states,
-        with_bodies=resolution.with_bodies or any(setup.request.labels for setup in setups),
+        with_bodies=True,
         keep_last=keep_last,
     )
     images, further_views = draw_images(sources, resolution, views[:n], setups), iter(views[n:])
@@ -181,7 +181,7 @@ def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
     if view is None:
         return None
     samples = [one.with_echo() for one in view.sectors]
-    return drawn.resolution.stage.beamformer.sum_footprints(samples, drawn.setup.gain)
+    return drawn.resolution.stage.beamformer.sum_footprints(samples, drawn.setup.gain, view.body_spans)
 
 
 def label(drawn: DrawnPing, bodies: BodySums) -> Labels:
@@ -195,7 +195,7 @@ def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
     background = drawn.further.background
     if background is None:
         return None
-    return ShadowedBackground(drawn.setup.background, background.sectors)
+    return ShadowedBackground(drawn.setup.background, background)
 
 
 def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:

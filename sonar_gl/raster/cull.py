@@ -144,6 +144,28 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
 
 
 @compiled
+def body_spans(matrices, bounds):
+    """Return `body_spans` of `ViewSamples`: 1/range of the furthest and the nearest place of each body's box.
+
+    Parameters
+    ----------
+    matrices : of `BodyPlaces`; bounds : of BodyBoxes
+    """
+    out = np.empty((matrices.shape[0] + 1, 2))
+    out[0, 0], out[0, 1] = 0.0, np.inf
+    for n in range(matrices.shape[0]):
+        m, near2, far2 = matrices[n], 0.0, 0.0
+        for j in range(3):
+            sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])  # in the body's frame
+            before, behind = bounds[n, 0, j] - sonar, sonar - bounds[n, 1, j]
+            near2 += max(before, behind, 0.0) ** 2
+            far2 += max(abs(before), abs(behind)) ** 2
+        out[n + 1, 0] = 1.0 / math.sqrt(far2) if far2 > 0.0 else np.inf
+        out[n + 1, 1] = 1.0 / math.sqrt(near2) if near2 > 0.0 else np.inf
+    return out
+
+
+@compiled
 def _extend(window, x, y, z, inverse, u0, v0):
     """Extend (low column, high column, low row, high row) to the sample that looks at a point."""
     u, v = -y / x - u0, z / x - v0

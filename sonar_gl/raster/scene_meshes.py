@@ -15,6 +15,7 @@ from sonar_gl.raster.cull import (
     REFLECTIVITY,
     BodyBoxes,
     PatchTree,
+    body_spans,
     choose_patches,
     place_bodies,
 )
@@ -155,7 +156,10 @@ class SceneMeshes:
         if plane is not None:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
-        return BodiesInView(matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut)
+        spans = body_spans(matrices, self.boxes.bounds)
+        return BodiesInView(
+            matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut, spans
+        )
 
     def choose(self, view: SectorView, bodies: BodiesInView, out: np.ndarray) -> PatchesInView:
         """Choose what a sector draws of bodies; out : (most_patches, 2) int32, overwritten."""

@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.raster.cull import DetailLimits, SectorGeometry
 from sonar_gl.sonar.fan import NEAR_M
-from sonar_gl.sonar.samples import NO_FACES, SectorSamples, ViewSamples
+from sonar_gl.sonar.samples import NO_FACES, NO_SPANS, SectorSamples, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
 # Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
@@ -94,6 +94,7 @@ class BodiesInView(NamedTuple):
     outside : whether back faces may be culled: the sonar is in the box of no closed body
     plane : (4,) a; only a · (x, y, z, 1) > 0 in the sonar's frame is drawn; or None
     is_cut : (n,) bool, bodies that lie on both sides of it
+    spans : `body_spans` of `ViewSamples`
     """
 
     matrices: np.ndarray
@@ -103,6 +104,7 @@ class BodiesInView(NamedTuple):
     outside: bool
     plane: np.ndarray | None
     is_cut: np.ndarray
+    spans: np.ndarray
 
 
 class Window(NamedTuple):
@@ -153,6 +155,7 @@ def samples_of(
     plane_echo: np.ndarray,
     body_id: np.ndarray,
     face_id: np.ndarray = NO_FACES,
+    body_spans: np.ndarray = NO_SPANS,
 ) -> ViewSamples:
     """Return the samples of a view.
 
@@ -161,6 +164,7 @@ def samples_of(
     windows : of each sector, which lie in the image side by side
     plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id and face_id of
         no size if they are not known
+    body_spans : of `ViewSamples`
     """
     out, lefts, left = [], [], 0
     for view, window in zip(views, windows, strict=True):
@@ -174,4 +178,4 @@ def samples_of(
             out.append(SectorSamples(sector, plane_echo[here], bodies, faces))
         lefts.append(left)
         left += columns
-    return ViewSamples(tuple(out), plane_echo, tuple(lefts), face_id)
+    return ViewSamples(tuple(out), plane_echo, tuple(lefts), face_id, body_spans)

@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.sector import Sector
 
-NO_FACES = np.empty((0, 0), np.int32)
+NO_FACES, NO_SPANS = np.empty((0, 0), np.int32), np.empty((0, 2))
 # Samples about those with an echo: a footprint ends where the plane of a neighbour begins.
 BESIDE_ECHO = 2
 
@@ -103,6 +103,8 @@ class ViewSamples:
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin
     face_id : (H, W) int32, of the same image; empty if it is not known
+    body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest and of the nearest place of the body's box;
+        empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
     """
 
@@ -110,4 +112,5 @@ class ViewSamples:
     plane_echo: np.ndarray | None = None
     left: tuple[int, ...] = ()
     face_id: np.ndarray = field(default_factory=lambda: NO_FACES)
+    body_spans: np.ndarray = field(default_factory=lambda: NO_SPANS)
     bubbles: np.ndarray | None = None

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import labels
+from sonar_gl.beamform import kernels, labels
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import asin, atan, bin_table
 from sonar_gl.beamform.labels import label_columns
@@ -16,8 +16,9 @@ from sonar_gl.embed.sensor import Sensor
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import BIN_LABELS
+from sonar_gl.raster import scene_meshes
 from sonar_gl.sonar.fan import BeamShape, make_fan
-from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.samples import NO_SPANS, ViewSamples
 from tests.beamform.test_footprint import fan_and_samples, only
 
 IDEAL, HERE = sg.Acoustics.ideal(), np.eye(4)
@@ -53,7 +54,9 @@ def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_de
     alone = beamformer.sum_footprints(unshadowed).intensity
     for _ in range(2):  # the second call reuses the arrays of the first
         _, bodies = beamformer.sum_bodies(ViewSamples(tuple(samples)), gain)
-        found = beamformer.find_labels(bodies, gain, n_bodies + 1, (is_background, unshadowed))
+        found = beamformer.find_labels(
+            bodies, gain, n_bodies + 1, (is_background, ViewSamples(tuple(unshadowed)))
+        )
         strongest, whole = echoes.max(axis=0), echoes.sum(axis=0)
         second = np.partition(echoes, -2, axis=0)[-2]
         clear = strongest - second > 1e-5 * strongest  # float32 sums
@@ -101,7 +104,7 @@ def test_sums_of_bodies_outlast_other_sums():
     fan, samples = fan_and_samples("footprint", n_bodies=5)
     beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
     gain = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32)
-    background = np.arange(6) == 2, only(2, samples)
+    background = np.arange(6) == 2, ViewSamples(tuple(only(2, samples)))
     view = ViewSamples(tuple(samples))
     echo, bodies = beamformer.sum_bodies(view, gain)
     expected = beamformer.find_labels(bodies, gain, 5, background)
@@ -594,6 +597,81 @@ def test_files_hold_the_labels(tmp_path):
     read = sg.load_npz(tmp_path / "a.npz")
     for name in ("incidence_rad", "true_range_m", "share", "shadow"):
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+
+
+DEVICE = sg.load_sonar("oculus-m1200d-hf")
+
+
+def cylinder(yaw_deg):
+    """Return a cylinder of 0.6 m by 0.2 m that lies level, 0.9 m below a sonar that is pitched down."""
+    mesh = trimesh.creation.cylinder(0.1, 0.6, sections=48)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(math.pi / 2, [0, 1, 0]))
+    place = np.linalg.inv(sg.pose(pitch=0.27)) @ sg.pose(3, 0, -0.9, 0, 0, math.radians(yaw_deg))
+    return sg.Body("cylinder", mesh, place, 0.9)
+
+
+EDGE_ON = {
+    "plate": sg.Body("plate", trimesh.creation.box((0.5, 0.5, 0.1)), sg.pose(3, 0, -0.07), 0.5),
+    "15": cylinder(15),
+    "135": cylinder(135),
+    "165": cylinder(165),
+}
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("name", EDGE_ON)
+def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch):
+    """Half a sample beyond a face that is seen edge-on lies far from it: faint, but without noise it had a label."""
+    body = EDGE_ON[name]
+
+    def labelled(labels=True):
+        with sg.Simulator(
+            sg.Scene([body]), DEVICE, sampling=sg.Sampling(1.3, 137), engine=engine
+        ) as simulator:
+            return simulator.ping(HERE, labels=labels, label_level_db=-180.0 if labels else None)
+
+    low, high = body.mesh.bounds
+    sonar = -body.pose[:3, :3].T @ body.pose[:3, 3]  # in the body's frame
+    nearest_m = np.linalg.norm(np.maximum(0.0, np.maximum(low - sonar, sonar - high)))  # of its box
+    furthest_m = np.linalg.norm(np.maximum(np.abs(low - sonar), np.abs(high - sonar)))
+
+    def off_m(ping):
+        found_m = ping.true_range_m[ping.body_id > 0]
+        return max(nearest_m - found_m.min(), found_m.max() - furthest_m)
+
+    ping = labelled()
+    # a footprint that is not long reaches half of a sixty-fourth of its range beyond the body at most
+    assert off_m(ping) < 3.5 / 128
+    np.testing.assert_array_equal(ping.intensity, labelled(labels=False).intensity)
+    monkeypatch.setattr(scene_meshes, "body_spans", lambda *_: NO_SPANS)
+    other = labelled()
+    assert off_m(other) > 0.05
+    # what is moved is faint
+    assert np.abs(other.intensity - ping.intensity).sum() < 1e-3 * ping.intensity.sum()
+
+
+@pytest.mark.parametrize(
+    ("s", "a", "b", "ends"),
+    [
+        (0.3, 0.01, 0.02, (0.28, 0.36)),  # of its ends the further one is moved
+        (0.3, 0.1, 0.2, (0.28, 0.32)),
+        (0.3, 0.2, 4.0, (0.28, 0.32)),  # from behind the sonar to its horizon
+        (0.3, 0.005, 0.01, (0.28, 0.32)),  # fits
+        (0.3, 0.01, 0.02, (0.32, 0.36)),  # its middle lies beyond
+        (0.3, 0.001, 0.004, (0.31, 0.36)),  # all of it does
+    ],
+)
+def test_a_long_footprint_is_kept_between_two_ranges_with_its_echo(s, a, b, ends):
+    work = kernels.make_work()
+    work[[kernels.S, kernels.A, kernels.B, kernels.ENERGY], 7] = s, a, b, 0.6
+    kernels._keep_within(work, 7, *ends)
+    middle, half = work[kernels.S, 7], work[kernels.A, 7] + work[kernels.B, 7]
+    far, near = max(s - a - b, ends[0]), min(s + a + b, ends[1])
+    expected = ((far + near) / 2, (near - far) / 2) if near > far else (ends[0], 0.0)
+    assert (middle, half) == pytest.approx(expected, abs=1e-15)
+    assert work[kernels.ENERGY, 7] * middle == pytest.approx(0.6 * s, rel=1e-14)
+    if half > 0:
+        assert work[kernels.A, 7] / half == pytest.approx(a / (a + b), rel=1e-14)
 
 
 @pytest.mark.parametrize("n_beams, n_bins", [(1, 1), (1, 65), (4, 64), (5, 63)])

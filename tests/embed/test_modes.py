@@ -98,8 +98,9 @@ def test_host_drawn_sectors_give_the_simulator_s_ping(profile, fov_deg):
     with embed.Sensor(sonar, acoustics, SAMPLING) as sensor:
         draw(host, sensor, lobes=acoustics.specular)
         ping = sensor.finish(labels=True, bodies=names(scene))
-    assert difference(ping, true) < ROUNDING
-    assert (ping.body_id != true.body_id).mean() < 1e-3  # bins with two equal echoes
+    # a host does not tell where its bodies are, within whose ranges the longest footprints are kept
+    assert difference(ping, true) < 3 * ROUNDING
+    assert (ping.body_id != true.body_id).mean() < 2e-3  # likewise, and bins with two equal echoes
     # a body's echo depends on the samples along its outline, one of which may hit another body
     assert np.allclose(ping.body_echo, true.body_echo, rtol=1e-3, atol=1e-4 * true.body_echo.sum())
     assert ping.meta["bodies"] == names(scene)

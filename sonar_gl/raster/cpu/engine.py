@@ -281,7 +281,7 @@ class CpuRenderer:
             self._thread.run_halves(lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn))
         for _, body_id, _ in of_lobes:
             body_id[:] = samples[1]
-        return [samples_of(self._sectors, windows, *one) for one in (samples, *of_lobes)]
+        return [samples_of(self._sectors, windows, *one, bodies.spans) for one in (samples, *of_lobes)]
 
     def _draw_part(
         self,

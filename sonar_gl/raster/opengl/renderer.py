@@ -280,7 +280,7 @@ class OpenGLRenderer:
                 self._draw(target, rows, sectors, one)
                 target.begin_read()
         # while one is read the driver's threads may fill the next
-        views = [self._read(target, sectors) for target, sectors in zip(targets, draws, strict=True)]
+        views = [self._read(*one) for one in zip(targets, draws, bodies, strict=True)]
         check_driver(self._context)
         return views
 
@@ -327,9 +327,10 @@ class OpenGLRenderer:
         framebuffer.scissor = None
         self._context.disable_direct(CLIP_DISTANCE0)
 
-    def _read(self, target: RenderTarget, draws: list[SectorDraws]) -> ViewSamples:
+    def _read(self, target: RenderTarget, draws: list[SectorDraws], bodies: BodiesInView) -> ViewSamples:
         """Return what was drawn."""
-        return samples_of(self._sectors, [one.window for one in draws], *target.read())
+        windows = [one.window for one in draws]
+        return samples_of(self._sectors, windows, *target.read(), body_spans=bodies.spans)
 
     def _check_size(self, width: int, height: int) -> None:
         got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
