@@ -20,6 +20,7 @@ class BodyBoxes(NamedTuple):
     """The n bodies of a scene, which do not change while they move.
 
     centres, bounds : (n, 3) and (n, 2, 3) of the meshes; bounds count from the centres
+    extremes : (n, EXTREMES, 3) vertices, of `extreme_points`, counted likewise
     closed : (n,) 0 for open meshes
     roots : (n, 2) first patch of each body and the one after its last
     order : (n,) bodies, closed ones first
@@ -27,6 +28,7 @@ class BodyBoxes(NamedTuple):
 
     centres: np.ndarray
     bounds: np.ndarray
+    extremes: np.ndarray
     closed: np.ndarray
     roots: np.ndarray
     order: np.ndarray
@@ -114,7 +116,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     -------
     outside : whether back faces may be culled: the sonar is in the box of no closed body
     """
-    centres, bounds, closed, _, _ = bodies
+    centres, bounds, _, closed, _, _ = bodies
     outside = True
     for n in range(poses.shape[0]):
         if not present[n]:
@@ -144,22 +146,26 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
 
 
 @compiled
-def body_spans(matrices, bounds):
-    """Return `body_spans` of `ViewSamples`: 1/range of the furthest and the nearest place of each body's box.
+def body_spans(matrices, bounds, extremes):
+    """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
     Parameters
     ----------
-    matrices : of `BodyPlaces`; bounds : of BodyBoxes
+    matrices : of `BodyPlaces`; bounds, extremes : of BodyBoxes
     """
     out = np.empty((matrices.shape[0] + 1, 2))
     out[0, 0], out[0, 1] = 0.0, np.inf
+    sonar = np.empty(3)  # in the body's frame
     for n in range(matrices.shape[0]):
         m, near2, far2 = matrices[n], 0.0, 0.0
         for j in range(3):
-            sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])  # in the body's frame
-            before, behind = bounds[n, 0, j] - sonar, sonar - bounds[n, 1, j]
-            near2 += max(before, behind, 0.0) ** 2
-            far2 += max(abs(before), abs(behind)) ** 2
+            sonar[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+            near2 += max(bounds[n, 0, j] - sonar[j], sonar[j] - bounds[n, 1, j], 0.0) ** 2
+        for k in range(extremes.shape[1]):
+            apart2 = 0.0
+            for j in range(3):
+                apart2 += (extremes[n, k, j] - sonar[j]) ** 2
+            far2 = max(far2, apart2)
         out[n + 1, 0] = 1.0 / math.sqrt(far2) if far2 > 0.0 else np.inf
         out[n + 1, 1] = 1.0 / math.sqrt(near2) if near2 > 0.0 else np.inf
     return out
@@ -228,7 +234,7 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
     the rows, all 0 where no sample may meet a body
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
-    _, bounds, closed, roots, order = bodies
+    _, bounds, _, closed, roots, order = bodies
     present, matrices, rows, outside = places
     sector, planes_uv, inverse, corner, size, _, _ = view
     near_m, far_m, range_max_m, error_per_m, most_echo_error = limits

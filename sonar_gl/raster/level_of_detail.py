@@ -21,6 +21,9 @@ LEAF_FACES = 512  # faces of a leaf; a draw call costs as much as some hundred f
 MIN_FACES_TO_SIMPLIFY = 100_000  # smaller meshes have leaves only: coarser levels would save too little
 COARSEST_FACES = 48  # the coarsening of the whole mesh ends here: no range of a sonar needs fewer faces
 MAX_LEVEL_RATIO = 0.8  # a coarser level with more than this share of the faces is dropped
+EXTREMES = (
+    48  # directions, of which one is within 23 degrees: how far a ball reaches is found to 8 % of its radius
+)
 MAX_PATCH_FACES = 4 * LEAF_FACES  # patches whose union cannot be simplified to this are not joined
 
 
@@ -323,6 +326,7 @@ class MeshWithLevels:
     ----------
     centre : (3,) float64, centre of the mesh's box in the body's frame; origin of all other coordinates
     bounds : (2, 3) low and high corner of the box
+    extremes : (EXTREMES, 3) float64, outermost vertices
     closed : +1 if every edge joins two faces of the same orientation, with normals that point outwards; otherwise 0
     levels : Levels
     points : (W, 3) float32, position of each vertex of the levels
@@ -332,11 +336,25 @@ class MeshWithLevels:
 
     centre: np.ndarray
     bounds: np.ndarray
+    extremes: np.ndarray
     closed: int
     levels: Levels
     points: np.ndarray
     normals: np.ndarray | None
     reflectivity: np.ndarray | None
+
+
+def extreme_points(points: np.ndarray) -> np.ndarray:
+    """Return the outermost of some points, (n, 3), in each of EXTREMES directions; (EXTREMES, 3), some repeatedly.
+
+    The directions are those of a Fibonacci lattice on the sphere.
+    """
+    k = np.arange(EXTREMES) + 0.5
+    z, turn = 1 - 2 * k / EXTREMES, math.pi * (1 + math.sqrt(5)) * k
+    level = np.sqrt(1 - z * z)
+    directions = np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
+    # one after the other: all at once would take as much memory as 16 meshes
+    return points[[int((points @ direction).argmax()) for direction in directions]]
 
 
 def _merge_vertices(rows, faces):
@@ -385,6 +403,7 @@ def mesh_with_levels(body) -> MeshWithLevels:
     return MeshWithLevels(
         centre=centre,
         bounds=bounds - centre,
+        extremes=extreme_points(points),
         closed=abs(closed),
         points=points[vertices].astype(np.float32),
         normals=None if normals is None else normals[vertices],

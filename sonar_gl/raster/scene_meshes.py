@@ -19,7 +19,7 @@ from sonar_gl.raster.cull import (
     choose_patches,
     place_bodies,
 )
-from sonar_gl.raster.level_of_detail import Levels, mesh_with_levels
+from sonar_gl.raster.level_of_detail import EXTREMES, Levels, mesh_with_levels
 from sonar_gl.raster.views import (
     BodiesInView,
     PatchesInView,
@@ -62,6 +62,7 @@ class SceneMeshes:
         self.boxes = BodyBoxes(
             centres=np.empty((0, 3)),
             bounds=np.empty((0, 2, 3)),
+            extremes=np.empty((0, EXTREMES, 3)),
             closed=np.empty(0, np.int64),
             roots=np.empty((0, 2), np.int64),
             order=np.empty(0, np.int64),
@@ -92,7 +93,7 @@ class SceneMeshes:
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
                 # a body may take another surface later: held here, so that no other object has the id of the first
-                meshes[key] = made_of, (one.centre, one.bounds, one.closed, (n_patches, end))
+                meshes[key] = made_of, (one.centre, one.bounds, one.extremes, one.closed, (n_patches, end))
                 n_patches = end
                 made.append(one)
             added.append(meshes[key][1])
@@ -156,7 +157,7 @@ class SceneMeshes:
         if plane is not None:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
-        spans = body_spans(matrices, self.boxes.bounds)
+        spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes)
         return BodiesInView(
             matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut, spans
         )

@@ -103,8 +103,8 @@ class ViewSamples:
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin
     face_id : (H, W) int32, of the same image; empty if it is not known
-    body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest and of the nearest place of the body's box;
-        empty if it is not known
+    body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest place of the body, and of the nearest one of
+        its box; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
     """
 

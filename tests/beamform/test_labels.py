@@ -633,7 +633,7 @@ def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch
     low, high = body.mesh.bounds
     sonar = -body.pose[:3, :3].T @ body.pose[:3, 3]  # in the body's frame
     nearest_m = np.linalg.norm(np.maximum(0.0, np.maximum(low - sonar, sonar - high)))  # of its box
-    furthest_m = np.linalg.norm(np.maximum(np.abs(low - sonar), np.abs(high - sonar)))
+    furthest_m = np.linalg.norm(np.asarray(body.mesh.vertices) - sonar, axis=1).max()
 
     def off_m(ping):
         found_m = ping.true_range_m[ping.body_id > 0]

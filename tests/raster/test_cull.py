@@ -403,3 +403,35 @@ def test_a_driver_of_opengl_3_3_gives_the_same_ping(tmp_path, opengl_engine):
     assert report["indirect"]
     assert not any(report["indirect"])
     np.testing.assert_array_equal(np.load(tmp_path / "found.npy"), expected)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "share"),
+    [
+        (trimesh.creation.box((0.5, 0.1, 2.0)), 0.0),  # each corner is the outermost in some direction
+        (trimesh.creation.icosphere(4, 0.7), 0.08),  # 1 - cos 23°
+        (trimesh.creation.cylinder(0.1, 0.6, sections=48), 0.02),
+    ],
+)
+def test_the_spans_of_bodies_hold_all_of_their_places(mesh, share):
+    """The nearest place is that of the box; how much too near the furthest is found is a share of the radius."""
+    rng, bodies = np.random.default_rng(1), []
+    for number in range(20):
+        place = random_rotation(rng)
+        place[:3, 3] = rng.uniform(-3, 3, 3)
+        bodies.append(sg.Body(f"{number}", mesh.copy().apply_translation((0.3, 0, 1)), place))
+    some = meshes_of(bodies)
+    pose = random_rotation(rng)
+    pose[:3, 3] = 0.5, 0.2, -0.1
+    spans = some.view_from(pose).spans
+    assert spans[0].tolist() == [0.0, np.inf]
+    radius_m = np.linalg.norm(mesh.vertices, axis=1).max()
+    for body, (furthest, nearest) in zip(bodies, spans[1:], strict=True):
+        places = np.asarray(body.mesh.vertices) @ body.pose[:3, :3].T + body.pose[:3, 3]
+        ranges_m = np.linalg.norm(places - pose[:3, 3], axis=1)
+        assert ranges_m.max() * (1 + 1e-12) >= 1 / furthest >= ranges_m.max() - share * radius_m - 1e-12
+        low, high = body.mesh.bounds
+        sonar = body.pose[:3, :3].T @ (pose[:3, 3] - body.pose[:3, 3])
+        expected_m = np.linalg.norm(np.maximum(0, np.maximum(low - sonar, sonar - high)))
+        assert 1 / nearest == pytest.approx(expected_m, rel=1e-12)
+        assert expected_m <= ranges_m.min() * (1 + 1e-12)
