@@ -694,7 +694,7 @@ def _is_long(work, m):
 
 
 @uncounted
-def _keep_within(work, m, furthest, nearest):
+def keep_within(work, m, furthest, nearest):
     """Move the ends of a footprint in s to where its body lies, between `furthest` and `nearest`; its echo stays."""
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     s, half = work[S, m], work[A, m] + work[B, m]
@@ -718,7 +718,7 @@ def _keep_within_bodies(work, strip, body_id, body_spans, columns):
         if _is_long(work, m):
             i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
             number = uint64(body_id[uint64(work[ROW, m]), i])
-            _keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+            keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
 
 
 @uncounted
@@ -1537,7 +1537,7 @@ def sum_bodies(
             for m in range(uint64(start), uint64(last)):
                 if _is_long(work, m):
                     number = uint64(numbers[m])
-                    _keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+                    keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
         _find_angles(work, strip)
         if spread:
             _find_intervals(work, start, last, bins)

@@ -664,7 +664,7 @@ def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch
 def test_a_long_footprint_is_kept_between_two_ranges_with_its_echo(s, a, b, ends):
     work = kernels.make_work()
     work[[kernels.S, kernels.A, kernels.B, kernels.ENERGY], 7] = s, a, b, 0.6
-    kernels._keep_within(work, 7, *ends)
+    kernels.keep_within(work, 7, *ends)
     middle, half = work[kernels.S, 7], work[kernels.A, 7] + work[kernels.B, 7]
     far, near = max(s - a - b, ends[0]), min(s + a + b, ends[1])
     expected = ((far + near) / 2, (near - far) / 2) if near > far else (ends[0], 0.0)
