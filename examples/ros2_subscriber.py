@@ -29,7 +29,7 @@ PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is told
 PATIENCE_S = 10.0
 HINT = (
     "nothing on {} yet: does sonar-gl ros2 run, with this transport and domain? Its first ping after an installation "
-    "takes a minute or two"
+    "takes a minute or two, on one core some minutes"
 )
 
 

@@ -814,6 +814,7 @@ MUTATIONS = (
         ),
     ),
     Mutation("noise/thermal noise", "-15 + 20 * np.log10(", "-15 + 17 * np.log10(", NOISE),
+    Mutation("noise/directivity index, one way", "4 * math.pi / receive_sr", "4 * math.pi / echo_sr", NOISE),
     Mutation(
         "noise/pulse of another sonar",
         "PULSE_S * sound_speed_m_s / 2 / bin_size_m",

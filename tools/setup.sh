@@ -114,7 +114,7 @@ check_opengl() {
 check_installation() {
     local report
     [ ! -f .venv/checked ] || return 0
-    say "Compiling, and checking the installation (a minute or two)"
+    say "Compiling, and checking the installation (a minute or two; on one core some minutes)"
     report=$(.venv/bin/sonar-gl doctor </dev/null) || stop "$report"
     touch .venv/checked
 }

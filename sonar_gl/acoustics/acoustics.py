@@ -520,10 +520,20 @@ class Acoustics:
         >>> round(float(pattern(np.sin(np.radians(10.0)))), 9)
         0.5
         """
-        if self.elevation_pattern == "box":
-            return None
-        one_way = self._one_way_elevation_pattern(sonar)
-        return lambda sine: one_way.power(sine) ** 2
+        one_way = self.one_way_elevation_pattern(sonar)
+        return None if one_way is None else lambda sine: one_way.power(sine) ** 2
+
+    def one_way_elevation_pattern(self, sonar) -> ArrayPattern | None:
+        """Return the beam pattern in elevation of the transmitter or the receiver alone; None for a box.
+
+        Noise of the water is received by it, echoes by the two-way pattern.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> pattern = Acoustics.physical().one_way_elevation_pattern(load_sonar("p900-45"))  # 20 degrees high
+        >>> round(float(pattern.power(np.sin(np.radians(10.0)))), 9)  # its square is 0.5
+        0.707106781
+        """
+        return None if self.elevation_pattern == "box" else self._one_way_elevation_pattern(sonar)
 
     def elevation_support_deg(self, sonar) -> float:
         """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight.

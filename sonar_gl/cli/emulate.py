@@ -101,7 +101,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
         head = simulation.submit(SimulatedHead, *settings).result()
         server = None
         try:
-            # the first ping after an installation compiles for up to two minutes, which no program would wait for
+            # the first ping after an installation compiles for some minutes, which no program would wait for
             simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()
             server, describe_server = make_server(simulation, head)
 

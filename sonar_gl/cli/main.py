@@ -395,8 +395,9 @@ Examples:
 def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
-    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes
-    a minute or two, later commands then start fast. The engine that draws the known scene is that of --engine.
+    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes a
+    minute or two with two free cores, some minutes with one; later commands then start fast. The engine that draws
+    the known scene is that of --engine.
 
     With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
     its sonars, and everything that was left out or assumed as it was read.

@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, aperture_field
+from sonar_gl.acoustics.solid_angle import beam_solid_angles
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
@@ -35,13 +36,15 @@ def thermal_noise_db(frequency_hz):
     return -15 + 20 * np.log10(np.asarray(frequency_hz, np.float64) / 1e3)
 
 
-def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
+def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db, receive_per_echo=1.0):
     """Return the thermal noise level as `Noise.ambient_db` takes it.
 
     Parameters
     ----------
     frequency_hz, bandwidth_hz : hertz, of the sonar and its receiver
     source_level_db : dB re 1 µPa at 1 m, on the projector's axis
+    receive_per_echo : the solid angle of the receive pattern over that of the echo, of
+        `sonar_gl.acoustics.solid_angle.beam_solid_angles`; 1 of a box
 
     Returns
     -------
@@ -49,11 +52,11 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
 
     Notes
     -----
-    A lossless Lambert surface (1/π per steradian) that fills a beam of solid angle Ω at 1 m returns
-    SL + 10 log10(Ω/π). The beam receives NL + 10 log10 B − DI of isotropic noise, where
-    DI = 10 log10(4π/Ω) [1]_. Ω cancels in the difference, NL + 10 log10 B − SL − 6.02 dB. For ambient noise
-    of another level, add its difference from `thermal_noise_db`. The self-noise of real receivers is higher
-    by tens of dB.
+    A lossless Lambert surface (1/π per steradian) that surrounds the sonar at 1 m returns SL + 10 log10(Ω₂/π), Ω₂ the
+    integral of the two-way pattern over solid angle. The beam receives NL + 10 log10 B − DI of isotropic noise, where
+    DI = 10 log10(4π/Ω₁), Ω₁ the integral of the receive pattern [1]_. The difference is
+    NL + 10 log10 B − SL − 6.02 dB + 10 log10(Ω₁/Ω₂). For ambient noise of another level, add its difference from
+    `thermal_noise_db`. The self-noise of real receivers is higher by tens of dB.
 
     References
     ----------
@@ -63,19 +66,21 @@ def ambient_noise_db(frequency_hz, bandwidth_hz, source_level_db):
     -122.16
     """
     level = thermal_noise_db(frequency_hz) + 10 * np.log10(np.asarray(bandwidth_hz, np.float64))
-    return level - source_level_db - 10 * np.log10(4)
+    return level - source_level_db - 10 * np.log10(4) + 10 * np.log10(receive_per_echo)
 
 
 class AbsoluteLevels(NamedTuple):
-    """The terms of the active sonar equation, for a sonar whose source level is known.
+    """The terms of the active sonar equation of a beam, for a sonar whose source level is known.
+
+    The solid angles Ω₁ of its receive pattern, one way, and Ω₂ of the two-way pattern are those of
+    `sonar_gl.acoustics.solid_angle.beam_solid_angles`.
 
     Attributes
     ----------
     source_level_db : SL, dB re 1 µPa at 1 m
     bandwidth_hz : B of the matched filter
-    directivity_index_db : DI = 10 log10(4π/Ω), where the beam of solid angle Ω counts as a box: `beam_width_deg`
-        wide and `elevation_fov_deg` high
-    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω/π): the echo of a lossless Lambert sphere about the sonar, at
+    directivity_index_db : DI = 10 log10(4π/Ω₁)
+    echo_level_db : dB re 1 µPa, SL + 10 log10(Ω₂/π): the echo of a lossless Lambert sphere about the sonar, at
         1 m, to which levels of `Noise` and an intensity of 1 before the TVG refer. At range r it is lower by 20 log10 r
         + 2αr: the two-way transmission loss 40 log10 r + 2αr, less 20 log10 r, by which the insonified area grows
     thermal_noise_level_db : dB re 1 µPa, NL + 10 log10 B of `thermal_noise_db`, in all directions
@@ -92,13 +97,16 @@ class AbsoluteLevels(NamedTuple):
     self_noise_level_db: float
 
 
-def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
+def absolute_levels(sonar: Sonar, acoustics: Acoustics, beam: int | None = None) -> AbsoluteLevels:
     """Return the absolute terms of the active sonar equation [1]_.
 
     Parameters
     ----------
     sonar : with its `source_level_db`. Without a `bandwidth_hz` its resolution cell is as long as a bin
-    acoustics : Acoustics; its speed of sound counts where the bandwidth follows from the bins
+    acoustics : Acoustics, whose beam patterns count; its speed of sound counts where the bandwidth follows from the
+        bins
+    beam : its number; None: the one nearest to the boresight. Those of most sonars differ by 0.3 dB at most; those of
+        one straight array whose beams broaden (`steered="straight"`) are wider aside
 
     Raises
     ------
@@ -113,7 +121,7 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
     >>> sonar = load_sonar("p900-45,bandwidth_hz=30e3,source_level_db=205")
     >>> levels = absolute_levels(sonar, Acoustics.physical())
     >>> round(levels.directivity_index_db, 1), round(levels.thermal_noise_db, 2), round(levels.echo_level_db, 1)
-    (33.2, -122.16, 177.9)
+    (30.8, -120.55, 178.6)
     """
     level_db = sonar.source_level_db
     if level_db is None:
@@ -123,16 +131,16 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics) -> AbsoluteLevels:
             "ambient_db)"
         )
     bandwidth_hz = acoustics.pulse_response(sonar).bandwidth_hz
-    height = 2 * math.sin(math.radians(sonar.elevation_fov_deg) / 2)
-    solid_angle_sr = math.radians(sonar.beam_width_deg) * height
-    echo_level_db = level_db + 10 * math.log10(solid_angle_sr / math.pi)
+    receive_sr, echo_sr = beam_solid_angles(sonar, acoustics, beam)
+    echo_level_db = level_db + 10 * math.log10(echo_sr / math.pi)
+    noise_db = ambient_noise_db(sonar.frequency_hz, bandwidth_hz, level_db, receive_sr / echo_sr)
     return AbsoluteLevels(
         source_level_db=level_db,
         bandwidth_hz=bandwidth_hz,
-        directivity_index_db=10 * math.log10(4 * math.pi / solid_angle_sr),
+        directivity_index_db=10 * math.log10(4 * math.pi / receive_sr),
         echo_level_db=echo_level_db,
         thermal_noise_level_db=float(thermal_noise_db(sonar.frequency_hz)) + 10 * math.log10(bandwidth_hz),
-        thermal_noise_db=float(ambient_noise_db(sonar.frequency_hz, bandwidth_hz, level_db)),
+        thermal_noise_db=float(noise_db),
         self_noise_level_db=echo_level_db + sonar.self_noise_db,
     )
 
@@ -146,7 +154,8 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
 
     Returns
     -------
-    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m
+    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m; of thermal noise that of the beam
+    nearest to the boresight, from which others differ by 0.3 dB at most
 
     Raises
     ------

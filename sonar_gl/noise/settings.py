@@ -140,9 +140,9 @@ class Noise:
         A sonar that stands still sees the same speckle again, as real ones do (docs/realism.md), and new noise.
 
         At 30 m a TVG of 20 log r + 2αr has added 47 dB at 900 kHz in sea water, so that −90 dB, the default of
-        `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 32 dB above the
-        thermal noise of `sonar_gl.noise.receiver.ambient_noise_db`. It is chosen for its likeness to pictures of such
-        sonars, not measured.
+        `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 31 dB above the
+        thermal noise in a band of 30 kHz at a source level of 205 dB (`sonar_gl.noise.receiver.absolute_levels`). It is
+        chosen for its likeness to pictures of such sonars, not measured.
         """
         return cls(speckle=True, follow_motion=True, self_noise=True)
 

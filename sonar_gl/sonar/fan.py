@@ -153,7 +153,7 @@ def make_fan(
     wide_columns_per_support : the half-width of the beams' support holds at least so many wide columns, about
     """
     azimuths = sonar.azimuth_rad
-    start, stop = _ends_of_fan(sonar, beams)
+    start, stop = ends_of_fan_rad(sonar, beams)
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
     n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
@@ -209,8 +209,13 @@ def make_fan(
     return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, beams.are_cones)
 
 
-def _ends_of_fan(sonar: Sonar, beams: BeamShape) -> tuple[float, float]:
-    """Return the azimuths between which the beams receive, radians."""
+def ends_of_fan_rad(sonar: Sonar, beams: BeamShape) -> tuple[float, float]:
+    """Return the azimuths between which the beams receive, radians; columns lie between them.
+
+    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> round(float(ends_of_fan_rad(load_sonar("gemini-720im"), BeamShape(0.1))[1]), 3)  # 45 degrees and 0.1
+    0.885
+    """
     azimuths = sonar.azimuth_rad
     start, stop = azimuths[0] - beams.support_rad, azimuths[-1] + beams.support_rad
     if stop - start > 2 * math.pi - 1e-9:

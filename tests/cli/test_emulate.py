@@ -115,7 +115,7 @@ def test_port_0_is_told_as_the_port_that_the_system_chose(device, monkeypatch):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
-    """The first ping may compile for a minute or two."""
+    """The first ping may compile for some minutes."""
 
     def interrupt(*_, **__):
         raise KeyboardInterrupt

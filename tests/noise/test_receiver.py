@@ -23,40 +23,84 @@ def test_thermal_noise_level():
     # twice the bandwidth is 3.01 dB more, a source louder by 1 dB is 1 dB less
     first, second = ambient_noise_db(900e3, 30e3, 205.0), ambient_noise_db(900e3, 60e3, 206.0)
     assert second - first == pytest.approx(2.0103, abs=1e-4)
+    # twice the solid angle of the receive pattern lets in twice as much
+    wide = ambient_noise_db(900e3, 30e3, 205.0, receive_per_echo=2.0)
+    assert wide - first == pytest.approx(10 * np.log10(2), abs=1e-9)
 
 
-def test_absolute_levels_by_hand():
+BY_HAND = Sonar(
+    "s",
+    500e3,
+    64,
+    100,
+    60.0,
+    20.0,
+    1.0,
+    0.5,
+    30.0,
+    bandwidth_hz=100e3,
+    source_level_db=210.0,
+    self_noise_db=-80.0,
+)
+
+
+def test_absolute_levels_of_boxes_by_hand():
     """A beam of 1° x 20° at 500 kHz, SL 210 dB, 100 kHz of bandwidth: the active sonar equation, term by term."""
-    sonar = Sonar(
-        "s",
-        500e3,
-        64,
-        100,
-        60.0,
-        20.0,
-        1.0,
-        0.5,
-        30.0,
-        bandwidth_hz=100e3,
-        source_level_db=210.0,
-        self_noise_db=-80.0,
-    )
-    levels = absolute_levels(sonar, Acoustics.physical())
+    levels = absolute_levels(BY_HAND, Acoustics.ideal())
     beam_sr = np.radians(1.0) * 2 * np.sin(np.radians(10.0))
     assert levels.source_level_db == 210 and levels.bandwidth_hz == 100e3
-    assert levels.directivity_index_db == pytest.approx(10 * np.log10(4 * np.pi / beam_sr), abs=1e-12)
+    assert levels.directivity_index_db == pytest.approx(10 * np.log10(4 * np.pi / beam_sr), abs=1e-9)
     # Lambert's lossless surface: 1/π per steradian, over the area Ω that the beam cuts out at 1 m
-    assert levels.echo_level_db == pytest.approx(210 + 10 * np.log10(1 / np.pi * beam_sr), abs=1e-12)
+    assert levels.echo_level_db == pytest.approx(210 + 10 * np.log10(1 / np.pi * beam_sr), abs=1e-9)
     assert levels.thermal_noise_level_db == pytest.approx(-15 + 20 * np.log10(500) + 50, abs=1e-12)
     received_db = levels.thermal_noise_level_db - levels.directivity_index_db
-    assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-12)
+    assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-9)
     assert levels.self_noise_level_db == pytest.approx(levels.echo_level_db - 80, abs=1e-12)
+
+
+def test_noise_is_received_one_way_and_echo_two_ways():
+    """Line arrays: DI is that of the receive pattern, the echo's level that of the two-way pattern.
+
+    Both solid angles are sums of sinc² in azimuth and sinc², or sinc⁴, in elevation, whose −3 dB width is two-way.
+    """
+    levels = absolute_levels(BY_HAND, Acoustics.physical())
+    azimuth, elevation = (np.linspace(-a, a, 200_001) for a in (np.pi / 2, np.pi / 2))
+    across = np.sinc(0.4429464707 * np.sin(azimuth) / np.sin(np.radians(0.5))) ** 2
+    upright = np.sinc(0.3189166 * np.sin(elevation) / np.sin(np.radians(10.0))) ** 2
+    width = across.mean() * np.pi
+    one_way_sr, two_way_sr = (width * (upright**ways * np.cos(elevation)).mean() * np.pi for ways in (1, 2))
+    assert one_way_sr / two_way_sr > 1.4  # 1.5 dB
+    # what lies beyond 75 degrees off the axis fades out, and the echo ends with the fan: 0.2 % of the side lobes
+    assert levels.directivity_index_db == pytest.approx(10 * np.log10(4 * np.pi / one_way_sr), abs=0.02)
+    assert levels.echo_level_db == pytest.approx(210 + 10 * np.log10(two_way_sr / np.pi), abs=0.02)
+    received_db = levels.thermal_noise_level_db - levels.directivity_index_db
+    assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-9)
+
+
+def test_beams_that_broaden_aside_have_levels_of_their_own():
+    """A straight array's beam at 29.5 degrees is 1/cos of it as wide: its echo is by as much stronger."""
+    straight = replace(BY_HAND, steered="straight")
+    ahead, aside = (
+        absolute_levels(straight, Acoustics.physical(conical_beams=False, far_side_lobes=False), beam)
+        for beam in (None, 0)
+    )
+    louder_db = -10 * np.log10(np.cos(straight.azimuth_rad[0]))
+    # all beams end as far aside as the outermost one: the side lobes there are 0.5 % of the others' energy, 0.02 dB
+    assert aside.echo_level_db - ahead.echo_level_db == pytest.approx(louder_db, abs=0.03)
+    assert ahead.directivity_index_db - aside.directivity_index_db == pytest.approx(louder_db, abs=0.03)
 
 
 def test_thermal_noise_has_the_level_that_follows_from_the_sonar():
     ping = even_ping(200, 1000, 2.0, level=0.0, source_level_db=180.0, bandwidth_hz=100e3)
     wanted = 10 ** (absolute_levels(ping.sonar, ping.acoustics).thermal_noise_db / 10)
     assert noisy(Noise(thermal_noise=True), ping).mean() == pytest.approx(wanted, rel=SIGMAS / np.sqrt(2e5))
+    arrays = {"beam_pattern": "line_array", "elevation_pattern": "line_array", "source_level_db": 180.0}
+    of_arrays = even_ping(200, 1000, 2.0, level=0.0, bandwidth_hz=100e3, **arrays)
+    more = 10 ** (absolute_levels(of_arrays.sonar, of_arrays.acoustics).thermal_noise_db / 10)
+    assert more > 1.4 * wanted  # as the receive pattern is wider than the two-way one, by 1.5 dB
+    assert noisy(Noise(thermal_noise=True), of_arrays).mean() == pytest.approx(
+        more, rel=SIGMAS / np.sqrt(2e5)
+    )
     both = noisy(Noise(thermal_noise=True, ambient_db=10 * np.log10(wanted)), ping)
     assert both.mean() == pytest.approx(2 * wanted, rel=SIGMAS / np.sqrt(2e5))
 
