@@ -92,8 +92,8 @@ class _Announcement(event.Listener):
             return  # a function of the program that uses this package
         if self.is_wanted:
             print(
-                "sonar_gl: compiling numerical kernels, which takes a minute or two, once after each installation "
-                "('sonar-gl doctor' compiles all of them)",
+                "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), once "
+                "after each installation ('sonar-gl doctor' compiles all of them)",
                 file=sys.stderr,
             )
         self.is_wanted = False
