@@ -23,6 +23,7 @@ from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import plan as costs
 from sonar_gl.imaging.files import NPZ_FIELDS
+from tests.support.batches import LABELS, make_all, write_plain_job
 from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
@@ -311,6 +312,34 @@ def test_the_page_of_batches_runs(folder):
         if kind in KINDS:
             told = set(re.findall(r"`(\w+)`", settings))
             assert told == {field.name for field in dataclasses.fields(KINDS[kind])}, kind
+
+
+VARIED = '[[vary.bodies]]\nnames = ["box_1"]\nx_m = [-0.5, 0.5]\n'
+VARIED_MEDIA = (
+    "[vary.water]\ntemperature_c = [2.0, 20.0]\n[vary.noise]\nambient_db = [-80.0, -60.0]\nlooks = [2, 4]\n"
+)
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize(
+    ("vary", "has_labels"),
+    [
+        pytest.param("", True, id="nothing"),
+        pytest.param(VARIED, True, id="poses"),
+        pytest.param(VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, id="all"),
+    ],
+)
+def test_the_block_that_makes_a_ping_again_is_for_any_job_with_one_scene(folder, vary, has_labels):
+    job = write_plain_job(folder, 4, 4, vary + LABELS * has_labels)
+    make_all(job, folder / "pylons")
+    (code,) = [
+        block.values[0] for block in blocks("python", [BATCHES]) if "receiver_power(again" in block.values[0]
+    ]
+    assert 'load_scene("pylon")' in code
+    names = {"__name__": "__main__"}
+    exec(compile(code.replace('load_scene("pylon")', 'load_scene("tank.sdf")'), "example", "exec"), names)
+    assert names["again"].intensity.sum() == pytest.approx(float(names["pings"].echo[3]), rel=1e-6)
+    assert ("body_id" in names) == has_labels
 
 
 @pytest.mark.parametrize(
