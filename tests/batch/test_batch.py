@@ -874,6 +874,16 @@ BAD = [
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
     ("mount = [0.0,", "mount = [", "sonars[1].mount: should have a length of at least 6 (got "),
+    (
+        "mount = [0.0, 0.0, 0.0, 1.5707963267948966, 0.0, 0.0]",
+        "mount = [0, 0, 0, 0, 30, 0]",
+        "sonars[1].mount: pose angles must be radians, within ±2π (got roll pitch yaw = 0 30 0; if these are degrees,",
+    ),
+    (
+        "[labels]",
+        "[optical]\nmount = [1e10, 0, 0, 0, 0, 0]\n[labels]",
+        "optical.mount: pose must lie within 1e+09 m of the origin (got x y z = 1e+10 0 0; give metres)",
+    ),
     ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
     ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
     (
@@ -951,7 +961,12 @@ BAD = [
     (
         "yaw_rad = [-1.0, 1.0]",
         "yaw_rad = 90.0",
-        ".yaw_rad: should lie in -6.283..6.283 (got 90.0)\n",
+        "vary.bodies[0].yaw_rad: should lie in -6.283..6.283 (got 90.0; give radians: degrees times π/180)\n",
+    ),
+    (
+        "yaw_rad = [-1.0, 1.0]",
+        "yaw_rad = [-180, 180]",
+        "vary.bodies[0].yaw_rad: should lie in -6.283..6.283 (got [-180, 180]; give radians: degrees times π/180)\n",
     ),
     ('kind = "sector"', 'kind = ["sector"]', "poses[0]: kind must be one of trajectory, lawnmower"),
     (
