@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -15,7 +16,7 @@ from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
-from sonar_gl.core.input_files import check_no_link_loop
+from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
@@ -137,7 +138,7 @@ class BatchRequests(Sequence):
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))
         self._starts = [run.numbers.start for run in self.runs]
-        self._scenes, self._moved_names = {}, {}
+        self._scenes, self._moved_names, self._files = {}, {}, {}
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -237,7 +238,19 @@ class BatchRequests(Sequence):
         with errors_at(f"{self.job.where}: scenes[{index}]"):
             check_no_link_loop(path)
             found = str(path) if is_file or _names_file(split_arguments(name)[0]) else name
-            return load_scene(found, folders, self.job.skip_missing)
+            with noted_files() as files:
+                scene = load_scene(found, folders, self.job.skip_missing)
+        self._files[index] = files
+        return scene
+
+    def files(self) -> list[str]:
+        """Return the absolute paths of all files that decide the pings: those of the job, and those of its scenes."""
+        found = dict.fromkeys(os.path.abspath(path) for path in self.job.files())
+        for index in range(len(self.job.scenes)):
+            if index not in self._files:
+                self.scene(index)
+            found |= dict.fromkeys(self._files[index])
+        return list(found)
 
     def _keep_scene(self, index: int, scene: Scene) -> None:
         """Cache a scene without what the job leaves out. A pattern need not match a body of every scene."""

@@ -25,7 +25,7 @@ from sonar_gl.batch.manifest import (
 from sonar_gl.batch.parts import Batch, HardView
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, some_names
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.scene import Scene
 
@@ -189,7 +189,8 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
     if manifest is not None and manifest.digest != batch.schema.digest:
         now, then = job.plain, manifest.job
         changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
-        what = ", ".join(changed) or "the contents of a file, of the job or of a scene"
+        changed += manifest.changed_files(batch.schema.files)
+        what = some_names(changed) if changed else "the contents of a file, of the job or of a scene"
         raise Error(
             f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
             "that, or give another folder)"

@@ -1160,5 +1160,65 @@ def test_existing_files_are_not_overwritten(small, tmp_path):
     assert files_of(out) == before
 
 
+def test_resuming_names_the_files_that_have_changed(tmp_path):
+    """Files of the job, meshes, included models and what these name; in and beside the folder of the job."""
+    folder, meshes = tmp_path / "job", tmp_path / "meshes"
+    (meshes / "rock").mkdir(parents=True)
+    folder.mkdir()
+    job = write_job(folder, 2, "")
+    job.write_text('resource_paths = ["../meshes"]\n' + job.read_text())
+    trimesh.creation.box((1, 20, 20)).export(folder / "wall.obj")
+    for name, data in _gltf(1.0).items():
+        (meshes / "rock" / name).write_bytes(data)
+    (meshes / "rock" / "model.sdf").write_text(
+        "<sdf version='1.9'><model name='rock'><link name='l'><collision name='c'><geometry><mesh><uri>model.gltf</uri>"
+        "</mesh></geometry><laser_retro>9</laser_retro></collision></link></model></sdf>"
+    )
+    rock = "<include><uri>model://rock</uri><pose>4 1 0 0 0 0</pose></include></world>"
+    text = (folder / "tank.sdf").read_text().replace("</world>", rock)
+    wall = "<box><size>1 20 20</size></box>"
+    (folder / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.obj</uri></mesh>", 1))
+    batch = open_batch(job, tmp_path / "out")
+    begin(batch).save(batch.folder)
+
+    def changed():
+        status, out, err = run("batch", job, "--out", tmp_path / "out", "--resume", "--workers", "1")
+        assert (status, out) == (2, "")
+        return re.search(r"resumed with the job that began it \(changed: (.*); restore that, or", err)[1]
+
+    buffer = "gltf_buffer_1.bin"  # the vertices
+    changes = {
+        folder / "wall.obj": ("wall.obj", lambda data: data.replace(b"v 0.5", b"v 0.6")),
+        folder / "tank.sdf": ("tank.sdf", lambda data: data + b"<!-- another one -->"),
+        folder / "small.toml": ("small.toml", lambda data: data + b"# another one"),
+        meshes / "rock" / "model.sdf": (
+            None,
+            lambda data: data.replace(b"</uri>", b"</uri><scale>1 1 2</scale>"),
+        ),
+        meshes / "rock" / buffer: (None, lambda _: _gltf(1.5)[buffer]),
+    }
+    for path, (name, change) in changes.items():
+        before = path.read_bytes()
+        path.write_bytes(change(before))
+        assert changed() == (name or str(path))
+        path.write_bytes(before)
+    for path in (folder / "wall.obj", folder / "small.toml"):
+        path.write_bytes(changes[path][1](path.read_bytes()))
+    job.write_text(job.read_text().replace("seed = 5", "seed = 6"))
+    assert changed() == "seed, small.toml, wall.obj"
+    record = batch.folder.get_record("batch.json", "")  # as it was before it held the files
+    assert len(record.pop("files")) == 7
+    batch.folder.put_record("batch.json", record)
+    assert Manifest.load(batch.folder).identity == batch.manifest.identity
+    assert changed() == "seed"
+    job.write_text(job.read_text().replace("seed = 6", "seed = 5"))
+    assert changed() == "the contents of a file, of the job or of a scene"
+
+
+def _gltf(height_m):
+    """Return the files of a box, by name."""
+    return trimesh.creation.box((1, 1, height_m)).scene().export(file_type="gltf")
+
+
 def test_the_pings_in_progress_are_those_that_a_sequence_may_have_begun():
     assert IN_PROGRESS == 2 * sequence.BATCH + 1
