@@ -23,6 +23,7 @@ from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import Noise, check_moved_amounts
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar, load_sonar
@@ -239,7 +240,7 @@ class BatchRequests(Sequence):
             check_no_link_loop(path)
             found = str(path) if is_file or _names_file(split_arguments(name)[0]) else name
             with noted_files() as files:
-                scene = load_scene(found, folders, self.job.skip_missing)
+                scene = _load_for_job(found, folders, self.job.skip_missing)
         self._files[index] = files
         return scene
 
@@ -304,6 +305,21 @@ class BatchRequests(Sequence):
         index = list(self.sonars).index(sonar)
         key = np.random.SeedSequence(self.job.seed, spawn_key=(NOISE_STREAM, index))
         return int(key.generate_state(1, np.uint32)[0])
+
+
+def _load_for_job(what: str, folders: list[Path], skip_missing: bool) -> Scene:
+    """Load a scene; errors about missing files name the keys of a job, and not the options of other commands."""
+    try:
+        return load_scene(what, folders, skip_missing)
+    except Error as why:
+        text = str(why)
+        for option, key in (
+            (GIVE_FOLDERS, "the key resource_paths"),
+            (f"{SKIP_MISSING}True", "skip_missing = true"),
+            (f"{SKIP_MISSING} are", "skip_missing is"),
+        ):
+            text = text.replace(option, key)
+        raise type(why)(text) from None
 
 
 def _names(scene: Scene) -> list[str]:

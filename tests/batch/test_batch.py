@@ -815,6 +815,26 @@ def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch)
     assert read_job(path).digest != digest
 
 
+def test_what_is_missing_of_a_scene_is_cured_by_keys_of_the_job(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    text = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "tank.sdf").write_text(
+        text.replace("<box><size>1 20 20</size></box>", "<mesh><uri>wall.stl</uri></mesh>", 1)
+    )
+    status, _, err = run("batch", path, "--out", tmp_path / "out")
+    assert status == 2 and err.endswith(
+        "\nGive the folders that hold them (the key resource_paths), or carry on without them (skip_missing = true).\n"
+    )
+    robot = (
+        "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'><xacro:include filename='{}'/></robot>"
+    )
+    (tmp_path / "r.xacro").write_text(robot.format("package://none/a.xacro"))
+    path.write_text(path.read_text().replace("tank.sdf", "r.xacro"))
+    status, _, err = run("batch", path, "--out", tmp_path / "out")
+    assert status == 2 and "that holds it (the key resource_paths; searched: " in err
+    assert err.endswith("macros cannot be skipped (skip_missing is for models and meshes))\n")
+
+
 def test_files_are_those_beside_the_job_and_no_others(tmp_path, monkeypatch):
     """A file of the same name where the command runs is not taken: other processes, and a resumption, would miss it."""
     (tmp_path / "here").mkdir()
