@@ -32,6 +32,7 @@ from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
 from sonar_gl.imaging.styles import what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
+from sonar_gl.sonar.sonar import MAX_BINS
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # errors of pydantic about the length of a list
@@ -125,7 +126,7 @@ class SonarTable(Table):
     sonar: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = None
     range_m: Annotated[float, Field(gt=0)] = None
-    bins: Annotated[int, Field(ge=1)] = None
+    bins: Annotated[int, Field(ge=1, le=MAX_BINS)] = None
     mount: Mount = Field([0.0] * 6)
 
 

@@ -376,8 +376,10 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
     with errors_at(where):
         check_no_link_loop(path)
         sonar = load_sonar(f"{path}{more}" if path.is_file() or _names_file(name) else table.sonar)
-        sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
-        return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
+        if table.range_m is None:
+            return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
+    with errors_at(f"{where}.range_m"):
+        return sonar.with_range(table.range_m, table.bins)
 
 
 def _load_acoustics(job: Job) -> Acoustics:

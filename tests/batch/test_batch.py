@@ -904,6 +904,12 @@ BAD = [
         "[optical]\nmount = [1e10, 0, 0, 0, 0, 0]\n[labels]",
         "optical.mount: pose must lie within 1e+09 m of the origin (got x y z = 1e+10 0 0; give metres)",
     ),
+    (
+        "range_m = 6.5",
+        "range_m = 8000",
+        "sonars[1].range_m: sonar 'small': the range must not exceed 6554 m with bins of",
+    ),
+    ("range_m = 6.5", "bins = 70000", "sonars[1].bins: should be less than or equal to 65536 (got 70000)"),
     ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
     ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
     (
