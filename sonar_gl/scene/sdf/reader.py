@@ -135,6 +135,12 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
                 f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
                 f"their reflectivity is taken as {reflectivity}"
             )
+    if 0 < max(reader.retros, default=0) <= 1:
+        got = some_names([f"{value:g}" for value in sorted(reader.retros)])
+        warn_caller(
+            f"{path}: no <laser_retro> is more than 1 (got {got}), where {MAX_RETRO} stands for a reflectivity of 1; "
+            f"multiply them by {MAX_RETRO} if they are reflectivities"
+        )
     if changed:
         warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)
