@@ -162,6 +162,34 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
+    root = xr.open_dataset(small / "out" / "pings.zarr")
+    assert not root.variables and root.attrs["sonars"] == ["level", "upright"]
+    for name in root.attrs["sonars"]:
+        group = xr.open_dataset(small / "out" / "pings.zarr", group=name)
+        assert group.attrs["sonar"] == name and group.sizes["ping"] == N
+        assert {**root.attrs, **group.attrs} == {**group.attrs, "sonars": root.attrs["sonars"]}
+
+
+def test_a_set_from_before_its_root_named_the_groups_is_checked_and_resumed(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    root, folder = copy / "pings.zarr" / "zarr.json", Folder(copy)
+    values = json.loads(root.read_bytes())
+    del values["attributes"]["sonars"]
+    folder.put_json("pings.zarr/zarr.json", values)
+    done = folder.get_record("done.json", "")
+    done["files"]["pings.zarr/zarr.json"] = folder.checksum("pings.zarr/zarr.json")
+    folder.put_record("done.json", done)
+    before = files_of(copy)
+    assert check(folder, nullcontext) == []
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == before
+    for name in ("done.json", "parts/0000001.json"):
+        (copy / name).unlink()
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == files_of(small / "out")
+
+
 @pytest.mark.slow
 def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     write_job(tmp_path)
