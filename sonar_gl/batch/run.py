@@ -283,8 +283,13 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     one_s, processes = n * cost.seconds_per_ping, min(len(devices), manifest.n_parts)
     best_s = _busiest_pings(manifest, processes) * cost.seconds_per_ping
     lines.append(
-        f"time: {_duration(one_s)} in one process ({1e3 * cost.seconds_per_ping:.1f} ms a ping, on "
-        f"{manifest.system.gl_renderer}), {_duration(best_s)} at best in {processes}"
+        f"speed: {1 / cost.seconds_per_ping:.3g} pings a second in one process ({1e3 * cost.seconds_per_ping:.1f} ms a "
+        f"ping, on {manifest.system.gl_renderer}; measured on this machine by pings 0..{len(manifest.numbers(0)) - 1}, "
+        "after all was compiled)"
+    )
+    lines.append(
+        f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "
+        "has as many cores"
     )
     return "\n".join(lines)
 

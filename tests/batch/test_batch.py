@@ -417,7 +417,15 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     assert lines[at + 1].startswith("  ping ") and "vehicle at '0 0 0 " in lines[at + 1]
     assert " samples for body 'rod', estimated error 0.0" in lines[at + 1]
     assert lines[at + 4].startswith("8 pings in 4 parts")
-    assert lines[at + 6].endswith(" at best in 4")  # no more processes than parts
+    rate, ms = re.fullmatch(
+        r"speed: (\S+) pings a second in one process \((\S+) ms a ping, on .*; measured on this machine by pings 0..1, "
+        r"after all was compiled\)",
+        lines[at + 6],
+    ).groups()
+    assert float(rate) * float(ms) == pytest.approx(1000, rel=0.02)  # of three figures, and of 0.1 ms
+    one_s = re.match(r"time: (\S+) seconds for all pings in one process, ", lines[at + 7])[1]
+    assert float(one_s) == pytest.approx(8e-3 * float(ms), rel=0.02)
+    assert lines[at + 7].endswith(" at best in 4, if each has as many cores")  # no more processes than parts
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):

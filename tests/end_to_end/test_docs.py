@@ -288,7 +288,12 @@ def test_the_page_of_batches_runs(folder):
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
-            assert re.search(r"^time: .* ms a ping, on .*\), .* at best in \d+", result.stdout, re.M)
+            assert re.search(
+                r"^speed: \S+ pings a second in one process \(\S+ ms a ping, on .*; measured on this machine by ",
+                result.stdout,
+                re.M,
+            )
+            assert re.search(r"^time: .* in one process, .* at best in \d+, if each", result.stdout, re.M)
             assert set(os.listdir()) == before
     found = sum(path.stat().st_size for path in Path("pylons").rglob("*") if path.is_file())
     assert 0.8 < found / 9e3 / size_kb < 1.3  # the rest is what a whole batch has once
