@@ -26,11 +26,13 @@ from pydantic import (
 
 from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
 from sonar_gl.imaging.styles import what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
+from sonar_gl.sonar.sonar import MAX_BINS
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # errors of pydantic about the length of a list
@@ -44,6 +46,8 @@ REPLACED = {
     "db_range": 'counts = { law = "db", low_db = -50, high_db = 0 }',
     "bits": "counts = { bits = 16 }",
 }
+# of keys, in messages: the cure of a wrong value
+METRES, RADIANS = "give metres", "give radians: degrees times π/180"
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
 
 # ---- values -----------------------------------------------------------------------------------------
@@ -69,6 +73,11 @@ def _check_counts(value):
     return value
 
 
+def _check_mount(numbers: list[float]) -> list[float]:
+    check_pose(pose(*numbers))
+    return numbers
+
+
 def _check_colormap(name: str) -> str:
     colours(name)
     return name
@@ -77,10 +86,18 @@ def _check_colormap(name: str) -> str:
 # A varied value is one number, or [low, high] for a uniform random draw in each ping.
 Varied = Annotated[Any, BeforeValidator(_check_varied)]
 VariedShare = Annotated[Any, BeforeValidator(partial(_check_varied, low=0.0, high=1.0))]
-VariedMetres = Annotated[Any, BeforeValidator(partial(_check_varied, low=-1e8, high=1e8))]
-VariedRadians = Annotated[Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283))]
+VariedMetres = Annotated[
+    Any, BeforeValidator(partial(_check_varied, low=-1e8, high=1e8)), Field(description=METRES)
+]
+VariedRadians = Annotated[
+    Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283)), Field(description=RADIANS)
+]
 CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
-Mount = Annotated[list[float], Field(min_length=6, max_length=6)]
+Mount = Annotated[
+    list[float],
+    Field(min_length=6, max_length=6, description="give [x, y, z, roll, pitch, yaw] in metres and radians"),
+    AfterValidator(_check_mount),
+]
 Names = Annotated[list[str], Field(min_length=1)]
 
 # settings of every table: no unknown keys, no conversion of types, no NaN
@@ -109,7 +126,7 @@ class SonarTable(Table):
     sonar: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = None
     range_m: Annotated[float, Field(gt=0)] = None
-    bins: Annotated[int, Field(ge=1)] = None
+    bins: Annotated[int, Field(ge=1, le=MAX_BINS)] = None
     mount: Mount = Field([0.0] * 6)
 
 
@@ -381,8 +398,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
 
 
-def _known_keys(kind: type, place: Iterable) -> list[str]:
-    """Return the keys of the table at a place, as far as the types say."""
+def _kind_at(kind: type, place: Iterable) -> type | None:
+    """Return the type of the table at a place, as far as the types say."""
     for key in place:
         if isinstance(key, int) or not hasattr(kind, "model_fields"):
             continue
@@ -390,12 +407,19 @@ def _known_keys(kind: type, place: Iterable) -> list[str]:
         inner = [] if field is None else [field.annotation, *getattr(field.annotation, "__args__", ())]
         found = [t for t in inner if isinstance(t, type) and issubclass(t, BaseModel)]
         kind = found[0] if found else None
-    return list(getattr(kind, "model_fields", ()))
+    return kind
+
+
+def _known_keys(kind: type, place: Iterable) -> list[str]:
+    """Return the keys of the table at a place, as far as the types say."""
+    return list(getattr(_kind_at(kind, place), "model_fields", ()))
 
 
 def _cure(kind: type, place: tuple) -> str:
-    """Return the description of a field, or ''."""
-    field = getattr(kind, "__pydantic_fields__", {}).get(place[0]) if place else None
+    """Return the description of the field that a place is in, or ''."""
+    names = [k for k, key in enumerate(place) if isinstance(key, str)]
+    table = _kind_at(kind, place[: names[-1]]) if names else None
+    field = getattr(table, "__pydantic_fields__", {}).get(place[names[-1]]) if names else None
     return getattr(field, "description", None) or ""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import chain
 from pathlib import PurePosixPath
@@ -49,6 +49,7 @@ class Manifest:
     n_pings, pings_per_part : number of pings in all and of each part but the last
     system : OpenGL and libraries that began the batch
     version : version of sonar_gl that began it
+    files : `Schema.files`, by which a changed file is named; empty in records of batches before there was such a field
     """
 
     job: dict
@@ -57,6 +58,7 @@ class Manifest:
     pings_per_part: int
     system: System
     version: str = __version__
+    files: dict[str, str] = field(default_factory=dict)
 
     @property
     def n_parts(self) -> int:
@@ -66,10 +68,21 @@ class Manifest:
     def identity(self) -> str:
         """SHA-256 of all that decides the parts, by which records say of which batch they are.
 
-        The job is in it by its own digest, which does not depend on where the file of the job is.
+        Job and files are in it by the digest, which does not depend on where they are.
         """
-        values = {key: value for key, value in asdict(self).items() if key != "job"}
+        values = {key: value for key, value in asdict(self).items() if key not in ("job", "files")}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    def changed_files(self, files: dict[str, str]) -> list[str]:
+        """Return the names of files that are others now: that have changed; if none has, that are new or gone.
+
+        Parameters
+        ----------
+        files : `Schema.files` of now; without such a record of the batch, nothing is known to have changed
+        """
+        then = self.files or files
+        changed = [name for name in sorted({*then} & {*files}) if then[name] != files[name]]
+        return changed or sorted({*then} ^ {*files})
 
     def numbers(self, part: int) -> range:
         """Return the numbers of a part's pings."""

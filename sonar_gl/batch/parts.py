@@ -121,7 +121,7 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
     try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
-    return Manifest(job.plain, schema.digest, n_pings, per_part, system)
+    return Manifest(job.plain, schema.digest, n_pings, per_part, system, files=schema.files)
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:
@@ -171,6 +171,7 @@ class HardView(NamedTuple):
     n_samples : samples that the tolerance takes
     error_estimate : estimated error with them
     body : name of the body that is nearest to its bound; empty if the whole ping is
+    has_echo : whether a body returns any
     """
 
     number: int
@@ -178,6 +179,7 @@ class HardView(NamedTuple):
     n_samples: int
     error_estimate: float
     body: str
+    has_echo: bool
 
 
 def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardView]:
@@ -191,10 +193,11 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
             for request in spread:
                 setup = run.set_up(request.for_sonar(mount))
                 with run.drawing():
-                    plan = run.sampler.choose(setup).plan
+                    tried, plan = run.sampler.choose(setup)
+                    has_echo = tried.echo.total > 0
                 decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
                 body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
-                found.append(HardView(request.number, name, n_samples, plan.bound, body))
+                found.append(HardView(request.number, name, n_samples, plan.bound, body, has_echo))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -15,13 +16,14 @@ from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
-from sonar_gl.core.input_files import check_no_link_loop
+from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import Noise, check_moved_amounts
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar, load_sonar
@@ -137,7 +139,7 @@ class BatchRequests(Sequence):
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))
         self._starts = [run.numbers.start for run in self.runs]
-        self._scenes, self._moved_names = {}, {}
+        self._scenes, self._moved_names, self._files = {}, {}, {}
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -237,7 +239,19 @@ class BatchRequests(Sequence):
         with errors_at(f"{self.job.where}: scenes[{index}]"):
             check_no_link_loop(path)
             found = str(path) if is_file or _names_file(split_arguments(name)[0]) else name
-            return load_scene(found, folders, self.job.skip_missing)
+            with noted_files() as files:
+                scene = _load_for_job(found, folders, self.job.skip_missing)
+        self._files[index] = files
+        return scene
+
+    def files(self) -> list[str]:
+        """Return the absolute paths of all files that decide the pings: those of the job, and those of its scenes."""
+        found = dict.fromkeys(os.path.abspath(path) for path in self.job.files())
+        for index in range(len(self.job.scenes)):
+            if index not in self._files:
+                self.scene(index)
+            found |= dict.fromkeys(self._files[index])
+        return list(found)
 
     def _keep_scene(self, index: int, scene: Scene) -> None:
         """Cache a scene without what the job leaves out. A pattern need not match a body of every scene."""
@@ -291,6 +305,21 @@ class BatchRequests(Sequence):
         index = list(self.sonars).index(sonar)
         key = np.random.SeedSequence(self.job.seed, spawn_key=(NOISE_STREAM, index))
         return int(key.generate_state(1, np.uint32)[0])
+
+
+def _load_for_job(what: str, folders: list[Path], skip_missing: bool) -> Scene:
+    """Load a scene; errors about missing files name the keys of a job, and not the options of other commands."""
+    try:
+        return load_scene(what, folders, skip_missing)
+    except Error as why:
+        text = str(why)
+        for option, key in (
+            (GIVE_FOLDERS, "the key resource_paths"),
+            (f"{SKIP_MISSING}True", "skip_missing = true"),
+            (f"{SKIP_MISSING} are", "skip_missing is"),
+        ):
+            text = text.replace(option, key)
+        raise type(why)(text) from None
 
 
 def _names(scene: Scene) -> list[str]:
@@ -347,8 +376,10 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
     with errors_at(where):
         check_no_link_loop(path)
         sonar = load_sonar(f"{path}{more}" if path.is_file() or _names_file(name) else table.sonar)
-        sonar = sonar if table.range_m is None else sonar.with_range(table.range_m)
-        return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
+        if table.range_m is None:
+            return sonar if table.bins is None else replace(sonar, n_bins=table.bins)
+    with errors_at(f"{where}.range_m"):
+        return sonar.with_range(table.range_m, table.bins)
 
 
 def _load_acoustics(job: Job) -> Acoustics:

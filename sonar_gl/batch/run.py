@@ -10,6 +10,8 @@ from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import DamagedRecordError, Folder
 from sonar_gl.batch.job import LOCATION_KEYS, Job
@@ -25,8 +27,9 @@ from sonar_gl.batch.manifest import (
 from sonar_gl.batch.parts import Batch, HardView
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, some_names
 from sonar_gl.core.poses import pose_numbers
+from sonar_gl.scene.extent import millimetres_text
 from sonar_gl.scene.scene import Scene
 
 HARDEST = 3  # views of each scene and sonar that a dry run names
@@ -189,7 +192,8 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
     if manifest is not None and manifest.digest != batch.schema.digest:
         now, then = job.plain, manifest.job
         changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
-        what = ", ".join(changed) or "the contents of a file, of the job or of a scene"
+        changed += manifest.changed_files(batch.schema.files)
+        what = some_names(changed) if changed else "the contents of a file, of the job or of a scene"
         raise Error(
             f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
             "that, or give another folder)"
@@ -270,6 +274,8 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
+        if text := millimetres_text(requests.scene(scene)):
+            report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     lines.append(f"{n} pings in {parts}")
     size = _amount(n * cost.bytes_per_ping)
@@ -277,8 +283,13 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     one_s, processes = n * cost.seconds_per_ping, min(len(devices), manifest.n_parts)
     best_s = _busiest_pings(manifest, processes) * cost.seconds_per_ping
     lines.append(
-        f"time: {_duration(one_s)} in one process ({1e3 * cost.seconds_per_ping:.1f} ms a ping, on "
-        f"{manifest.system.gl_renderer}), {_duration(best_s)} at best in {processes}"
+        f"speed: {1 / cost.seconds_per_ping:.3g} pings a second in one process ({1e3 * cost.seconds_per_ping:.1f} ms a "
+        f"ping, on {manifest.system.gl_renderer}; measured on this machine by pings 0..{len(manifest.numbers(0)) - 1}, "
+        "after all was compiled)"
+    )
+    lines.append(
+        f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "
+        "has as many cores"
     )
     return "\n".join(lines)
 
@@ -300,13 +311,26 @@ def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> li
     lines = [f"{size}, {counts[0]} to {counts[-1]} samples a ping, median {middle}, of {len(views)} pings"]
     hardest = sorted(views, key=lambda view: -view.n_samples)[:HARDEST]
     for view in hardest if counts[-1] > counts[0] else ():
-        pose = " ".join(f"{x:.4g}" for x in pose_numbers(requests[view.number].vehicle_pose))
+        pose = _pose_text(requests[view.number].vehicle_pose)
         why = f"body {view.body!r}" if view.body else "the whole ping"
         lines.append(
-            f"  ping {view.number}, vehicle at {pose!r}: {view.n_samples} samples for {why}, estimated error "
+            f"  ping {view.number}, vehicle at {pose}: {view.n_samples} samples for {why}, estimated error "
             f"{view.error_estimate:.2g}"
         )
+    silent = [view for view in views if not view.has_echo]
+    if silent:
+        first, verb = silent[0], "has" if len(silent) == 1 else "have"
+        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
+        lines.append(
+            f"  {len(silent)} of these {len(views)} pings {verb} no echo, such as ping {first.number}, sonar at "
+            f"{_pose_text(pose)} ('sonar-gl render --pose' says why)"
+        )
     return lines
+
+
+def _pose_text(pose: np.ndarray) -> str:
+    """Return a pose as --pose takes it."""
+    return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
 
 
 def _contents_text(scene: Scene) -> str:

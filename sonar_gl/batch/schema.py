@@ -11,6 +11,8 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -342,6 +344,18 @@ class Schema:
     def arrays(self, sonar: str) -> list[ArraySpec]:
         """Return all arrays of a sonar that are written part by part."""
         return [*self.layers(sonar), *self.body_arrays]
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of each file that decides the pings: of the job, and of its scenes, such as meshes.
+
+        Names are relative to the folder of the job, of files in it.
+        """
+        folder, found = Path(self._job.folder).absolute(), {}
+        for path in map(Path, self._requests.files()):
+            name = path.relative_to(folder) if path.is_relative_to(folder) else path
+            found[name.as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return found
 
     @property
     def bytes_per_ping(self) -> int:

@@ -56,7 +56,8 @@ def create_arrays(
     """
     _remove_partial_files(folder)
     files, part = {}, manifest.pings_per_part
-    root = zarr.create_group(MemoryStore(files), attributes=attributes)
+    of_root = {"sonars": list(groups)} if len(groups) > 1 else {}  # a root without arrays says where they are
+    root = zarr.create_group(MemoryStore(files), attributes={**attributes, **of_root})
     for name, entry in groups.items():
         group = root if len(groups) == 1 else root.require_group(name)
         group.attrs.update({**attributes, **entry.attributes})

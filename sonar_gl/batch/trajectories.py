@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sonar_gl.batch.job import STRICT, check_keys, job_error, key_path
+from sonar_gl.batch.job import METRES, RADIANS, STRICT, check_keys, job_error, key_path
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.poses import pose, read_poses
@@ -51,7 +51,6 @@ def _check_not_zero(value: float) -> float:
     return value
 
 
-METRES, RADIANS = "give metres", "give radians: degrees times π/180"
 BOUNDS_M, BOUNDS_RAD = "give [low, high] in metres", "give [low, high] in radians: degrees times π/180"
 Coordinate = _bounded(-MAX_COORDINATE_M, MAX_COORDINATE_M, METRES)
 Length = _bounded(1e-3, MAX_COORDINATE_M, METRES)

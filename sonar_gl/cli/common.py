@@ -48,7 +48,8 @@ def sonar_from(options, scene: Scene) -> Sonar:
         sonar = scene.sonar or load_sonar(DEFAULT_SONAR)
     else:
         sonar = named_sonar(options.sonar)
-    sonar = sonar if options.range is None else sonar.with_range(options.range)
+    if options.range is not None:
+        return sonar.with_range(options.range, options.bins)
     return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
 
 

@@ -5,11 +5,40 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 from sonar_gl.core.errors import Error
 
 LINK_LOOP = "a loop of symbolic links"
 GIT_LFS_HEAD = b"version https://git-lfs"  # of a pointer
+
+_noted: ContextVar[list[str] | None] = ContextVar("files noted in this thread", default=None)
+
+
+@contextmanager
+def noted_files() -> Iterator[list[str]]:
+    """Yield a list that this thread's calls of `note_file` in the block fill, with absolute paths; others get none.
+
+    >>> with noted_files() as found:
+    ...     check_is_file(__file__)
+    >>> found == [os.path.abspath(__file__)]
+    True
+    """
+    found: list[str] = []
+    token = _noted.set(found)
+    try:
+        yield found
+    finally:
+        _noted.reset(token)
+
+
+def note_file(path) -> None:
+    """Note, for `noted_files`, a file that is about to be read; `check_is_file` does so."""
+    found, place = _noted.get(), os.path.abspath(path)
+    if found is not None and place not in found:
+        found.append(place)
 
 
 def is_link_loop(path) -> bool:
@@ -37,6 +66,7 @@ def check_is_file(path) -> None:
     check_kind_of_file(path)
     if os.path.getsize(path) == 0:
         raise Error(f"{path}: must not be empty (got a file of 0 bytes)")
+    note_file(path)
 
 
 def check_kind_of_file(path, pipe: bool = False) -> None:

@@ -92,8 +92,8 @@ class LiveSettings:
     @property
     def device(self) -> Sonar:
         """The sonar with these ranges, bins and law of counts."""
-        sonar = self.sonar if self.range_m is None else self.sonar.with_range(self.range_m)
-        sonar = sonar if self.n_bins is None else replace(sonar, n_bins=self.n_bins)
+        sonar = self.sonar if self.n_bins is None else replace(self.sonar, n_bins=self.n_bins)
+        sonar = sonar if self.range_m is None else self.sonar.with_range(self.range_m, self.n_bins)
         return sonar if self.counts is None else replace(sonar, counts=self.counts)
 
     @property

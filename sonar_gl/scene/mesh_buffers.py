@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import LINK_LOOP, is_link_loop, read_error_text
+from sonar_gl.core.input_files import LINK_LOOP, is_link_loop, note_file, read_error_text
 
 MAX_BUFFER_BYTES = 1_000_000_000  # ten million triangles with corners and normals of their own take 840 MB
 FALLBACK = "model.gltf"  # that trimesh asks for if a glTF is no JSON
@@ -58,6 +58,7 @@ class MeshBuffers:
                 raise Error(
                     f"{location} must name a file of {most} MB or less (got {n_bytes // 1_000_000} MB)"
                 )
+            note_file(path)
             return path.read_bytes()
         except Error:
             raise

@@ -12,6 +12,7 @@ import numpy as np
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, errors_at, nearest_names, some_names
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.core.input_files import note_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
@@ -217,7 +218,10 @@ def _check_files(main: Path, resources: Resources, checked: set[Path]) -> None:
 
 
 def _find(file, main: Path, resources: Resources, location: str) -> Path | None:
-    return resources.find(str(main.parent.absolute() / file), main.parent, location)
+    found = resources.find(str(main.parent.absolute() / file), main.parent, location)
+    if found is not None:
+        note_file(found)  # MuJoCo reads it
+    return found
 
 
 def _check_data(data) -> None:

@@ -30,6 +30,7 @@ from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
+MAX_BINS = 65536  # also of beams
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
 TAPERS = ("uniform", "hamming", "taylor", "chebyshev")  # of line arrays
 CHOICES = {  # field: allowed names
@@ -158,10 +159,10 @@ class Sonar:
             with errors_at(location):
                 object.__setattr__(self, "counts", DEFAULT_COUNTS.changed(self.counts))
         for key in ("n_beams", "n_bins"):
-            check_whole_number(f"{location}: {key}", getattr(self, key), 1, 65536)
-        check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, 65536)
+            check_whole_number(f"{location}: {key}", getattr(self, key), 1, MAX_BINS)
+        check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, MAX_BINS)
         if self.n_bins_max is not None:
-            check_whole_number(f"{location}: n_bins_max", self.n_bins_max, 1, 65536)
+            check_whole_number(f"{location}: n_bins_max", self.n_bins_max, 1, MAX_BINS)
             if self.n_bins > self.n_bins_max:
                 raise Error(
                     f"{location}: n_bins must not exceed n_bins_max "
@@ -364,8 +365,10 @@ class Sonar:
         by_device_hz = math.inf if self.ping_rate_max_hz is None else float(self.ping_rate_max_hz)
         return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
 
-    def with_range(self, range_max_m: float) -> Sonar:
+    def with_range(self, range_max_m: float, n_bins: int | None = None) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them.
+
+        `n_bins` is how many bins it shall have in place of that.
 
         Where they would be more than `n_bins_max`, they are so many and longer. Set each range from the sonar of the
         shorter bins: a sonar with longer ones keeps their length.
@@ -380,10 +383,19 @@ class Sonar:
                 f"(got {number_text(range_max_m)})"
             )
         check_number(f"sonar {self.name!r}: the range", range_max_m, *RANGE_MAX_BOUNDS_M, "give metres")
-        if self.keeps_n_bins:
+        if self.keeps_n_bins and n_bins is None:
             return replace(self, range_max_m=range_max_m)
-        n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
-        n_bins = n_bins if self.n_bins_max is None else min(n_bins, self.n_bins_max)
+        if n_bins is None:
+            n_bins = max(1, round((range_max_m - self.range_min_m) / self.bin_size_m))
+            n_bins = n_bins if self.n_bins_max is None else min(n_bins, self.n_bins_max)
+            if n_bins > MAX_BINS:
+                most_m = self.range_min_m + MAX_BINS * self.bin_size_m
+                raise Error(
+                    f"sonar {self.name!r}: the range must not exceed {most_m:.4g} m with bins of "
+                    f"{self.bin_size_m:.3g} m, of which a sonar has {MAX_BINS} at most (got "
+                    f"{number_text(range_max_m)}; give a shorter range, or the number of bins, too: --bins, bins in a "
+                    "job, with_range(..., n_bins))"
+                )
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
 
 

@@ -162,6 +162,34 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
+    root = xr.open_dataset(small / "out" / "pings.zarr")
+    assert not root.variables and root.attrs["sonars"] == ["level", "upright"]
+    for name in root.attrs["sonars"]:
+        group = xr.open_dataset(small / "out" / "pings.zarr", group=name)
+        assert group.attrs["sonar"] == name and group.sizes["ping"] == N
+        assert {**root.attrs, **group.attrs} == {**group.attrs, "sonars": root.attrs["sonars"]}
+
+
+def test_a_set_from_before_its_root_named_the_groups_is_checked_and_resumed(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    root, folder = copy / "pings.zarr" / "zarr.json", Folder(copy)
+    values = json.loads(root.read_bytes())
+    del values["attributes"]["sonars"]
+    folder.put_json("pings.zarr/zarr.json", values)
+    done = folder.get_record("done.json", "")
+    done["files"]["pings.zarr/zarr.json"] = folder.checksum("pings.zarr/zarr.json")
+    folder.put_record("done.json", done)
+    before = files_of(copy)
+    assert check(folder, nullcontext) == []
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == before
+    for name in ("done.json", "parts/0000001.json"):
+        (copy / name).unlink()
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == files_of(small / "out")
+
+
 @pytest.mark.slow
 def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     write_job(tmp_path)
@@ -389,7 +417,15 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     assert lines[at + 1].startswith("  ping ") and "vehicle at '0 0 0 " in lines[at + 1]
     assert " samples for body 'rod', estimated error 0.0" in lines[at + 1]
     assert lines[at + 4].startswith("8 pings in 4 parts")
-    assert lines[at + 6].endswith(" at best in 4")  # no more processes than parts
+    rate, ms = re.fullmatch(
+        r"speed: (\S+) pings a second in one process \((\S+) ms a ping, on .*; measured on this machine by pings 0..1, "
+        r"after all was compiled\)",
+        lines[at + 6],
+    ).groups()
+    assert float(rate) * float(ms) == pytest.approx(1000, rel=0.02)  # of three figures, and of 0.1 ms
+    one_s = re.match(r"time: (\S+) seconds for all pings in one process, ", lines[at + 7])[1]
+    assert float(one_s) == pytest.approx(8e-3 * float(ms), rel=0.02)
+    assert lines[at + 7].endswith(" at best in 4, if each has as many cores")  # no more processes than parts
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
@@ -815,6 +851,26 @@ def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch)
     assert read_job(path).digest != digest
 
 
+def test_what_is_missing_of_a_scene_is_cured_by_keys_of_the_job(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    text = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "tank.sdf").write_text(
+        text.replace("<box><size>1 20 20</size></box>", "<mesh><uri>wall.stl</uri></mesh>", 1)
+    )
+    status, _, err = run("batch", path, "--out", tmp_path / "out")
+    assert status == 2 and err.endswith(
+        "\nGive the folders that hold them (the key resource_paths), or carry on without them (skip_missing = true).\n"
+    )
+    robot = (
+        "<robot name='r' xmlns:xacro='http://www.ros.org/wiki/xacro'><xacro:include filename='{}'/></robot>"
+    )
+    (tmp_path / "r.xacro").write_text(robot.format("package://none/a.xacro"))
+    path.write_text(path.read_text().replace("tank.sdf", "r.xacro"))
+    status, _, err = run("batch", path, "--out", tmp_path / "out")
+    assert status == 2 and "that holds it (the key resource_paths; searched: " in err
+    assert err.endswith("macros cannot be skipped (skip_missing is for models and meshes))\n")
+
+
 def test_files_are_those_beside_the_job_and_no_others(tmp_path, monkeypatch):
     """A file of the same name where the command runs is not taken: other processes, and a resumption, would miss it."""
     (tmp_path / "here").mkdir()
@@ -874,6 +930,22 @@ BAD = [
     ('kind = "sector"', 'kind = "circle"', "poses[0]: kind must be one of trajectory, lawnmower"),
     ('sonar = "small.toml"\n\n', 'sonar = "p900"\n\n', "sonars[0]: unknown sonar (got 'p900'; did you mean"),
     ("mount = [0.0,", "mount = [", "sonars[1].mount: should have a length of at least 6 (got "),
+    (
+        "mount = [0.0, 0.0, 0.0, 1.5707963267948966, 0.0, 0.0]",
+        "mount = [0, 0, 0, 0, 30, 0]",
+        "sonars[1].mount: pose angles must be radians, within ±2π (got roll pitch yaw = 0 30 0; if these are degrees,",
+    ),
+    (
+        "[labels]",
+        "[optical]\nmount = [1e10, 0, 0, 0, 0, 0]\n[labels]",
+        "optical.mount: pose must lie within 1e+09 m of the origin (got x y z = 1e+10 0 0; give metres)",
+    ),
+    (
+        "range_m = 6.5",
+        "range_m = 8000",
+        "sonars[1].range_m: sonar 'small': the range must not exceed 6554 m with bins of",
+    ),
+    ("range_m = 6.5", "bins = 70000", "sonars[1].bins: should be less than or equal to 65536 (got 70000)"),
     ("range_m = 6.5", "range = 6.5", "sonars[1]: unknown key (got 'range'; did you mean 'range_m'"),
     ('name = "upright"', 'name = "level"', "sonars[1].name must differ from those before (got 'level')"),
     (
@@ -951,7 +1023,12 @@ BAD = [
     (
         "yaw_rad = [-1.0, 1.0]",
         "yaw_rad = 90.0",
-        ".yaw_rad: should lie in -6.283..6.283 (got 90.0)\n",
+        "vary.bodies[0].yaw_rad: should lie in -6.283..6.283 (got 90.0; give radians: degrees times π/180)\n",
+    ),
+    (
+        "yaw_rad = [-1.0, 1.0]",
+        "yaw_rad = [-180, 180]",
+        "vary.bodies[0].yaw_rad: should lie in -6.283..6.283 (got [-180, 180]; give radians: degrees times π/180)\n",
     ),
     ('kind = "sector"', 'kind = ["sector"]', "poses[0]: kind must be one of trajectory, lawnmower"),
     (
@@ -1143,6 +1220,66 @@ def test_existing_files_are_not_overwritten(small, tmp_path):
     status, shown, _ = run("batch", job, "--out", out, "--resume")  # nothing is left to do
     assert (status, shown) == (0, f"{out}: {N} of {N} pings\n")
     assert files_of(out) == before
+
+
+def test_resuming_names_the_files_that_have_changed(tmp_path):
+    """Files of the job, meshes, included models and what these name; in and beside the folder of the job."""
+    folder, meshes = tmp_path / "job", tmp_path / "meshes"
+    (meshes / "rock").mkdir(parents=True)
+    folder.mkdir()
+    job = write_job(folder, 2, "")
+    job.write_text('resource_paths = ["../meshes"]\n' + job.read_text())
+    trimesh.creation.box((1, 20, 20)).export(folder / "wall.obj")
+    for name, data in _gltf(1.0).items():
+        (meshes / "rock" / name).write_bytes(data)
+    (meshes / "rock" / "model.sdf").write_text(
+        "<sdf version='1.9'><model name='rock'><link name='l'><collision name='c'><geometry><mesh><uri>model.gltf</uri>"
+        "</mesh></geometry><laser_retro>9</laser_retro></collision></link></model></sdf>"
+    )
+    rock = "<include><uri>model://rock</uri><pose>4 1 0 0 0 0</pose></include></world>"
+    text = (folder / "tank.sdf").read_text().replace("</world>", rock)
+    wall = "<box><size>1 20 20</size></box>"
+    (folder / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.obj</uri></mesh>", 1))
+    batch = open_batch(job, tmp_path / "out")
+    begin(batch).save(batch.folder)
+
+    def changed():
+        status, out, err = run("batch", job, "--out", tmp_path / "out", "--resume", "--workers", "1")
+        assert (status, out) == (2, "")
+        return re.search(r"resumed with the job that began it \(changed: (.*); restore that, or", err)[1]
+
+    buffer = "gltf_buffer_1.bin"  # the vertices
+    changes = {
+        folder / "wall.obj": ("wall.obj", lambda data: data.replace(b"v 0.5", b"v 0.6")),
+        folder / "tank.sdf": ("tank.sdf", lambda data: data + b"<!-- another one -->"),
+        folder / "small.toml": ("small.toml", lambda data: data + b"# another one"),
+        meshes / "rock" / "model.sdf": (
+            None,
+            lambda data: data.replace(b"</uri>", b"</uri><scale>1 1 2</scale>"),
+        ),
+        meshes / "rock" / buffer: (None, lambda _: _gltf(1.5)[buffer]),
+    }
+    for path, (name, change) in changes.items():
+        before = path.read_bytes()
+        path.write_bytes(change(before))
+        assert changed() == (name or str(path))
+        path.write_bytes(before)
+    for path in (folder / "wall.obj", folder / "small.toml"):
+        path.write_bytes(changes[path][1](path.read_bytes()))
+    job.write_text(job.read_text().replace("seed = 5", "seed = 6"))
+    assert changed() == "seed, small.toml, wall.obj"
+    record = batch.folder.get_record("batch.json", "")  # as it was before it held the files
+    assert len(record.pop("files")) == 7
+    batch.folder.put_record("batch.json", record)
+    assert Manifest.load(batch.folder).identity == batch.manifest.identity
+    assert changed() == "seed"
+    job.write_text(job.read_text().replace("seed = 6", "seed = 5"))
+    assert changed() == "the contents of a file, of the job or of a scene"
+
+
+def _gltf(height_m):
+    """Return the files of a box, by name."""
+    return trimesh.creation.box((1, 1, height_m)).scene().export(file_type="gltf")
 
 
 def test_the_pings_in_progress_are_those_that_a_sequence_may_have_begun():

@@ -71,6 +71,44 @@ def test_an_interrupted_batch_tells_of_its_files_if_there_are_any(name, tmp_path
     assert run("batch", "job.toml", "--out", "made") == (130, "", f"error: interrupted{files}\n")
 
 
+POSE_ROWS = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,50,0,0,0\n2,0,0,0,0,0,3\n"
+
+
+def test_a_dry_run_tells_of_pings_without_an_echo(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSE_ROWS)
+    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\nmount = [0, 0, 0.5, 0, 0, 0]\n'
+    Path("job.toml").write_text(job + POSES)
+    status, out, _ = run("batch", "job.toml", "--dry-run", "--workers", "1")
+    assert status == 0
+    (line,) = [line for line in out.splitlines() if "no echo" in line]
+    assert line == (
+        "  2 of these 3 pings have no echo, such as ping 1, sonar at '0 0 50.5 0 0 0' "
+        "('sonar-gl render --pose' says why)"
+    )
+    Path("dive.csv").write_text("\n".join(POSE_ROWS.splitlines()[:2]))
+    assert "no echo" not in run("batch", "job.toml", "--dry-run", "--workers", "1")[1]
+
+
+def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    wall = WALL.replace("1 20 20", "1000 200 500")
+    assert wall != WALL
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{wall}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSE_ROWS)
+    Path("job.toml").write_text('scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n' + POSES)
+    status, _, err = run("batch", "job.toml", "--dry-run", "--workers", "1")
+    assert status == 0
+    (line,) = [line for line in err.splitlines() if "millimetres" in line]
+    assert line.startswith(
+        "warning: tank.sdf: the scene measures 1000 x 200 x 500 m: if it was made in millimetres"
+    )
+    assert line.removeprefix("warning: tank.sdf: ") in run("doctor", "--scene", "tank.sdf")[1]
+
+
 @pytest.mark.parametrize("words", [("--dry-run",), ("--out", "made")])
 def test_processes_leave_warnings_of_scenes_to_the_command_which_shows_them_once(
     tmp_path, monkeypatch, capfd, words

@@ -768,6 +768,16 @@ def test_sonar_files_that_make_no_sense():
         f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
     )
     assert refused("--bins", 0) == "sonar 'small': n_bins must be a whole number in 1..65536 (got 0)"
+    far = refused("--range", 8000)
+    assert far.startswith(
+        "sonar 'small': the range must not exceed 6554 m with bins of 0.1 m, of which a sonar has 65536"
+    )
+    assert (
+        run("render", "tank.sdf", "--sonar", "small.toml", "--range", 8000, "--bins", 100, "--format", "npz")[
+            0
+        ]
+        == 0
+    )
     for text, got in (("0.5", "0.5"), ("nan", "nan"), ("-3", "-3")):
         assert refused("--range", text) == (
             f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {got})"

@@ -23,6 +23,7 @@ from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import plan as costs
 from sonar_gl.imaging.files import NPZ_FIELDS
+from tests.support.batches import LABELS, make_all, write_plain_job
 from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
@@ -287,16 +288,23 @@ def test_the_page_of_batches_runs(folder):
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
-            assert re.search(r"^time: .* ms a ping, on .*\), .* at best in \d+", result.stdout, re.M)
+            assert re.search(
+                r"^speed: \S+ pings a second in one process \(\S+ ms a ping, on .*; measured on this machine by ",
+                result.stdout,
+                re.M,
+            )
+            assert re.search(r"^time: .* in one process, .* at best in \d+, if each", result.stdout, re.M)
             assert set(os.listdir()) == before
     found = sum(path.stat().st_size for path in Path("pylons").rglob("*") if path.is_file())
     assert 0.8 < found / 9e3 / size_kb < 1.3  # the rest is what a whole batch has once
     assert result.stdout == "pylons: all files are as they were written\n"
+    shown = Path("rig.toml")
+    text = re.sub(r"n_pings = \d+", "n_pings = 1", job)
+    shown.write_text(text[: text.index("[[sonars]]")] + rig + text[text.index("[[poses]]") :])
+    assert run("batch", "rig.toml", "--out", "rig").exit_code == 0
     for block in blocks("python", [BATCHES]):
         exec(compile(block.values[0], "example", "exec"), {"__name__": "__main__"})
     assert Path("ping.png").stat().st_size > 10_000
-    shown = Path("rig.toml")
-    shown.write_text(job[: job.index("[[sonars]]")] + rig + job[job.index("[[poses]]") :])
     requests = BatchRequests(read_job(shown))
     assert np.allclose(requests.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
     # the page's tables know every key, and no other
@@ -311,6 +319,34 @@ def test_the_page_of_batches_runs(folder):
         if kind in KINDS:
             told = set(re.findall(r"`(\w+)`", settings))
             assert told == {field.name for field in dataclasses.fields(KINDS[kind])}, kind
+
+
+VARIED = '[[vary.bodies]]\nnames = ["box_1"]\nx_m = [-0.5, 0.5]\n'
+VARIED_MEDIA = (
+    "[vary.water]\ntemperature_c = [2.0, 20.0]\n[vary.noise]\nambient_db = [-80.0, -60.0]\nlooks = [2, 4]\n"
+)
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.parametrize(
+    ("vary", "has_labels"),
+    [
+        pytest.param("", True, id="nothing"),
+        pytest.param(VARIED, True, id="poses"),
+        pytest.param(VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, id="all"),
+    ],
+)
+def test_the_block_that_makes_a_ping_again_is_for_any_job_with_one_scene(folder, vary, has_labels):
+    job = write_plain_job(folder, 4, 4, vary + LABELS * has_labels)
+    make_all(job, folder / "pylons")
+    (code,) = [
+        block.values[0] for block in blocks("python", [BATCHES]) if "receiver_power(again" in block.values[0]
+    ]
+    assert 'load_scene("pylon")' in code
+    names = {"__name__": "__main__"}
+    exec(compile(code.replace('load_scene("pylon")', 'load_scene("tank.sdf")'), "example", "exec"), names)
+    assert names["again"].intensity.sum() == pytest.approx(float(names["pings"].echo[3]), rel=1e-6)
+    assert ("body_id" in names) == has_labels
 
 
 @pytest.mark.parametrize(

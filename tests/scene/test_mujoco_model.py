@@ -9,6 +9,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.core.input_files import noted_files
 from sonar_gl.core.poses import pose
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.materials import material
@@ -239,7 +240,9 @@ def test_a_file_with_includes_and_meshes(tmp_path):
     text = """<mujoco><compiler meshdir='meshes'/><include file='part.xml'/>
       <worldbody><geom name='w' type='mesh' mesh='w'/></worldbody></mujoco>"""
     path.write_text(text)
-    scene, warned = load(path)
+    with noted_files() as files:
+        scene, warned = load(path)
+    assert sorted(files) == [f"{tmp_path}/{name}" for name in ("meshes/wedge.obj", "part.xml", "tank.xml")]
     assert (scene.name, warned) == ("tank", [])
     np.testing.assert_allclose(boxes_of(scene)["w"], [[0, 0, 0], [1, 2, 3]], atol=FLOAT32)
 

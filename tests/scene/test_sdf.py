@@ -678,6 +678,32 @@ def test_laser_retro_above_255_reflects_all_and_warns_once(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("values", "shown"),
+    [
+        ((0.8, 0.3, 0.3), "0.3, 0.8"),
+        ((0, 1), "0, 1"),
+        (("1e-3", None, 0.25), "0.001, 0.25"),
+        ((0, 0), None),
+        ((0.8, 1.01), None),
+        ((None,), None),
+    ],
+)
+def test_a_file_whose_laser_retro_are_shares_of_one_warns_once(tmp_path, values, shown):
+    """Meant as reflectivities they are taken as 1/255 of these. What an image overrides says nothing."""
+    retro = ["" if value is None else f"<laser_retro>{value}</laser_retro>" for value in values]
+    inner = "".join(model(link(shape=shape(text)), f"m{k}") for k, text in enumerate(retro))
+    path = write(tmp_path / "a.sdf", inner)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_sdf(path)
+    texts = [str(w.message) for w in caught if "no <laser_retro> in" not in str(w.message)]
+    assert texts == [
+        f"{path}: no <laser_retro> is more than 1 (got {shown}), where 255 stands for a reflectivity of 1; multiply "
+        "them by 255 if they are reflectivities"
+    ] * (shown is not None)
+
+
 def test_warnings_name_the_shapes_where_other_shapes_of_the_link_are_without_fault(tmp_path):
     sheet = shape("", "water_plane", geometry=SHEET)
     shapes = shape(RETRO, "good") + shape("", "bare") + shape("", "too", "visual") + sheet

@@ -336,6 +336,20 @@ def test_messages_name_the_file_the_table_and_the_key(tmp_path, change, message)
     assert error_of(load_sonar, path) == f"{path} [a]: {message}"
 
 
+def test_a_range_of_more_bins_than_a_sonar_has_is_refused_as_a_range():
+    sonar = load_sonar("aris-3000")
+    most_m = sonar.range_min_m + 65536.49 * sonar.bin_size_m
+    assert sonar.with_range(most_m).n_bins == 65536
+    assert error_of(sonar.with_range, 500) == (
+        "sonar 'aris-3000': the range must not exceed 197.3 m with bins of 0.003 m, of which a sonar has 65536 at most "
+        "(got 500; give a shorter range, or the number of bins, too: --bins, bins in a job, with_range(..., n_bins))"
+    )
+    assert sonar.with_range(500, 1000) == replace(sonar, range_max_m=500, n_bins=1000)
+    assert error_of(sonar.with_range, 500, 0) == (
+        "sonar 'aris-3000': n_bins must be a whole number in 1..65536 (got 0)"
+    )
+
+
 def test_messages_name_missing_keys(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("n_beams = 1\n" + "\n".join(TEXT.splitlines()[3:]))

@@ -14,7 +14,7 @@ from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Body, Scene
 from sonar_gl.scene.sdf.extensions import check_extensions, read_bubbles, read_surface
 from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, links_of, models_of
-from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
 from sonar_gl.scene.sdf.saved_state import apply_state
 from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
@@ -120,10 +120,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if missing or unsupported:
         message = "\n".join(filter(None, (missing, unsupported)))
         if not skip_missing:
-            folders = "Give the folders that hold them (--resource-path, resource_paths=), or carry"
-            raise Error(
-                f"{message}\n{folders if missing else 'Carry'} on without them (--skip-missing, skip_missing=True)."
-            )
+            folders = f"Give the folders that hold them ({GIVE_FOLDERS}), or carry"
+            raise Error(f"{message}\n{folders if missing else 'Carry'} on without them ({SKIP_MISSING}True).")
         without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
         without += [f"shapes that cannot be read ({unsupported})"] if unsupported else []
         warn_caller(f"{path}: read without {', and without '.join(without)}")
@@ -137,6 +135,12 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
                 f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
                 f"their reflectivity is taken as {reflectivity}"
             )
+    if 0 < max(reader.retros, default=0) <= 1:
+        got = some_names([f"{value:g}" for value in sorted(reader.retros)])
+        warn_caller(
+            f"{path}: no <laser_retro> is more than 1 (got {got}), where {MAX_RETRO} stands for a reflectivity of 1; "
+            f"multiply them by {MAX_RETRO} if they are reflectivities"
+        )
     if changed:
         warn_caller(f"{path}: {'; '.join(changed)}")
     plumes = _read_plumes(links)

@@ -55,6 +55,8 @@ def built_in_model(uri: str) -> str | None:
     return uri if uri in BUILT_IN else None
 
 
+# How users give what `load_scene` takes, in messages; a job of a batch has keys in their place.
+GIVE_FOLDERS, SKIP_MISSING = "--resource-path, resource_paths=", "--skip-missing, skip_missing="
 MAX_EXPLAINED = 5  # missing files: where each was looked for
 
 

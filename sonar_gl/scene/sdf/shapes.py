@@ -131,11 +131,12 @@ class BodyReader:
     ----------
     unspecified : name of a body -> names of shapes whose reflectivity the file does not specify, or of the body
     saturated : the same of shapes whose laser_retro is more than MAX_RETRO
+    retros : the values of laser_retro that shapes state, and that no image overrides
     """
 
     def __init__(self, resources: Resources):
         self.resources = resources
-        self.unspecified, self.saturated = {}, {}
+        self.unspecified, self.saturated, self.retros = {}, {}, set()
         self._meshes = {}
 
     def read(self, link: Link, name: str) -> list[Body]:
@@ -164,6 +165,8 @@ class BodyReader:
             read.append(element)
             if retro is not None and float(retro.text) > MAX_RETRO:
                 saturated.append(element)
+            if retro is not None and image is None:
+                self.retros.add(float(retro.text))
             if retro is None and find_extension(element, "material") is None and image is None:
                 unspecified.append(element)
             kind = (surface.specular, surface.roughness_rad), surface.speckle_shape

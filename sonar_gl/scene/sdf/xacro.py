@@ -16,7 +16,7 @@ from pathlib import Path
 from xml.parsers.expat import ExpatError
 
 from sonar_gl.core.errors import Error
-from sonar_gl.scene.sdf.resources import Resources
+from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
 from sonar_gl.scene.sdf.xml_lines import line_of, parse_with_lines
 
 # What the library must have, so that nothing here is replaced in vain.
@@ -153,8 +153,8 @@ class _Expansion:
         if package := re.search("package://([^/]+)", name):
             raise Error(
                 f"the ROS package {package[1]!r} must be in the resource paths; give the folder that holds it "
-                f"(--resource-path, resource_paths=; searched: {', '.join(map(str, self.resources.roots))}; its "
-                "macros cannot be skipped (--skip-missing, skip_missing= are for models and meshes))"
+                f"({GIVE_FOLDERS}; searched: {', '.join(map(str, self.resources.roots))}; its "
+                f"macros cannot be skipped ({SKIP_MISSING} are for models and meshes))"
             )
         return self._absolute(name)
 
