@@ -533,7 +533,12 @@ class Acoustics:
         >>> round(float(pattern.power(np.sin(np.radians(10.0)))), 9)  # its square is 0.5
         0.707106781
         """
-        return None if self.elevation_pattern == "box" else self._one_way_elevation_pattern(sonar)
+        if self.elevation_pattern == "box":
+            return None
+        width = math.radians(sonar.elevation_fov_deg)
+        return ArrayPattern(
+            self.elevation_pattern, width, sonar.elevation_taper, sonar.side_lobe_db, two_way_width=True
+        )
 
     def elevation_support_deg(self, sonar) -> float:
         """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight.
@@ -548,7 +553,7 @@ class Acoustics:
         half_width = sonar.elevation_fov_deg / 2
         if self.elevation_pattern == "box":
             return half_width
-        sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
+        sine = self.one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
 
     def dense_elevation_deg(self, sonar) -> float:
@@ -560,7 +565,7 @@ class Acoustics:
         """
         if self.elevation_pattern == "box":
             return self.elevation_support_deg(sonar)
-        sine = self._one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(SKIRTS_LEVEL))
+        sine = self.one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(SKIRTS_LEVEL))
         return min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG)
 
     def max_elevation_deg(self, sonar) -> float:
@@ -576,12 +581,6 @@ class Acoustics:
         sines = np.linspace(0, 1, 8193)
         received = sines[self.two_way_elevation_pattern(sonar)(sines) > SIDE_LOBE_LEVEL]
         return max(support_deg, min(math.degrees(math.asin(received[-1])), MAX_SIDE_LOBE_DEG))
-
-    def _one_way_elevation_pattern(self, sonar) -> ArrayPattern:
-        width = math.radians(sonar.elevation_fov_deg)
-        return ArrayPattern(
-            self.elevation_pattern, width, sonar.elevation_taper, sonar.side_lobe_db, two_way_width=True
-        )
 
     # ---- pulse --------------------------------------------------------------------------------------------
 
