@@ -159,6 +159,8 @@ def naive(kind, version, state, wanted) -> dict:
     trial, join = HostRun(kind, version, state), opengl.join
     if "MESA_pack_invert" in trial.gl.has:  # with skipped rows, Mesa would write outside the array
         trial.gl.PixelStorei(enum("PACK_INVERT_MESA"), 0)
+    if trial.gl.is_compatible:  # llvmpipe would crash on lines with a flat integer, the numbers of bodies
+        trial.gl.PolygonMode(enum("FRONT_AND_BACK"), enum("FILL"))
     before, frame = trial.snapshot(), trial.scene and trial.scene.draw()
     opengl.join = lambda: gl.make_context(Naive(CurrentContext()))
     try:
