@@ -141,5 +141,5 @@ def check_embreex():
 def check_shaders():
     """Check that the shader files are installed."""
     folder = data_folder("shaders")
-    count = sum(path.suffix in (".vert", ".frag", ".glsl") for path in folder.iterdir())
+    count = sum(path.suffix in (".vert", ".geom", ".frag", ".glsl") for path in folder.iterdir())
     return count > 0, f"{count} in {folder}", INSTALL_AGAIN

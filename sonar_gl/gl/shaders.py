@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import moderngl
@@ -49,23 +50,28 @@ def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, 
     return "\n".join(text) + "\n", lines
 
 
-def compile_program(context, folder: Path, vertex: str, fragment: str, defines) -> moderngl.Program:
-    """Compile a program from two files of the shader folder.
+# how drivers name a line: Mesa 0:12(3), NVIDIA 0(12)
+LINE = re.compile(r"\b0(?::(\d+)(?:\(\d+\))?|\((\d+)\))")
+STAGES = {".vert": "vertex_shader", ".geom": "geometry_shader", ".frag": "fragment_shader"}
+
+
+def compile_program(context, folder: Path, names: Sequence[str], defines: dict[str, int]) -> moderngl.Program:
+    """Compile a program from files of the shader folder, each of which is the stage that its suffix names.
 
     Raises
     ------
     RuntimeError
         if a shader does not compile; the message names file and line.
     """
-    sources = [load_shader(name, folder, defines) for name in (vertex, fragment)]
+    sources = {STAGES[Path(name).suffix]: load_shader(name, folder, defines) for name in names}
     try:
-        return context.program(vertex_shader=sources[0][0], fragment_shader=sources[1][0])
+        return context.program(**{stage: text for stage, (text, _) in sources.items()})
     except moderngl.Error as why:
-        stage = 1 if "fragment_shader" in str(why) else 0
+        failed = next((stage for stage in sources if stage in str(why)), "vertex_shader")
+        lines = sources[failed][1]
 
         def source_line(match):
-            index = int(match[1]) - 1
-            lines = sources[stage][1]
+            index = int(match[1] or match[2]) - 1
             return "{}:{}".format(*lines[index]) if 0 <= index < len(lines) else match[0]
 
-        raise RuntimeError(re.sub(r"\b0:(\d+)(?:\(\d+\))?", source_line, str(why))) from None
+        raise RuntimeError(LINE.sub(source_line, str(why))) from None

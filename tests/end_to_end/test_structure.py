@@ -203,7 +203,7 @@ REMOVED_NAMES = {
     "table_type": "PingTable",
     "why_nothing": "why_no_echo",
 }
-TEXTS = {".py", ".pyi", ".md", ".toml", ".cfg", ".sh", ".sdf", ".vert", ".frag", ".glsl", ".in"}
+TEXTS = {".py", ".pyi", ".md", ".toml", ".cfg", ".sh", ".sdf", ".vert", ".geom", ".frag", ".glsl", ".in"}
 CODE = {".py", ".pyi", ".md"}  # with names, or `code`
 SCRIPTS = ".ci/run", "tools/demo", "tools/test"
 FOLDERS = "sonar_gl", "tests", "tools", "examples", "shaders", "scenes", "docs"

@@ -60,7 +60,7 @@ def projection_depth():
     """Draw by OpenGL with the projection's z-buffer of 24 bits instead of a depth that is linear in range."""
     with tempfile.TemporaryDirectory() as folder:
         for path in load.data_folder("shaders").iterdir():
-            if path.suffix in (".vert", ".frag", ".glsl"):
+            if path.suffix in (".vert", ".geom", ".frag", ".glsl"):
                 text = path.read_text(encoding="utf-8").replace("gl_FragDepth =", "float unused =")
                 (Path(folder) / path.name).write_text(text, encoding="utf-8")
         shaders = mock.patch.object(opengl, "data_folder", lambda _: Path(folder))

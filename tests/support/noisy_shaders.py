@@ -1,12 +1,13 @@
-"""Shaders with noise in gl_FragCoord.w, as of drivers with a sloppy reciprocal."""
+"""Shaders with noise in 1/x, as of drivers with a sloppy reciprocal or interpolation."""
 
 import shutil
 from pathlib import Path
 
 from sonar_gl.core.data_files import data_folder
 
-EXACT = "float depth_inverse = gl_FragCoord.w;"
-NOISY = "float depth_inverse = gl_FragCoord.w * (1.0 + noise() * UNITS / 16777216.0);"
+# what 1/x is, in the shader of the engine and in that of hosts
+EXACT = {"gbuffer.frag": "clamp(dot(v_plane, ray), v_bounds.x, v_bounds.y)", "embed.glsl": "gl_FragCoord.w"}
+FIRST = {"gbuffer.frag": "void main()", "embed.glsl": "// normal: in the view's axes"}
 # even in -1..1, by an integer hash of the pixel
 NOISE = """float noise()
 {
@@ -16,15 +17,17 @@ NOISE = """float noise()
     return float(h) / 2147483648.0 - 1.0;
 }
 
-void main()"""
+"""
 
 
 def noisy_shaders(folder: Path, units: float) -> Path:
     """Return a folder of shaders whose 1/x is off by up to `units` times 2^-24, each pixel on its own."""
     made = folder / "shaders"
     shutil.copytree(data_folder("shaders"), made)
-    text = (made / "gbuffer.frag").read_text()
-    assert text.count(EXACT) == text.count("void main()") == 1
-    text = text.replace("void main()", NOISE).replace(EXACT, NOISY.replace("UNITS", f"{float(units)}"))
-    (made / "gbuffer.frag").write_text(text)
+    for name, exact in EXACT.items():
+        text = (made / name).read_text()
+        line = f"float depth_inverse = {exact};"
+        assert text.count(line) == text.count(FIRST[name]) == 1
+        noisy = f"float depth_inverse = {exact} * (1.0 + noise() * {float(units)} / 16777216.0);"
+        (made / name).write_text(text.replace(FIRST[name], NOISE + FIRST[name]).replace(line, noisy))
     return made

@@ -129,8 +129,8 @@ class SceneBuffers:
             }
             defines = {**features, "LABELS": int(labels), "SPECULAR": int(lobes)}
             if (key := tuple(defines.values())) not in self._programs:
-                files = "gbuffer.vert", "gbuffer.frag"
-                self._programs[key] = compile_program(self.context, self.shader_folder, *files, defines)
+                files = "gbuffer.vert", "gbuffer.geom", "gbuffer.frag"
+                self._programs[key] = compile_program(self.context, self.shader_folder, files, defines)
             program = self._programs[key]
             layout = [(uploaded.points.buffer, "3f", "in_position")]
             if features["SHADING_NORMALS"]:

@@ -1,14 +1,14 @@
-"""Drivers compute the reciprocal in gl_FragCoord.w to some units in the last place, each lane on its own."""
+"""Drivers compute the reciprocal in gl_FragCoord.w, from which hosts have 1/x, to some units in the last place."""
 
 import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.core.data_files import data_folder
-from sonar_gl.raster.opengl import engine
+from sonar_gl import embed
+from sonar_gl.embed import sensor as sensors
+from sonar_gl.gl import egl
+from tests.support import gl_host
 from tests.support.noisy_shaders import noisy_shaders
-
-pytestmark = pytest.mark.usefixtures("opengl_engine")
 
 ULPS = 8  # a sloppy reciprocal: OpenGL demands 2.5 of division, and w is the reciprocal of an interpolated reciprocal
 # 8 units are 5 µm at 10 m: an even footprint of a bin's length (8 mm) loses 6e-4 of its echo to the next bin or gains
@@ -21,14 +21,23 @@ ECHO_BOUND = 1e-4
 INCIDENCE_BOUND_RAD, WORST_RAD, SHARE_BEYOND = 5e-3, 0.02, 1e-4
 
 
-def labelled_ping(name, sampling, folder, monkeypatch):
-    """Return a labelled ping of a bundled scene, with the shaders of a folder, which draw all triangles."""
-    scene = sg.load_scene(name)
-    with monkeypatch.context() as patch:
-        patch.setenv("SONAR_GL_SOFTWARE", "0")
-        patch.setattr(engine, "data_folder", lambda _: folder)
-        with sg.Simulator(scene, sg.load_sonar("p900-45"), sampling=sampling) as simulator:
-            return simulator.ping(scene.sonar_pose, labels=True)
+@pytest.fixture(autouse=True)
+def context():
+    """The host's context."""
+    made = gl_host.make_context()
+    yield made
+    egl.library().eglMakeCurrent(egl.library().eglGetCurrentDisplay(), None, None, None)
+    made.release()
+
+
+def labelled_ping(scene, sampling):
+    """Return a labelled ping of a scene whose sectors a host draws."""
+    host = gl_host.Program(scene)
+    with embed.Sensor(sg.load_sonar("p900-45"), sampling=sampling) as sensor:
+        for sector in sensor.sectors(scene.sonar_pose):
+            with sector:
+                host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+        return sensor.finish(labels=True)
 
 
 @pytest.mark.parametrize(
@@ -36,8 +45,10 @@ def labelled_ping(name, sampling, folder, monkeypatch):
     [("pylon", sg.Sampling(0.6, 68)), pytest.param("diver", sg.Sampling(1.2, 136), marks=pytest.mark.slow)],
 )
 def test_noise_of_8_units_in_the_last_place_leaves_echo_and_labels(tmp_path, monkeypatch, name, sampling):
-    folders = data_folder("shaders"), noisy_shaders(tmp_path, ULPS)
-    expected, got = (labelled_ping(name, sampling, folder, monkeypatch) for folder in folders)
+    scene = sg.load_scene(name)
+    expected = labelled_ping(scene, sampling)
+    monkeypatch.setattr(sensors, "data_folder", lambda _: noisy_shaders(tmp_path, ULPS))
+    got = labelled_ping(scene, sampling)
     difference = np.abs(got.intensity - expected.intensity).sum() / expected.intensity.sum()
     assert 0 < difference < ECHO_BOUND
     assert (got.body_id != expected.body_id).sum() <= 1  # of two bodies with an equal echo
