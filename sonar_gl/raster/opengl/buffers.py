@@ -14,7 +14,16 @@ from sonar_gl.raster.opengl.draw_list import DrawList
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.scene import Scene
 
-MIN_INDIRECT_VERSION = 430  # OpenGL version with indirect draws; before it, each draw is a separate call
+INDIRECT_VERSION = 430  # the OpenGL version that has indirect draws with instances of any number
+INDIRECT_EXTENSIONS = {"GL_ARB_multi_draw_indirect", "GL_ARB_base_instance"}
+
+
+def has_indirect_draws(context: moderngl.Context) -> bool:
+    """Return whether one call can draw a list; without, each entry of the list is a call.
+
+    A driver may give the version that was asked for and no later one, as NVIDIA's does, with extensions for the rest.
+    """
+    return context.version_code >= INDIRECT_VERSION or context.extensions >= INDIRECT_EXTENSIONS
 
 
 class GrowingBuffer:
@@ -103,7 +112,7 @@ class SceneBuffers:
 
     def __init__(self, context: moderngl.Context, scene: Scene, shader_folder):
         self.context, self.shader_folder = context, shader_folder
-        self.indirect = context.version_code >= MIN_INDIRECT_VERSION
+        self.indirect = has_indirect_draws(context)
         empty = UploadedMeshes(SceneMeshes(scene.surface_z_m), *(GrowingBuffer(context) for _ in range(4)))
         self.uploaded = empty.with_more(scene.bodies)
         self._rows, self._draws = GrowingBuffer(context), GrowingBuffer(context)
