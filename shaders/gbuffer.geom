@@ -12,14 +12,14 @@ layout(triangle_strip, max_vertices = 3) out;
 const float SLIVER = 2.3e-13;
 
 in vec3 corner[];
-in float corner_reflectivity[];
+flat in float corner_reflectivity[];
 flat in uint corner_body[];
 flat out vec3 v_plane;  // p . x = 1 for all points x on it
 flat out vec2 v_bounds; // of 1/x between the corners
 flat out float v_reflectivity;
 flat out uint v_body;
 #if SPECULAR
-in vec2 corner_lobe[];
+flat in vec2 corner_lobe[];
 flat out vec2 v_lobe;
 #endif
 #if SHADING_NORMALS

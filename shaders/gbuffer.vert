@@ -26,10 +26,10 @@ out vec3 corner_normal;
 #if FACE_REFLECTIVITY
 in float in_reflectivity;
 #endif
-out float corner_reflectivity;
+flat out float corner_reflectivity;
 flat out uint corner_body;
 #if SPECULAR
-out vec2 corner_lobe;
+flat out vec2 corner_lobe;
 #endif
 
 void main()

@@ -262,7 +262,7 @@ def describe(context: moderngl.Context) -> dict:
 def is_software(renderer: str) -> bool:
     """Return whether OpenGL runs on the CPU, given the driver's GL_RENDERER, or SONAR_GL_SOFTWARE where it is set.
 
-    On a CPU small triangles are rasterised by compiled code, and samples are read at once.
+    On a CPU samples are read at once, and planes are what the driver interpolates.
     """
     setting = os.environ.get(SOFTWARE_VARIABLE, "").strip()
     if setting not in ("", "0", "1"):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from sonar_gl.gl.context import is_software
 from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
 from sonar_gl.raster.opengl.draw_list import DrawList
@@ -113,6 +114,8 @@ class SceneBuffers:
     def __init__(self, context: moderngl.Context, scene: Scene, shader_folder):
         self.context, self.shader_folder = context, shader_folder
         self.indirect = has_indirect_draws(context)
+        # exact on a card; a software driver interpolates well, and a geometry shader nearly doubles its time
+        self._corner_planes = not is_software(context.info["GL_RENDERER"])
         empty = UploadedMeshes(SceneMeshes(scene.surface_z_m), *(GrowingBuffer(context) for _ in range(4)))
         self.uploaded = empty.with_more(scene.bodies)
         self._rows, self._draws = GrowingBuffer(context), GrowingBuffer(context)
@@ -135,10 +138,12 @@ class SceneBuffers:
                 "SHADING_NORMALS": int(uploaded.normals.used > 0),
                 "FACE_REFLECTIVITY": int(uploaded.reflectivity.used > 0),
                 "INDIRECT": int(self.indirect),
+                "CORNER_PLANES": int(self._corner_planes),
             }
             defines = {**features, "LABELS": int(labels), "SPECULAR": int(lobes)}
             if (key := tuple(defines.values())) not in self._programs:
-                files = "gbuffer.vert", "gbuffer.geom", "gbuffer.frag"
+                planes = ("gbuffer.geom",) if self._corner_planes else ()
+                files = "gbuffer.vert", *planes, "gbuffer.frag"
                 self._programs[key] = compile_program(self.context, self.shader_folder, files, defines)
             program = self._programs[key]
             layout = [(uploaded.points.buffer, "3f", "in_position")]

@@ -351,6 +351,7 @@ class OpenGLRenderer:
             values = {
                 "clip_from_sonar": view.sector.projection(NEAR_M, self._far_m).T,
                 "sector_from_sonar": view.sector.rotation().T,
+                "pixel_from_uv": view.inverse.T,
                 "far_m": self._far_m,
             }
             self._uniforms[key] = [
