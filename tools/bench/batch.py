@@ -2,6 +2,7 @@
 
     python -m tools.bench batch                            # rate, writing, plan: some minutes
     python -m tools.bench batch rate plan
+    python -m tools.bench batch rate --workers 15          # on a machine with more cores
     python -m tools.bench batch flushes
     python -m tools.bench batch long --pings 10000         # one batch from its beginning to its end
     python -m tools.bench batch --quick
@@ -9,8 +10,8 @@
 All pings are of the scene pylon, sonar p900-45, with labels and `Noise.physical()`.
 
 rate : pings a second of (a) `Simulator.pings` and `add_noise` in one process, where the software driver may
-    use all cores, (b) a batch with one worker, (c) with two. The rate of a batch is that of a round's parts,
-    by workers that have made some before. The start of a worker is measured apart
+    use all cores, (b) a batch with one worker, (c) with several, two by default. The rate of a batch is that of a
+    round's parts, by workers that have made some before. The start of a worker is measured apart
 writing : where a worker's time goes, alone on one core, by the clock and by the time of its processors
 flushes : what it costs that each part is on the disk before its record, by a worker that does so and does not by
     turns
@@ -117,11 +118,11 @@ def seconds(function, *arguments) -> float:
     return harness.timed(function, *arguments)[0] / 1e3
 
 
-def measure_rate(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict[str, float]:
+def measure_rate(job: Job, manifest: Manifest, rounds: int, workers: int, folder: str) -> dict[str, float]:
     """Return pings a second of a, b and c, their ratios, start of workers, sizes, the parent's work."""
     requests, found, pools = BatchRequests(job), defaultdict(list), {}
     ((name, sonar),) = requests.sonars.items()
-    parts_a_round = (manifest.n_parts - 2) // rounds
+    parts_a_round = (manifest.n_parts - workers) // rounds
     with ExitStack() as stack:
         settings = {"tolerance": job.tolerance}
         simulator = stack.enter_context(
@@ -136,21 +137,22 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict
                 add_noise(ping, request.noise, 0, request.number)
 
         ping_without_batch(manifest.numbers(0))
-        for way, workers in (("b", 1), ("c", 2)):
+        for way, count in (("b", 1), ("c", workers)):
             url = begin_batch(job, manifest, f"{folder}/{way}")
-            pool = pools[way] = stack.enter_context(Pool(job.plain, url, [None] * workers, print))
+            pool = pools[way] = stack.enter_context(Pool(job.plain, url, [None] * count, print))
             found[f"start {way}"] = seconds(
-                pool.run_parts, range(workers), manifest.numbers, lambda record: None
+                pool.run_parts, range(count), manifest.numbers, lambda record: None
             )
         for k in range(rounds):
-            parts, records = range(2 + k * parts_a_round, 2 + (k + 1) * parts_a_round), []
-            numbers = range(manifest.numbers(parts[0])[0], manifest.numbers(parts[-1])[-1] + 1)
+            parts, records = range(workers + k * parts_a_round, workers + (k + 1) * parts_a_round), []
+            few = parts[: max(1, parts_a_round // workers)]  # for one worker, which takes as long
+            numbers = [number for part in few for number in manifest.numbers(part)]
             found["a"].append(len(numbers) / seconds(ping_without_batch, numbers))
-            for way, pool in pools.items():
+            for way, its_parts in (("b", few), ("c", parts)):
                 busy_s = time.process_time()
-                took_s = seconds(pool.run_parts, parts, manifest.numbers, records.append)
-                found[way].append(len(numbers) / took_s)
-                found["parent, ms a part"].append(1e3 * (time.process_time() - busy_s) / parts_a_round)
+                took_s = seconds(pools[way].run_parts, its_parts, manifest.numbers, records.append)
+                found[way].append(sum(len(manifest.numbers(part)) for part in its_parts) / took_s)
+                found["parent, ms a part"].append(1e3 * (time.process_time() - busy_s) / len(its_parts))
         last = records[-1]
         names = [f"{folder}/c/{file}" for file in [*last.files, record_name(last.part)]]
         sizes = [Path(file).stat().st_size for file in names if Path(file).exists()]
@@ -159,7 +161,8 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict
         found[pair] = [x / y for x, y in zip(found[pair[0]], found[pair[-1]], strict=True)]
     out = {what: median(values) for what, values in found.items()}
     out["start of a worker, s"] = start_s[0] - manifest.pings_per_part / out["b"]
-    out["start of two, s"] = start_s[1] - 2 * manifest.pings_per_part / out["c"]
+    out["start of all, s"] = start_s[1] - workers * manifest.pings_per_part / out["c"]
+    out["workers"] = workers
     return out | {"kB a ping": sum(sizes) / last.pings / 1e3, "files a part": len(sizes)}
 
 
@@ -280,7 +283,7 @@ def measure_long(job: Job, pings: int, folder: str) -> dict:
 
 def plan_of(rate: dict[str, float], manifest: Manifest, disk: float) -> dict:
     """Return what PLANNED_PINGS take; disk : MB/s."""
-    worker = rate["c"] / 2
+    worker = rate["c"] / rate["workers"]
     parts_s = 1e3 / rate["parent, ms a part"]
     return {
         "tb": PLANNED_PINGS * rate["kB a ping"] / 1e9,
@@ -306,6 +309,7 @@ def add_options(parser):
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; default: all but long"
     )
+    parser.add_argument("--workers", type=int, default=2, help="of c, for `rate`; 2")
     parser.add_argument("--parts-a-round", type=int, help="of a batch, for `rate`; 8, or 2 if quick")
     parser.add_argument("--pings", type=int, default=10_000, help="of `long`")
 
@@ -318,12 +322,12 @@ def run(options) -> dict:
     few = make_job(1, quick)
     bytes_per_ping = Schema(BatchRequests(few)).bytes_per_ping
     part = few.pings_per_part or default_pings_per_part(bytes_per_ping, PLANNED_PINGS)
-    n_parts = 2 + rounds * (options.parts_a_round or (2 if quick else 8))
+    n_parts = options.workers + rounds * (options.parts_a_round or (2 if quick else 8))
     job, found = make_job(n_parts * part, quick).model_copy(update={"pings_per_part": part}), {}
     with tempfile.TemporaryDirectory() as folder:
         manifest = begin(Batch(job, Folder(folder)))
         if {"rate", "plan"} & parts:
-            found["rate"] = measure_rate(job, manifest, rounds, folder)
+            found["rate"] = measure_rate(job, manifest, rounds, options.workers, folder)
         if "writing" in parts:
             found["writing"] = measure_writing(job, manifest, rounds, folder)
         if "flushes" in parts:
@@ -355,7 +359,8 @@ def report(found: dict):
     """Print the figures."""
     if rate := found.get("rate"):
         print("\nrate, pings a second")
-        for way, name in (("a", "one process"), ("b", "batch, 1 worker"), ("c", "batch, 2 workers")):
+        several = f"batch, {rate['workers']} workers"
+        for way, name in (("a", "one process"), ("b", "batch, 1 worker"), ("c", several)):
             print(f"  {way} {name:22} {rate[way]:8.1f}")
         for name in ("c / b", "start of a worker, s", "kB a ping", "files a part", "parent, ms a part"):
             print(f"  {name:24} {rate[name]:8.3f}")
