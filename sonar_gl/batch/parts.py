@@ -279,7 +279,7 @@ class PartMaker:
 
     def __init__(self, batch: Batch):
         self._batch, self.folder, self._system = batch, batch.folder, None
-        self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
+        self.outputs = make_outputs(batch.requests, batch.schema, batch.folder, device=batch.device)
         self._stack, self._scene, self._simulators = ExitStack(), None, {}
         # scene and sonar of which it was said that a tolerance is not met
         self._unmet: set[tuple[int, str]] = set()

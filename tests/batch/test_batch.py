@@ -23,7 +23,7 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import begin, create_store, finalize, make_part
+from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
@@ -643,6 +643,25 @@ def test_optical_images_are_stored_with_the_pings(small, tmp_path):
     with AnyReader([tmp_path / "out" / "bag"]) as reader:
         topics = {c.topic: c.msgcount for c in reader.connections}
     assert topics["/camera/image"] == topics["/camera/depth"] == topics["/camera/camera_info"] == 4
+
+
+def test_optical_images_are_rendered_on_the_device_of_the_process(tmp_path, monkeypatch):
+    """As pings are; processes of a batch share several devices."""
+    devices = []
+
+    def camera(_scene, camera, device=None):
+        devices.append(device)
+        size = camera.height, camera.width
+        return lambda *_: (np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32))
+
+    monkeypatch.setattr(outputs, "OpticalCamera", camera)
+    job = read_job(write_job(tmp_path, 2, "[optical]\nwidth = 40\nheight = 30\n"))
+    batch = Batch(job, Folder(tmp_path / "out"), device=0)
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    make_part(batch, 0)
+    batch.close()
+    assert devices == [0]  # None is the default
 
 
 def test_a_batch_may_be_written_to_a_url(tmp_path):
