@@ -121,7 +121,7 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
     try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
-    return Manifest(job.plain, schema.digest, n_pings, per_part, system, files=schema.files)
+    return Manifest(job.plain, schema.digest, n_pings, per_part, system, schema.files)
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:
