@@ -163,8 +163,7 @@ class Publisher:
         self._transports = _several(transports)
         self._topics = self._make_topics()
         acoustics = Acoustics.physical() if acoustics is None else acoustics
-        speed_m_s = acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed()
-        most_hz = sonar.max_ping_rate_hz(speed_m_s)
+        most_hz = sonar.max_ping_rate_hz(acoustics.assumed_sound_speed_m_s())
         self.rate_hz = self.settings.rate_hz or most_hz
         if self.rate_hz > most_hz * (1 + 1e-9):
             logger.warning(
