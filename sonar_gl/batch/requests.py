@@ -20,7 +20,7 @@ from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
-from sonar_gl.noise.settings import Noise, check_moved_amounts
+from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
@@ -33,7 +33,6 @@ VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
-NOISE_PRESETS = {"none": Noise.none, "demarco2015": Noise.demarco2015, "physical": Noise.physical}
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,10 +391,10 @@ def _load_acoustics(job: Job) -> Acoustics:
 def _load_noise(job: Job) -> Noise:
     settings, where = dict(job.noise), f"{job.where}: noise"
     preset = settings.pop("preset", "none")
-    if not isinstance(preset, str) or preset not in NOISE_PRESETS:
-        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise Error(f"{where}.preset must be one of {', '.join(PRESETS)} (got {shown(preset)})")
     check_moved_amounts(where, settings)
-    return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
+    return build(Noise, _fields_of(PRESETS[preset]) | settings, where)
 
 
 def _fields_of(record) -> dict:
