@@ -277,6 +277,17 @@ class Acoustics:
             )
         return out
 
+    def assumed_sound_speed_m_s(self) -> float:
+        """Return the speed of sound by which the sonar shows ranges: the one that it is set to, or the water's.
+
+        >>> water = Water(sound_speed_m_s=1450.0)
+        >>> Acoustics(water=water).assumed_sound_speed_m_s()
+        1450.0
+        >>> Acoustics(water=water, sonar_sound_speed_m_s=1500.0).assumed_sound_speed_m_s()
+        1500.0
+        """
+        return float(self.sonar_sound_speed_m_s or self.water.sound_speed())
+
     def shown_per_true(self) -> float:
         """Return the ratio of shown to true ranges: the speed of sound that the sonar assumes, over the right one.
 
@@ -601,7 +612,7 @@ class Acoustics:
         >>> round(pulse.bandwidth_hz)  # 1.3628 c / 2 / 25.4 mm
         40241
         """
-        speed_m_s = float(self.sonar_sound_speed_m_s or self.water.sound_speed())  # bins lie at shown ranges
+        speed_m_s = self.assumed_sound_speed_m_s()  # bins lie at shown ranges
         # the resolution cell is inversely proportional to the bandwidth
         as_a_bin_hz = resolution_cell_m(1.0, sonar.pulse_taper, speed_m_s) / sonar.bin_size_m
         bandwidth_hz = sonar.bandwidth_hz or min(as_a_bin_hz, sonar.frequency_hz)  # no pulse has a wider band

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import PurePosixPath
@@ -48,8 +48,8 @@ class Manifest:
     digest : that of `Schema`
     n_pings, pings_per_part : number of pings in all and of each part but the last
     system : OpenGL and libraries that began the batch
+    files : `Schema.files`, by which a changed file is named
     version : version of sonar_gl that began it
-    files : `Schema.files`, by which a changed file is named; empty in records of batches before there was such a field
     """
 
     job: dict
@@ -57,8 +57,8 @@ class Manifest:
     n_pings: int
     pings_per_part: int
     system: System
+    files: dict[str, str]
     version: str = __version__
-    files: dict[str, str] = field(default_factory=dict)
 
     @property
     def n_parts(self) -> int:
@@ -78,11 +78,11 @@ class Manifest:
 
         Parameters
         ----------
-        files : `Schema.files` of now; without such a record of the batch, nothing is known to have changed
+        files : `Schema.files` of now
         """
-        then = self.files or files
-        changed = [name for name in sorted({*then} & {*files}) if then[name] != files[name]]
-        return changed or sorted({*then} ^ {*files})
+        both, either = {*self.files} & {*files}, {*self.files} ^ {*files}
+        changed = [name for name in sorted(both) if self.files[name] != files[name]]
+        return changed or sorted(either)
 
     def numbers(self, part: int) -> range:
         """Return the numbers of a part's pings."""

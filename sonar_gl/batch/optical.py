@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import Camera
@@ -125,8 +125,7 @@ class OpticalCamera:
         plumes = {plume.name for plume in self.scene.plumes}
         for name, pose in bodies.items():
             if name not in poses and name not in plumes:
-                known = ", ".join(map(repr, poses)) or "none"
-                raise Error(f"bodies must be bodies of the scene (got {name!r}; there are: {known[:200]})")
+                raise unknown_body_error(name, {*poses, *plumes})
             if name in poses:
                 poses[name] = pose if pose is None else check_pose(pose, f"the pose of body {name!r}")
         return poses

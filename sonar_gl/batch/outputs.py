@@ -265,14 +265,18 @@ class OpticalFrame:
 class OpticalOutput(Output):
     """RGB and depth of a camera on the vehicle.
 
+    Parameters
+    ----------
+    device : as for `OpticalCamera`
+
     Attributes
     ----------
     frames : number of the ping -> OpticalFrame, for the pings of the part, if the job has a ROS bag
     """
 
-    def __init__(self, *context):
+    def __init__(self, *context, device: int | None = None):
         super().__init__(*context)
-        table = self.job.optical
+        table, self._device = self.job.optical, device
         self.camera = Camera.of_fov(table.width, table.height, fov_x_rad=table.fov_x_rad)
         self.frames = {}
         self._mount, self._scene, self._renderer = make_pose(*table.mount), None, None
@@ -288,7 +292,8 @@ class OpticalOutput(Output):
             if self._renderer is not None:
                 self._renderer.close()
             self._scene = request.scene
-            self._renderer = OpticalCamera(self.requests.scene(request.scene), self.camera)
+            scene = self.requests.scene(request.scene)
+            self._renderer = OpticalCamera(scene, self.camera, device=self._device)
         pose = request.vehicle_pose @ self._mount
         known = {body.name for body in self.requests.scene(request.scene).bodies}
         rgb, depth_m = self._renderer(pose, {n: at for n, at in request.bodies.items() if n in known})
@@ -364,10 +369,12 @@ def try_outputs(requests: BatchRequests, schema: Schema, folder: Folder) -> None
         PicturesOutput(requests, schema, folder).try_out()
 
 
-def make_outputs(requests: BatchRequests, schema: Schema, folder: Folder) -> list[Output]:
-    """Return the outputs that a job has."""
+def make_outputs(
+    requests: BatchRequests, schema: Schema, folder: Folder, device: int | None = None
+) -> list[Output]:
+    """Return the outputs that a job has; those that render do so on this device, as for `OpticalCamera`."""
     job, context = requests.job, (requests, schema, folder)
-    optical = OpticalOutput(*context) if job.optical is not None else None
+    optical = OpticalOutput(*context, device=device) if job.optical is not None else None
     outputs = [
         ArraysOutput(*context),
         PicturesOutput(*context) if job.pictures is not None else None,

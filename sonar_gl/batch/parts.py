@@ -121,7 +121,7 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
     try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
-    return Manifest(job.plain, schema.digest, n_pings, per_part, system, files=schema.files)
+    return Manifest(job.plain, schema.digest, n_pings, per_part, system, schema.files)
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:
@@ -279,7 +279,7 @@ class PartMaker:
 
     def __init__(self, batch: Batch):
         self._batch, self.folder, self._system = batch, batch.folder, None
-        self.outputs = make_outputs(batch.requests, batch.schema, batch.folder)
+        self.outputs = make_outputs(batch.requests, batch.schema, batch.folder, device=batch.device)
         self._stack, self._scene, self._simulators = ExitStack(), None, {}
         # scene and sonar of which it was said that a tolerance is not met
         self._unmet: set[tuple[int, str]] = set()

@@ -20,20 +20,19 @@ from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
-from sonar_gl.noise.settings import Noise, check_moved_amounts
+from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar, load_sonar, too_short_step_s
 
 # of random numbers; never renumber: the bytes of data sets would change
 VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
-NOISE_PRESETS = {"none": Noise.none, "demarco2015": Noise.demarco2015, "physical": Noise.physical}
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,16 +159,15 @@ class BatchRequests(Sequence):
 
     def rate_warnings(self) -> Iterator[str]:
         """Yield a sentence about each trajectory whose pings follow each other faster than a sonar makes them."""
-        set_speed_m_s = self.acoustics.sonar_sound_speed_m_s or self.acoustics.water.sound_speed()
         for k, trajectory in enumerate(self._trajectories):
-            steps_s = np.diff(trajectory.time_s(np.arange(len(trajectory))))
-            steps_s = steps_s[steps_s != 0]  # equal times have no rate
-            for name, sonar in self.sonars.items() if len(steps_s) else ():
-                max_rate_hz = sonar.max_ping_rate_hz(set_speed_m_s)
-                if steps_s.min() < (1 - 1e-6) / max_rate_hz:
+            times_s = trajectory.time_s(np.arange(len(trajectory)))
+            for name, sonar in self.sonars.items():
+                max_rate_hz = sonar.max_ping_rate_hz(self.acoustics.assumed_sound_speed_m_s())
+                shortest_s = too_short_step_s(times_s, max_rate_hz)
+                if shortest_s is not None:
                     yield (
                         f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
-                        f"at most (got {1 / steps_s.min():.4g}; its range, its ping_rate_max_hz, or the times)"
+                        f"at most (got {1 / shortest_s:.4g}; its range, its ping_rate_max_hz, or the times)"
                     )
 
     def __len__(self) -> int:
@@ -393,10 +391,10 @@ def _load_acoustics(job: Job) -> Acoustics:
 def _load_noise(job: Job) -> Noise:
     settings, where = dict(job.noise), f"{job.where}: noise"
     preset = settings.pop("preset", "none")
-    if not isinstance(preset, str) or preset not in NOISE_PRESETS:
-        raise Error(f"{where}.preset must be one of {', '.join(NOISE_PRESETS)} (got {shown(preset)})")
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise Error(f"{where}.preset must be one of {', '.join(PRESETS)} (got {shown(preset)})")
     check_moved_amounts(where, settings)
-    return build(Noise, _fields_of(NOISE_PRESETS[preset]()) | settings, where)
+    return build(Noise, _fields_of(PRESETS[preset]) | settings, where)
 
 
 def _fields_of(record) -> dict:

@@ -1,6 +1,6 @@
 """Pings as ROS 2 bags of MCAP files, written without ROS.
 
-A part of a batch is one file. `finish_bag` makes the files of a folder one bag, in the form in which ROS
+A part of a batch is one file. `bag_metadata` makes the files of a folder one bag, in the form in which ROS
 splits long recordings.
 
 Frames: `sonar` is the sonar's own, x forward, y to port, z up, and `sonar_beams` that of its messages, see
@@ -138,14 +138,14 @@ class CameraRecord:
 # ---- a part and a bag -------------------------------------------------------------------------------
 
 
-def write_part(path, records: Iterable, settings: BagSettings | None = None) -> None:
+def write_part(path, records: Iterable, settings: BagSettings) -> None:
     """Write pings and camera images as one MCAP file; the same records give the same bytes under any name.
 
     Parameters
     ----------
     path : ends in .mcap; its folder exists
     records : PingRecord and CameraRecord, at least one, by time; may be a generator
-    settings : None is `BagSettings()`
+    settings : BagSettings
 
     Raises
     ------
@@ -162,7 +162,6 @@ def write_part(path, records: Iterable, settings: BagSettings | None = None) -> 
     path = Path(path)
     if path.suffix != ".mcap":
         raise Error(f"{str(path)!r} must end in .mcap (got {path.suffix or 'no suffix'})")
-    settings = BagSettings() if settings is None else settings
     check_kind("settings", settings, BagSettings, "such as BagSettings(y_sign='port')")
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         part = _PartWriter(BagFile(file), settings)
@@ -172,38 +171,6 @@ def write_part(path, records: Iterable, settings: BagSettings | None = None) -> 
         if part.time_ns < 0:
             raise Error(f"{str(path)!r}: a part must hold at least one record (got none)")
         part.file.finish()
-
-
-def finish_bag(folder, part_files: Iterable) -> Path:
-    """Make the parts in a folder one bag: write `metadata.yaml`, by which ROS opens the folder.
-
-    Parameters
-    ----------
-    folder : folder of the parts
-    part_files : their names or paths, in any order; of a path only the name counts
-
-    Returns
-    -------
-    path of metadata.yaml
-
-    Raises
-    ------
-    Error
-        if there is no part, one is missing or no complete MCAP file, or two overlap in time.
-    """
-    folder, parts = Path(folder), []
-    for name in (Path(name).name for name in part_files):
-        try:
-            with (folder / name).open("rb") as file:
-                parts.append(read_contents(file, name))
-        except OSError as why:
-            reason = (why.strerror or str(why)).lower()
-            raise Error(f"cannot read the part {str(folder / name)!r} of a bag: {reason}") from None
-    text = bag_metadata(parts)
-    target = folder / "metadata.yaml"
-    with atomic_write(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return target
 
 
 class _PartWriter:
@@ -379,9 +346,16 @@ def read_contents(file, name: str) -> BagContents:
 
 
 def bag_metadata(parts: Iterable[BagContents]) -> str:
-    """Return the text of the metadata.yaml of a bag of these files, in any order.
+    """Return the text of metadata.yaml, by which ROS opens the folder of these files as a bag.
 
-    For folders on other machines; `read_contents` reads any open file.
+    Parameters
+    ----------
+    parts : of `read_contents`, in any order
+
+    Raises
+    ------
+    Error
+        if there is no part, or two overlap in time.
     """
     parts = sorted(parts, key=lambda part: (part.start_ns, part.end_ns, part.name))
     if not parts:

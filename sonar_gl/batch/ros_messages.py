@@ -174,7 +174,7 @@ class MessageTypes:
             "marine_acoustic_msgs/PingInfo",
             sonar.frequency_hz,
             # "speed of sound used to calculate ranges": the one that the sonar assumes
-            acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed(),
+            acoustics.assumed_sound_speed_m_s(),
             np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
             np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
         )

@@ -297,7 +297,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
 def _busiest_pings(manifest: Manifest, processes: int) -> float:
     """Return how many pings one of these processes makes at least, since a part is made by one process.
 
-    >>> manifest = Manifest({}, "", 20, 8, None)
+    >>> manifest = Manifest({}, "", 20, 8, None, {})
     >>> [_busiest_pings(manifest, processes) for processes in (1, 2, 3)]
     [20.0, 10.0, 8]
     """

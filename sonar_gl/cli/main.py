@@ -19,7 +19,7 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, ENGINE, HELP, PING_OPTIONS, PathText, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, PING_OPTIONS, PathText, option, ping_options, scene_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import Error, MachineError
@@ -450,12 +450,7 @@ def _emulate_options(**more):
     options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
     options |= {"duration": {"type": float, "show_default": "until Ctrl-C"}, **more}
 
-    def decorate(command):
-        for name in reversed([name for name in HELP if name in options]):
-            command = option(name, **options[name])(command)
-        return click.argument("scene", type=PathText())(command)
-
-    return decorate
+    return scene_options(options)
 
 
 @main.group(epilog=EMULATE_EPILOG, short_help="Speak the network protocol of a real sonar.")

@@ -135,12 +135,8 @@ PING_OPTIONS = {
 }
 
 
-def ping_options(**more):
-    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
-
-    An option of PING_OPTIONS that is None in `more` is left out.
-    """
-    settings = {name: given for name, given in {**PING_OPTIONS, **more}.items() if given is not None}
+def scene_options(settings: dict[str, dict]):
+    """Decorate a command on a scene: the argument SCENE and these options, name -> settings, in the order of HELP."""
 
     def decorate(command):
         for name in reversed([name for name in HELP if name in settings]):
@@ -148,3 +144,12 @@ def ping_options(**more):
         return click.argument("scene", type=PathText())(command)
 
     return decorate
+
+
+def ping_options(**more):
+    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
+
+    An option of PING_OPTIONS that is None in `more` is left out.
+    """
+    settings = {name: given for name, given in {**PING_OPTIONS, **more}.items() if given is not None}
+    return scene_options(settings)

@@ -33,7 +33,7 @@ from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.simulator import Simulator
-from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar import Sonar, too_short_step_s
 
 FAN_ONLY = ("counts", "colormap", "axes")  # options of one style
 REPLACED = {  # options of former versions: what stands in their place
@@ -241,14 +241,10 @@ class FrameWriter:
 
     def _check_ping_rate(self, times_s):
         """Warn once of pings that follow each other faster than sound returns."""
-        steps_s = np.diff([] if times_s is None else times_s)
-        steps_s = steps_s[steps_s != 0]  # equal times have no rate
-        if not len(steps_s):
-            return
-        acoustics, sonar = self.simulator.acoustics, self.simulator.sonar
-        max_rate_hz = sonar.max_ping_rate_hz(acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed())
-        shortest_s = float(steps_s.min())
-        if shortest_s < (1 - 1e-6) / max_rate_hz:
+        sonar = self.simulator.sonar
+        max_rate_hz = sonar.max_ping_rate_hz(self.simulator.acoustics.assumed_sound_speed_m_s())
+        shortest_s = too_short_step_s([] if times_s is None else times_s, max_rate_hz)
+        if shortest_s is not None:
             cure = "no sonar pings as quickly"
             reason = f"in which sound comes back from {sonar.range_max_m:g} m"
             if max_rate_hz == sonar.ping_rate_max_hz:

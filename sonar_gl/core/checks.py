@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error, nearest_names, nearest_of_many
 
 
 def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
@@ -203,3 +203,18 @@ def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -
         return value
     hint = nearest_names(value if isinstance(value, str) else "", choices)
     raise Error(f"{location}{': ' if location else ''}unknown {kind} (got {shown(value)}; {hint})")
+
+
+def unknown_body_error(name, known: Iterable[str], rule: str = "bodies must be bodies of the scene") -> Error:
+    """Return the error for a name that no body has.
+
+    Parameters
+    ----------
+    name : what was given, of any type
+    known : names of the bodies of the scene, and of what else may be named
+    rule : what must hold, with which the message begins
+
+    >>> str(unknown_body_error("wal", ["floor", "wall"]))
+    "bodies must be bodies of the scene (got 'wal'; did you mean 'wall'?)"
+    """
+    return Error(f"{rule} (got {shown(name)}; {nearest_of_many(name, known)})")

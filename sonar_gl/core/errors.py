@@ -103,10 +103,27 @@ def nearest_names(name: str, known: Iterable[str]) -> str:
     'known are hamming, uniform'
     """
     known = sorted(known)
+    return _similar_names(name, known) or "known are " + ", ".join(known)
+
+
+def nearest_of_many(name: str, known: Iterable[str]) -> str:
+    """Return the hint of `nearest_names`, with a few of the known names alone: a scene may have thousands, or none.
+
+    >>> nearest_of_many("x", [f"pile_{k:02d}" for k in range(12)])
+    'known are pile_00, pile_01, pile_02, pile_03, pile_04, pile_05, pile_06, pile_07, pile_08, pile_09 and 2 more'
+    >>> nearest_of_many("x", [])
+    'there are none'
+    """
+    known = sorted(known)
+    if not known:
+        return "there are none"
+    return _similar_names(name, known) or f"known are {some_names(known)}"
+
+
+def _similar_names(name: str, known: list[str]) -> str:
+    """Return a question about the most similar known names; empty if none is similar."""
     similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5) if isinstance(name, str) else []
-    if similar:
-        return "did you mean " + " or ".join(repr(n) for n in similar) + "?"
-    return "known are " + ", ".join(known)
+    return "did you mean " + " or ".join(repr(n) for n in similar) + "?" if similar else ""
 
 
 def some_names(names: list[str]) -> str:

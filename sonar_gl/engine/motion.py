@@ -133,7 +133,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     if velocity is None:
         return ping
     sound_speed = ping.acoustics.water.sound_speed()
-    speeds = sound_speed, ping.acoustics.sonar_sound_speed_m_s or sound_speed
+    speeds = sound_speed, ping.acoustics.assumed_sound_speed_m_s()
     sonar, r, own = ping.sonar, ping.range_m, ping.azimuth_rad
     given, velocity = velocity, _in_head(velocity, sonar)
     azimuth = _cell_edges(own, math.radians(sonar.beam_width_deg))

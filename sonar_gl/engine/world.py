@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, check_number, is_number, shown
-from sonar_gl.core.errors import Error, closed_error, nearest_names, other_process_error
+from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unknown_body_error
+from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.worker import SecondThread, ThreadLock
 from sonar_gl.raster.engine import RasterEngine, make_engine
@@ -121,8 +121,7 @@ class World:
         out = np.zeros(len(self.scene.bodies) + 1, bool)
         for name in names:
             if name not in self._indices:
-                hint = nearest_names(name, self._indices) if self._indices else "there are none"
-                raise Error(f"background must be bodies of the scene (got {name!r}; {hint})")
+                raise unknown_body_error(name, self._indices, "background must be bodies of the scene")
             out[1 + self._indices[name]] = True
         return out
 
@@ -189,8 +188,8 @@ class World:
     def _index_of(self, name, what: str, plumes=()) -> int:
         if name not in self._indices:
             models = self.scene.models if what == "bodies" else ()
-            known = ", ".join(map(repr, dict.fromkeys([*self._indices, *plumes, *models]))) or "none"
-            raise Error(f"{what} must be bodies of the scene (got {name!r}; there are: {known[:200]})")
+            known = {*self._indices, *plumes, *models}
+            raise unknown_body_error(name, known, f"{what} must be bodies of the scene")
         return self._indices[name]
 
     def _reflectivity(self, changed) -> np.ndarray:

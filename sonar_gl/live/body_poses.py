@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.checks import unknown_body_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.scene.scene import Scene
 
@@ -40,8 +40,7 @@ class BodyPoses:
     def move(self, name: str, pose: np.ndarray | None) -> None:
         """Put one elsewhere, or None to take it away; raise Error if there is none of this name."""
         if not isinstance(name, str) or name not in self._home:
-            hint = nearest_names(name, self._home) if self._home else "there are none"
-            raise Error(f"a body that is moved must be one of the scene (got {name!r}; {hint})")
+            raise unknown_body_error(name, self._home, "a body that is moved must be one of the scene")
         pose = None if pose is None else check_pose(pose, f"the pose of body {name!r}")
         self.moved = {**self.moved, name: pose}
 

@@ -14,7 +14,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP
 from sonar_gl.live.settings import LiveSettings
-from sonar_gl.noise.settings import Noise
+from sonar_gl.noise.settings import PRESETS, Noise
 from sonar_gl.sonar.sonar import UNPARSED, Sonar, presets
 
 POSE_DECIMALS = 6  # of metres and radians: what files and command lines hold of a pose
@@ -106,9 +106,8 @@ def acoustics_changes(acoustics: Acoustics) -> dict:
 
 
 def noise_changes(noise: Noise) -> tuple[str, dict]:
-    """Return the profile of noise from which fewest fields differ, and these."""
-    profiles = {"none": Noise.none(), "physical": Noise.physical(), "demarco2015": Noise.demarco2015()}
-    found = {name: changes(noise, profile) for name, profile in profiles.items()}
+    """Return the preset of noise from which fewest fields differ, and these."""
+    found = {name: changes(noise, preset) for name, preset in PRESETS.items()}
     name = min(found, key=lambda name: len(found[name]))
     return name, found[name]
 
@@ -139,13 +138,13 @@ def render_line(
         words += ["--range", repr(float(settings.range_m))]
     if settings.n_bins is not None:
         words += ["--bins", str(settings.n_bins)]
-    profile, amounts = noise_changes(settings.noise)
+    preset, amounts = noise_changes(settings.noise)
     law = settings.law
     values = {
         "--profile": "" if acoustics.profile == "physical" else acoustics.profile,
         "--acoustics": changes_text(acoustics_changes(acoustics)),
         "--water": changes_text(changes(acoustics.water, DEFAULT_WATER)),
-        "--noise": ",".join(filter(None, [profile, changes_text(amounts)])),
+        "--noise": ",".join(filter(None, [preset, changes_text(amounts)])),
         "--counts": changes_text({"law": law.law, **changes(law, base_counts)}) if law != base_counts else "",
         "--colormap": "" if settings.colormap == DEFAULT_COLORMAP else settings.colormap,
         "--height": str(settings.height),

@@ -42,7 +42,7 @@ from sonar_gl.live.ros_discovery import (
     discovery_definition,
     discovery_message,
 )
-from sonar_gl.live.transport import Topic, Transport, check_process, ros_domain
+from sonar_gl.live.transport import Topic, Transport, check_process, check_same_type, ros_domain
 
 logger = logging.getLogger(__name__)
 
@@ -126,7 +126,7 @@ class DdsTransport(Transport):
         self.interface = interface
         self._dds = dds = _libraries()
         self._lock = threading.Lock()  # of the two tables
-        self._topics, self._writers = {}, {}
+        self._topics, self._writers = {}, {}  # of the first, by name: the Topic, and the topic of DDS
         self._reader_guids = {}  # by the number of the receiver
         self._opened = None if interface is None else _open_domain(self.domain, interface)
         try:
@@ -263,14 +263,10 @@ class DdsTransport(Transport):
         if self._participant is None:
             raise Error(f"the DDS transport must be open to carry {topic.name!r} (it was closed)")
         data_type = _data_type(topic.msgtype, topic.definition)
-        known = self._topics.get(topic.name)
-        if known is not None:
-            if known.data_type is not data_type:
-                raise Error(
-                    f"a topic must have one type (got {topic.msgtype} for {topic.name!r}, "
-                    f"and another type or definition before)"
-                )
-            return known
+        if topic.name in self._topics:
+            known, made = self._topics[topic.name]
+            check_same_type(topic, known)
+            return made
         try:
             made = dds.topic.Topic(self._participant, f"rt/{topic.name.removeprefix('/')}", data_type)
         except dds.core.DDSException as why:
@@ -278,7 +274,7 @@ class DdsTransport(Transport):
                 f"{topic.name!r} must be a name that DDS allows, with a type that no other topic of that name "
                 f"has (Cyclone DDS refuses it: {_reason(why)})"
             ) from None
-        self._topics[topic.name] = made
+        self._topics[topic.name] = topic, made
         return made
 
 

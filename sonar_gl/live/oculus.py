@@ -130,7 +130,7 @@ def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> 
         frequency_hz=sonar.frequency_hz,
         temperature_c=acoustics.water.temperature_c,
         pressure_bar=1.01325 + acoustics.water.depth_m / 10.0,  # ten metres of water make a bar
-        sound_speed_m_s=acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed(),
+        sound_speed_m_s=acoustics.assumed_sound_speed_m_s(),
         heading_deg=float(-yaw % 360),  # a compass counts clockwise
         pitch_deg=float(-pitch),  # up is positive
         roll_deg=float(roll),

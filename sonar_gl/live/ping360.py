@@ -67,7 +67,7 @@ class Ping360Head:
 
         A pulse has one period at least.
         """
-        speed_m_s = self.head.acoustics.sonar_sound_speed_m_s or self.head.acoustics.water.sound_speed()
+        speed_m_s = self.head.acoustics.assumed_sound_speed_m_s()
         preset, range_m = self._preset, settings.n_samples * settings.sample_time_s * speed_m_s / 2
         counts = preset.counts.changed({"gain_db": GAIN_DB[settings.gain_setting]})
         frequency_hz = 1e3 * settings.transmit_frequency_khz

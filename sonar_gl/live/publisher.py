@@ -13,13 +13,12 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.batch.ros_messages import BEAMS, MAX_TIME_S, TF, TF_STATIC, message_types, nanoseconds
-from sonar_gl.core.checks import check_kind, check_whole_number, shown
+from sonar_gl.core.checks import check_kind, check_whole_number, unknown_body_error
 from sonar_gl.core.errors import (
     Error,
     MachineError,
     closed_error,
     copied_error,
-    nearest_names,
     other_process_error,
 )
 from sonar_gl.core.poses import check_pose
@@ -163,8 +162,7 @@ class Publisher:
         self._transports = _several(transports)
         self._topics = self._make_topics()
         acoustics = Acoustics.physical() if acoustics is None else acoustics
-        speed_m_s = acoustics.sonar_sound_speed_m_s or acoustics.water.sound_speed()
-        most_hz = sonar.max_ping_rate_hz(speed_m_s)
+        most_hz = sonar.max_ping_rate_hz(acoustics.assumed_sound_speed_m_s())
         self.rate_hz = self.settings.rate_hz or most_hz
         if self.rate_hz > most_hz * (1 + 1e-9):
             logger.warning(
@@ -348,8 +346,7 @@ class Publisher:
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
         for name in bodies:
             if name not in self._names:
-                hint = nearest_names(str(name), self._names) if self._names else "there are none"
-                raise Error(f"bodies must be bodies of the scene (got {shown(name)}; {hint})")
+                raise unknown_body_error(name, self._names)
         return {
             name: None if pose is None else check_pose(pose, f"the pose of body {name!r}")
             for name, pose in bodies.items()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from sonar_gl.core.checks import check_whole_number
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.checks import check_whole_number, unknown_body_error
 from sonar_gl.live.frame import LiveFrame, Reading
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -31,8 +30,7 @@ def body_number(scene: Scene, name: str) -> int:
     """Return a body's number in labels, 1 + its index in the scene; raise Error if there is none of this name."""
     names = [one.name for one in scene.bodies]
     if name not in names:
-        hint = nearest_names(name, names) if names else "there are none"
-        raise Error(f"a body must be one of the scene (got {name!r}; {hint})")
+        raise unknown_body_error(name, names, "a body must be one of the scene")
     return 1 + names.index(name)
 
 

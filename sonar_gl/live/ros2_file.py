@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from sonar_gl.batch.job import Mount, Table, job_error
+from sonar_gl.batch.job import Mount, Table, job_error, split_sonar
 from sonar_gl.core.toml import read_toml
 
 TopicName = str | Literal[False]
-AFTER_FILE = r"#|,\s*\w+\s*="  # of a sonar: the name of a table, or changes of fields, as for `load_sonar`
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -127,8 +125,8 @@ def read_ros2_file(path) -> Ros2File:
     if found.poses is not None:
         here["poses"] = _beside(folder, found.poses)
     if found.sonar is not None:
-        file = re.split(AFTER_FILE, found.sonar, maxsplit=1)[0]
-        here["sonar"] = _beside(folder, file) + found.sonar[len(file) :]
+        file, rest = split_sonar(found.sonar)
+        here["sonar"] = _beside(folder, file) + rest
     return found.model_copy(update=here)
 
 

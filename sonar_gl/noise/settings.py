@@ -150,7 +150,7 @@ class Noise:
     def parse(cls, text: str) -> Noise:
         """Return the noise that a command line states: a preset, amounts, or a preset and amounts.
 
-        Presets are "none", "demarco2015" and "physical".
+        Presets are those of `PRESETS`.
 
         >>> Noise.parse("gaussian=0.01,median=3") == Noise(gaussian=0.01, median=3)
         True
@@ -158,9 +158,8 @@ class Noise:
         True
         """
         check_moved_amounts(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
-        presets = {"none": cls.none, "demarco2015": cls.demarco2015, "physical": cls.physical}
-        preset, amounts = parse_fields("noise", text, cls, presets=presets)
-        return replace(presets[preset or "none"](), **amounts)
+        preset, amounts = parse_fields("noise", text, cls, presets=PRESETS)
+        return replace(PRESETS[preset or "none"], **amounts)
 
 
 def check_moved_amounts(what: str, names: Iterable[str]) -> None:
@@ -179,3 +178,6 @@ def check_moved_amounts(what: str, names: Iterable[str]) -> None:
                 f"write the level as {new} in a sonar's TOML file, by --sonar p900-45,{new}=..., or by "
                 "dataclasses.replace; ambient_db is a level of the noise alone)"
             )
+
+
+PRESETS = {"none": Noise.none(), "demarco2015": Noise.demarco2015(), "physical": Noise.physical()}

@@ -399,6 +399,22 @@ class Sonar:
         return replace(self, range_max_m=range_max_m, n_bins=n_bins)
 
 
+def too_short_step_s(times_s, max_rate_hz: float) -> float | None:
+    """Return the shortest time between two pings if a sonar makes none as quickly, else None; equal times have no rate.
+
+    Parameters
+    ----------
+    times_s : (pings,) times of transmission, seconds
+    max_rate_hz : of `Sonar.max_ping_rate_hz`
+
+    >>> too_short_step_s([0.0, 0.5, 0.5, 1.0], 2.0), too_short_step_s([0.0, 0.5, 0.75], 2.0)
+    (None, 0.25)
+    """
+    steps_s = np.diff(times_s)
+    shortest_s = float(steps_s[steps_s != 0].min(initial=math.inf))
+    return shortest_s if shortest_s < (1 - 1e-6) / max_rate_hz else None  # times may be rounded
+
+
 def load_sonar(what: str | Path) -> Sonar:
     """Return a preset, or the sonar of a file.
 

@@ -347,7 +347,7 @@ def test_messages(optical):
         (lambda: optical(HERE, ["ball"]), "bodies must be a dict (got list; such as"),
         (
             lambda: optical(HERE, {"wal": None}),
-            "bodies must be bodies of the scene (got 'wal'; there are: 'wall'",
+            "bodies must be bodies of the scene (got 'wal'; did you mean 'wall' or 'ball' or 'small'?)",
         ),
         (
             lambda: optical(HERE, {"wall": 2 * HERE}),

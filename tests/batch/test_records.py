@@ -170,6 +170,20 @@ def test_a_folder_of_a_version_that_planned_batches_is_refused(made, out):
         )
 
 
+def test_a_batch_that_another_version_began_is_refused(made, out):
+    """Also one of 0.1.0, the version before this one: its pings differ."""
+    begun = json.loads((out / BEGUN).read_text()) | {"version": "0.1.0"}
+    del begun["sha256"], begun["files"]  # a field that records of that version lack
+    (out / BEGUN).write_bytes(record_bytes(begun))
+    for command in (("--check", out), (made / "job.toml", "--out", out, "--resume", "--workers", "1")):
+        assert run("batch", *command) == (
+            2,
+            "",
+            f"error: {out / BEGUN}: a batch must be finished by the version that began it (got 0.1.0, this is "
+            f"{sg.__version__}; use that version, or another folder)\n",
+        )
+
+
 def test_a_batch_that_is_whole_is_not_touched(made, out):
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     for more in ((), ("--mend",)):

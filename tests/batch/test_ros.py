@@ -20,7 +20,8 @@ from sonar_gl.batch.ros import (
     BagSettings,
     CameraRecord,
     PingRecord,
-    finish_bag,
+    bag_metadata,
+    read_contents,
     write_part,
 )
 from sonar_gl.batch.ros_messages import by_range, message_types, nanoseconds
@@ -38,6 +39,7 @@ VEHICLE = pose(3, -2, -5, 0.1, -0.2, 2.0)
 SONAR = VEHICLE @ pose(0.4, 0.1, -0.3, pitch=0.3)
 IMAGING_SONAR = Sonar("four beams", 900e3, 4, 3, 80.0, 20.0, 1.5, 0.75, 2.25)
 ACOUSTICS = Acoustics.ideal().in_water(Water(sound_speed_m_s=1481.5))
+SETTINGS = BagSettings()
 
 
 def make_ping(intensity=None, **changes):
@@ -73,9 +75,18 @@ def by_rosbags(path):
 READERS = pytest.mark.parametrize("read", [by_mcap, by_rosbags])
 
 
-def write(folder, *records, settings=None, name="part.mcap"):
+def write(folder, *records, settings=SETTINGS, name="part.mcap"):
     write_part(folder / name, records, settings)
     return folder / name
+
+
+def metadata_of(*parts):
+    """Return the text of the metadata.yaml of a bag of these files."""
+    contents = []
+    for path in parts:
+        with path.open("rb") as file:
+            contents.append(read_contents(file, path.name))
+    return bag_metadata(contents)
 
 
 def only(messages, topic):
@@ -263,7 +274,7 @@ def split_bag(folder):
     pings = [[record(t, name) for name in ("left", "right")] for t in times]
     first = write(folder, *pings[0], *pings[1], eye, name="b.mcap")
     second = write(folder, *pings[2], *pings[3], *pings[4], name="a.mcap")
-    finish_bag(folder, [second, "b.mcap"])
+    (folder / "metadata.yaml").write_text(metadata_of(second, first), encoding="utf-8")
     return folder, first, second
 
 
@@ -344,8 +355,7 @@ def test_a_part_includes_the_metadata_of_a_bag(tmp_path):
     path = write(tmp_path, record())
     with path.open("rb") as file:
         (metadata,) = make_reader(file).iter_metadata()
-    finish_bag(tmp_path, [path.name])
-    beside = (tmp_path / "metadata.yaml").read_text().splitlines()
+    beside = metadata_of(path).splitlines()
     assert beside[0] == "rosbag2_bagfile_information:" and beside[1] == "  version: 8"
     assert metadata.name == "rosbag2"
     inside = metadata.metadata["serialized_metadata"].splitlines()
@@ -368,7 +378,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path):
 def test_invalid_records_are_refused(tmp_path):
     path = tmp_path / "part.mcap"
 
-    def error(*records, settings=None, to=path):
+    def error(*records, settings=SETTINGS, to=path):
         return error_of(write_part, to, records, settings)
 
     assert "must be in the order of their times (got 1 s after 2 s)" in error(record(2.0), record(1.0))
@@ -415,17 +425,14 @@ def test_invalid_settings_are_refused(settings, why):
 
 
 def test_invalid_parts_are_refused(tmp_path):
-    write(tmp_path, record(1.0), record(2.0), name="a.mcap")
-    complete = write(tmp_path, record(1.5), name="b.mcap").read_bytes()
-    assert "(got a.mcap until 2 s and b.mcap from 1.5 s)" in error_of(
-        finish_bag, tmp_path, ["b.mcap", "a.mcap"]
-    )
-    assert "at least one part" in error_of(finish_bag, tmp_path, [])
-    assert "c.mcap' of a bag: no such file" in error_of(finish_bag, tmp_path, ["c.mcap"])
+    first = write(tmp_path, record(1.0), record(2.0), name="a.mcap")
+    second = write(tmp_path, record(1.5), name="b.mcap")
+    assert "(got a.mcap until 2 s and b.mcap from 1.5 s)" in error_of(metadata_of, second, first)
+    assert "at least one part" in error_of(bag_metadata, [])
+    complete = second.read_bytes()
     for broken in (complete[:-100], b"", b"\x89MCAP0\r\n" + bytes(200), b"text"):
-        (tmp_path / "b.mcap").write_bytes(broken)
-        assert "'b.mcap' must be a complete part" in error_of(finish_bag, tmp_path, ["b.mcap"])
-    assert not (tmp_path / "metadata.yaml").exists()
+        second.write_bytes(broken)
+        assert "'b.mcap' must be a complete part" in error_of(metadata_of, second)
 
 
 def test_the_error_without_the_extra_says_how_to_add_it(tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ SPECS = [
 
 def make_store(folder, part, n_sonars=1):
     """Create an empty store; return it and its manifest."""
-    manifest = Manifest({}, "", N, part, None)
+    manifest = Manifest({}, "", N, part, None, {})
     groups = {f"sonar_{k}": SonarGroup(SONAR, SPECS, {"sonar": f"sonar_{k}"}) for k in range(n_sonars)}
     create_arrays(folder, manifest, groups, {"title": "any"})
     return PingStore(folder, n_sonars), manifest

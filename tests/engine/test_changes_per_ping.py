@@ -127,7 +127,7 @@ def test_the_speed_of_sound_may_not_change_if_the_sonar_is_set_to_one():
     assert acoustics.in_water(sour).water == sour
 
 
-KNOWN = "names in reflectivity must be bodies of the scene (got {!r}; there are: 'plain', 'smooth', 'patchy')"
+KNOWN = "names in reflectivity must be bodies of the scene (got {!r}; known are patchy, plain, smooth)"
 OUTSIDE = "the reflectivity of body 'plain' must be a number in 0..1 (got {!r})"
 NO_WATER = "water must be a Water (got {}; such as dataclasses.replace(acoustics.water, temperature_c=4.0))"
 REFUSED = [

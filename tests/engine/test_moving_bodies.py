@@ -241,7 +241,7 @@ def one_body():
         yield it
 
 
-KNOWN = "bodies must be bodies of the scene (got 'diver'; there are: 'plain', 'smooth')"
+KNOWN = "bodies must be bodies of the scene (got 'diver'; known are plain, smooth)"
 NO_DICT = 'bodies must be a dict (got list; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")'
 TURNED = (
     "the pose of body 'plain' must be a rotation and a translation (its 3x3 part scales, shears or reflects; "

@@ -732,8 +732,12 @@ def test_a_forked_process_leaves_its_parents_transport_alone(open_transport, nam
 def test_a_topic_has_one_type_and_a_name(open_transport, name):
     transport = open_transport()
     transport.advertise(topic_of(name))
-    with pytest.raises(Error, match="a topic must have one type"):
+    with pytest.raises(Error) as other:
         transport.subscribe(topic_of(name, "tf2_msgs/msg/TFMessage"), print)
+    had = f"got tf2_msgs/msg/TFMessage for {name!r}, which had std_msgs/msg/Header before"
+    assert str(other.value) == f"a topic must have one type ({had})"
+    with pytest.raises(Error, match="which had std_msgs/msg/Header before, with another definition"):
+        transport.advertise(Topic(name, "std_msgs/msg/Header", "", "string frame_id"))
     with pytest.raises(Error, match="must be a name that DDS allows"):
         transport.advertise(topic_of("/two words"))
     with pytest.raises(Error, match="its definition is not understood"):

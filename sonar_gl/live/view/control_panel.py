@@ -16,13 +16,12 @@ from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
-from sonar_gl.noise.settings import Noise
+from sonar_gl.noise.settings import PRESETS
 from sonar_gl.sonar.sonar import Sonar, presets
 
 KEYS, CAMERA, TRAJECTORY = "keys and gizmo", "browser's camera", "trajectory"
 NO_BODY = "none"
 COLORMAPS = (*ANCHORS, "jet", "viridis")
-NOISES = ("none", "demarco2015", "physical")
 OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
@@ -257,7 +256,7 @@ class ControlPanel:
         gui, session = self._gui, self._session
         with gui.add_folder("Acoustics and noise", expand_by_default=False):
             profile = gui.add_dropdown("profile", tuple(PROFILES), initial_value=settings.acoustics.profile)
-            noise = gui.add_dropdown("noise", (*NOISES, OTHER), initial_value=_shown_noise(settings))
+            noise = gui.add_dropdown("noise", (*PRESETS, OTHER), initial_value=_shown_noise(settings))
             for name in term_names():
                 label = SHORT_LABELS.get(name, name)
                 self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
@@ -283,8 +282,8 @@ class ControlPanel:
         return Acoustics(profile=name, water=self._session.settings.water)
 
     def _change_noise(self, name: str) -> None:
-        if chosen(name, (*NOISES, OTHER), "noise") != OTHER:
-            self._session.change(noise=Noise.parse(name))
+        if chosen(name, (*PRESETS, OTHER), "noise") != OTHER:
+            self._session.change(noise=PRESETS[name])
 
     def _find_prices(self, client) -> None:
         """Have the terms priced in a thread, since that takes seconds."""
@@ -404,7 +403,7 @@ def _shown_rate(settings: LiveSettings) -> float:
 
 
 def _shown_noise(settings: LiveSettings) -> str:
-    return next((name for name in NOISES if Noise.parse(name) == settings.noise), OTHER)
+    return next((name for name, noise in PRESETS.items() if noise == settings.noise), OTHER)
 
 
 def _priced_by(settings: LiveSettings) -> tuple:
