@@ -1956,7 +1956,7 @@ class Reflection(NamedTuple):
     index, other_index : plain tuples of ViewIndex of S, and of the other one
     plane : (4,) normal and offset of normal · x = offset in the frame of S, offset > 0
     is_body : the reflector is a body and must be seen there; the water's surface is not seen
-    loss : (n,) reflected intensity by the sine of the grazing angle, 0 to 1
+    reflected_intensity : (n,) by the sine of the grazing angle, 0 to 1
     """
 
     azimuth_rad: float
@@ -1968,7 +1968,7 @@ class Reflection(NamedTuple):
     other_index: tuple
     plane: np.ndarray
     is_body: bool
-    loss: np.ndarray
+    reflected_intensity: np.ndarray
 
 
 class SectorFrame(NamedTuple):
@@ -2068,13 +2068,15 @@ def _elevation_power(elevation_pattern, sine):
 
 
 @compiled
-def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation_pattern, reflected):
+def estimate_reflection(
+    view, planes, are_bodies, reflected_intensities, range_max_m, elevation_pattern, reflected
+):
     """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
 
     Parameters
     ----------
     view : tuple of ViewIndex
-    planes, are_bodies, losses : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
+    planes, are_bodies, reflected_intensities : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
     elevation_pattern : as in `sum_footprints`
     reflected : (n,) float64, overwritten; in the unit of the direct echo
 
@@ -2119,8 +2121,9 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
                 if along <= 0.0 or planes[p, 3] * length >= range_max_m * along:
                     continue
                 if _is_first(seen[g] * planes[p, 3] / along, are_bodies[p]):
-                    m, rest = _place_in_table(along / length, losses.shape[1])
-                    reflected[p] += weight * (losses[p, m] + rest * (losses[p, m + 1] - losses[p, m]))
+                    m, rest = _place_in_table(along / length, reflected_intensities.shape[1])
+                    lower, upper = reflected_intensities[p, m], reflected_intensities[p, m + 1]
+                    reflected[p] += weight * (lower + rest * (upper - lower))
     return echo
 
 
@@ -2151,7 +2154,8 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
     Samples that cannot return anything have no direction, and a reflected intensity of 0.
     """
     rest, along, border, echo = work[REST], work[ALONG], work[BORDER], work[ECHO]
-    line_u, tilt, loss, from_image = work[LINE_U], work[TILT], reflection.loss, reflection.from_image
+    line_u, tilt, from_image = work[LINE_U], work[TILT], reflection.from_image
+    reflected_intensity = reflection.reflected_intensity
     there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
     leg_x, leg_y, leg_z, reflected = (
         work[LEG_X],
@@ -2184,8 +2188,9 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
         bistatic[m] = 0.0
     for m in range(uint64(strip.first), uint64(strip.last)):
         if reflected[m] > 0.0:
-            k, between = _place_in_table(reflected[m], loss.shape[0])
-            reflected[m] = loss[k] + between * (loss[k + 1] - loss[k])
+            k, between = _place_in_table(reflected[m], reflected_intensity.shape[0])
+            lower, upper = reflected_intensity[k], reflected_intensity[k + 1]
+            reflected[m] = lower + between * (upper - lower)
             if reflected[m] < MIN_REFLECTED:
                 reflected[m] = leg_x[m] = leg_y[m] = leg_z[m] = 0.0
 
