@@ -62,8 +62,8 @@ class BinTable(NamedTuple):
 
     edges_m : (K + 1,) slant range
     s : (K + 1,) s = 1/r at the edges, falling
-    density, density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of
-        height 1 that covers the bin; in float64 and float32
+    density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of height 1 that
+        covers the bin; float32
     middle_s32 : (K,) middle of each bin in s, float32
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
@@ -73,7 +73,6 @@ class BinTable(NamedTuple):
 
     edges_m: np.ndarray
     s: np.ndarray
-    density: np.ndarray
     density32: np.ndarray
     middle_s32: np.ndarray
     middle_m: np.ndarray
@@ -165,7 +164,7 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
     first_m, last_m = float(bin_edges_m[0]), float(bin_edges_m[-1])
     per_metre = len(density) / (last_m - first_m)
     density32, middle_s32 = density.astype(np.float32), ((s[:-1] + s[1:]) / 2).astype(np.float32)
-    arrays = bin_edges_m, s, density, density32, middle_s32, middle_m
+    arrays = bin_edges_m, s, density32, middle_s32, middle_m
     limits = piece_limits(bin_edges_m, elevation_fov_rad)
     return BinTable(*arrays, q_unseen, first_m, per_metre, *limits)
 
