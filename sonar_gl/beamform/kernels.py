@@ -1462,7 +1462,7 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp)
 
 
 @inlined
-def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
+def _bin_moments(work, start, stop, cells, slot, u, bins):
     """As `_bin_points`, into one body's cells; return the first bin and past the last."""
     middle_m = bins.middle_m
     K = middle_m.shape[0]
@@ -1553,7 +1553,7 @@ def sum_bodies(
                 low, high = _spread_moments(work, start, stop, cells, slot, sums, column, bins, short_ramp)
                 spans[column, 0], spans[column, 1] = min(spans[column, 0], low), max(spans[column, 1], high)
             else:
-                low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
+                low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
     runs, n_runs, pool, n_pool = _store_runs(bodies, joined, store)
