@@ -56,7 +56,7 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
             try:
                 (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
             except SampleLimitError as error:
-                resolution = run.sampler.coarser(resolution, error)
+                resolution = run.sampler.coarser(error)
                 continue
             received = receive(drawn)
         resolution = run.review(received)  # a body came into view, or multipath is too coarse
