@@ -174,7 +174,7 @@ class CpuWorkspace:
     halves : _HalfWorkspace of each thread
     """
 
-    def __init__(self, most_samples: int = MAX_SAMPLES):
+    def __init__(self, most_samples: int):
         self.most_samples, self.halves = most_samples, (_HalfWorkspace(), _HalfWorkspace())
         self._images, self._other_images = [], []
 
