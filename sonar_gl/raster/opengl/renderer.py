@@ -18,6 +18,7 @@ from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.raster.views import (
     NO_BODIES,
+    NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
     SectorView,
@@ -28,13 +29,12 @@ from sonar_gl.raster.views import (
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
 from sonar_gl.sonar.samples import ViewSamples
 
-NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
 NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
 # A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
 # would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
-MAX_EXCESS, MIN_PIXELS = 2, 1 << 16
+MAX_PIXELS_PER_USED, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
 
 
@@ -87,12 +87,12 @@ class RenderTarget:
         """
         (columns, rows), pixels = self._size, self.width * self.height
         fits = self.width <= columns and self.height <= rows
-        if fits and columns * rows <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+        if fits and columns * rows <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
             return
         # a little more, so that a window that grows does not need a new target every time
         size = tuple(min(64 * -(-n // 64), limit) for n in (self.width, self.height))
         both = tuple(map(max, size, self._size))
-        if both[0] * both[1] <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+        if both[0] * both[1] <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
             size = both
         self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
         context.gc()  # releases the old renderbuffers before as much memory is taken again
