@@ -240,8 +240,8 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
             # pieces that a face as far as the middle one would have, and one more for each
             i = min(max(np.int64(work[SAMPLE, uint64(n >> 1)]), 0), lattice.columns - 1)
-            nearness = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
-            height = min(piece[0], math.sqrt(piece[1] * nearness)) if nearness > 0.0 else piece[0]
+            depth_inverse = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
+            height = min(piece[0], math.sqrt(piece[1] * depth_inverse)) if depth_inverse > 0.0 else piece[0]
             are_joined = n_faces + n * rise / height <= JOINED_SHARE * n
         if are_joined:
             if not strips.are_cones:
@@ -431,16 +431,16 @@ def _divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_co
             continue
         middle, end = (low + past) >> 1, past - 1
         i = uint64(min(max(np.int64(sample[uint64(middle)]), 0), columns - 1))
-        nearness = np.float64(plane_echo[uint64(middle) + bottom, i, 0])
-        if nearness > 0.0:
+        depth_inverse = np.float64(plane_echo[uint64(middle) + bottom, i, 0])
+        if depth_inverse > 0.0:
             echo = np.float64(plane_echo[uint64(middle) + bottom, i, 3])
-            over_q, over_echo, change = 1.0 / nearness, 1.0 / max(echo, LEAST_POWER), 0.0
+            over_q, over_echo, change = 1.0 / depth_inverse, 1.0 / max(echo, LEAST_POWER), 0.0
             for m in (uint64(low), uint64(end)):
                 i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
                 change = max(change, abs(plane_echo[m + bottom, i, 0] * over_q - 1.0))
                 change = max(change, abs(plane_echo[m + bottom, i, 3] * over_echo - 1.0))
             per_row = max(
-                rise / min(piece_rad, math.sqrt(piece_m * nearness)), change / (PIECE_CHANGE * n_rows)
+                rise / min(piece_rad, math.sqrt(piece_m * depth_inverse)), change / (PIECE_CHANGE * n_rows)
             )
             nearest_v = _find_nearest(work, plane_echo, lattice, middle, bottom_row, are_cones)
         # pieces that are alike, and how many of them have a row more than the others
@@ -2043,12 +2043,13 @@ def find_surfaces(x, y, z, first, last, view, out):
 
 
 @uncounted
-def _is_first(nearness, is_body):
+def _is_first(distance_ratio, is_body):
     """Return whether sound meets a reflector before anything else.
 
-    nearness : distance of the reflector over that of the surface seen in that direction; is_body : of `Reflection`
+    distance_ratio : distance of the reflector over that of the surface seen in that direction
+    is_body : of `Reflection`
     """
-    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
+    return distance_ratio <= 1.0 + SAME_PLANE and (distance_ratio >= 1.0 - SAME_PLANE or not is_body)
 
 
 @uncounted
@@ -2209,8 +2210,8 @@ def _keep_seen(work, strip, reflection):
         leg_x, leg_y, leg_z = work[LEG_X, m], work[LEG_Y, m], work[LEG_Z, m]
         work[LEG_X, m] = work[LEG_Y, m] = work[LEG_Z, m] = 0.0
         seen = work[SEEN, m]
-        nearness = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
-        if seen < 0.0 or not _is_first(nearness, is_body):
+        distance_ratio = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
+        if seen < 0.0 or not _is_first(distance_ratio, is_body):
             work[REFLECTED, m] = 0.0
             continue
         first, last = min(first, m), m + 1
