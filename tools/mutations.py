@@ -31,7 +31,7 @@ from time import perf_counter
 ROOT = Path(__file__).resolve().parents[1]
 UNCOPIED = (".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "out", "build", "pictures")
 TOKEN = re.compile(r"\w+|[^\w\s]")
-PASSED, FAILED = 0, 1  # exit statuses of pytest
+PASSED = 0  # exit status of pytest
 
 
 @dataclass(frozen=True)
