@@ -2,8 +2,8 @@
 // triangle's corners (CORNER_PLANES), or from gl_FragCoord.w, which is 1/x in the sector's frame, in full float32, and its
 // screen derivatives.
 // Out: attachment 0 = 1/x in the sector's frame, its slopes along u and v, echo μ cos θ times range, plus the specular
-// lobe of smooth faces (SPECULAR); attachment 1 (LABELS) = number of the body.
-// Defines: CORNER_PLANES, SHADING_NORMALS, SPECULAR, LABELS (each 0 or 1).
+// lobe of smooth faces (SPECULAR); attachment 1 (BODY_NUMBERS) = number of the body.
+// Defines: CORNER_PLANES, SHADING_NORMALS, SPECULAR, BODY_NUMBERS (each 0 or 1).
 #version 330 core
 #include "plane.glsl"
 
@@ -35,7 +35,7 @@ in vec3 corner_normal;
 #endif
 
 layout(location = 0) out vec4 plane_echo;
-#if LABELS
+#if BODY_NUMBERS
 layout(location = 1) out uint body_id;
 #endif
 
@@ -66,7 +66,7 @@ void main()
     if (v_lobe.x > 0.0)
         plane_echo.w += lobe_times_range(echo, depth_inverse, at, v_lobe);
 #endif
-#if LABELS
+#if BODY_NUMBERS
     body_id = v_body + 1u;
 #endif
     // linear in x, so that the depth test resolves as much far away as nearby

@@ -1,6 +1,6 @@
 // In: vertices relative to the centre of their mesh; a row of the table of bodies, per instance, or as uniforms if the
 // driver has no indirect draws. Out: clip position, place in the sector's frame, reflectivity, body, lobe.
-// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, SPECULAR, LABELS, INDIRECT (each 0 or 1).
+// Defines: SHADING_NORMALS, FACE_REFLECTIVITY, SPECULAR, INDIRECT (each 0 or 1).
 #version 330 core
 #if INDIRECT
 #define PER_BODY in

@@ -1,18 +1,21 @@
 """Every place where the tools look inside a Simulator.
 
-The benches time the stages of a ping, and the chart's rivals sum its samples in other ways; neither is part
-of the public interface. When the package is restructured, this module follows it and the tools stay as they
-are.
+The benches time the stages of a ping, and pings as batches make them; the chart's rivals sum the samples of a ping
+in other ways. Neither is part of the public interface. When the package is restructured, this module follows it
+and the tools stay as they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
+import sonar_gl as sg
 from sonar_gl.engine.adaptive import CHECK_EVERY
-from sonar_gl.engine.pipeline import draw
+from sonar_gl.engine.pipeline import draw, make_ping
 from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.sequence import make_pings
 
 PINGS_PER_REVIEW = CHECK_EVERY  # of a tolerance, while the sonar moves slowly
 STAGES = ("render", "reduce", "beams")  # draw and read back; samples to columns; columns to beams
@@ -41,6 +44,16 @@ def count_image_sources(simulator, pose) -> int:
         resolution = run.sampler.resolution_for(setup)
         (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
     return 0 if drawn.images is None else len(drawn.images.sources)
+
+
+def ping_alone(simulator, pose, labels: bool = False) -> sg.Ping:
+    """Return a ping with samples chosen from it alone, as those of batches are."""
+    return make_ping(simulator.run, PingRequest(pose, labels=labels, alone=True))
+
+
+def pings_of(simulator, requests: Iterator[PingRequest]) -> Iterator[sg.Ping]:
+    """Yield the pings of requests, as batches make them."""
+    return make_pings(simulator.run, requests)
 
 
 class StageClock:

@@ -31,7 +31,7 @@ from time import perf_counter
 ROOT = Path(__file__).resolve().parents[1]
 UNCOPIED = (".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "out", "build", "pictures")
 TOKEN = re.compile(r"\w+|[^\w\s]")
-PASSED, FAILED = 0, 1  # exit statuses of pytest
+PASSED = 0  # exit status of pytest
 
 
 @dataclass(frozen=True)
@@ -882,7 +882,12 @@ MUTATIONS = (
         VOLUME,
     ),
     Mutation("volume/half a bin", "- covered / 2", "- covered", VOLUME),
-    Mutation("volume/surface of the water", "is_surface = nearness >", "is_surface = 0 * nearness >", VOLUME),
+    Mutation(
+        "volume/surface of the water",
+        "is_surface = depth_inverse >",
+        "is_surface = 0 * depth_inverse >",
+        VOLUME,
+    ),
     Mutation("volume/rolled surface", "x - y * u + z * v", "x + y * u + z * v", VOLUME),
     Mutation(
         "surface/mean of steep bins",
@@ -893,8 +898,8 @@ MUTATIONS = (
     Mutation("surface/nodes in a bin", "(NODES + 1) / 2", "(NODES + 1) / 4", SURFACE),
     Mutation(
         "surface/Lambert's law",
-        "(met.nearness, *met.slopes, surface.height_m)",
-        "(met.nearness, *met.slopes, 1.0)",
+        "(met.depth_inverse, *met.slopes, surface.height_m)",
+        "(met.depth_inverse, *met.slopes, 1.0)",
         SURFACE,
     ),
     Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),

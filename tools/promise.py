@@ -24,10 +24,9 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
-from sonar_gl.engine.pipeline import make_ping
-from sonar_gl.engine.request import PingRequest
 from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
 from tests.support.worlds import random_world
+from tools import internals
 from tools.bench import harness
 
 TOLERANCES = (0.05, 0.02, 0.01)
@@ -96,9 +95,9 @@ def try_alone(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03) -> li
             sg.Simulator(scene, sonar, acoustics, **settings) as planned,
         ):
             plan = planned.plan([pose])
-            ping = make_ping(alone.run, PingRequest(pose, labels=True, alone=True))
+            ping = internals.ping_alone(alone, pose, labels=True)
             pings = {
-                "alone": lambda _, run=alone.run: make_ping(run, PingRequest(pose, alone=True)),
+                "alone": lambda _, simulator=alone: internals.ping_alone(simulator, pose),
                 "planned": lambda _, simulator=planned: simulator.ping(pose),
             }
             times = harness.take_turns(pings, ROUNDS, warm_up=1)

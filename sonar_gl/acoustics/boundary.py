@@ -1,7 +1,7 @@
 """Backscatter and reflection at boundaries, before any gain; cross sections of bubbles.
 
 `plane_of`, `cos_times_range`, `cos_incidence` and `specular_lobe` are the NumPy twins of the functions of the same
-names in shaders/plane.glsl and shaders/echo.glsl.
+names in shaders/plane.glsl and shaders/echo.glsl. `lobe_times_range` there has its twin in the engine cpu, compiled.
 """
 
 from __future__ import annotations

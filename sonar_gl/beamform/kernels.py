@@ -62,8 +62,8 @@ class BinTable(NamedTuple):
 
     edges_m : (K + 1,) slant range
     s : (K + 1,) s = 1/r at the edges, falling
-    density, density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of
-        height 1 that covers the bin; in float64 and float32
+    density32 : (K,) integral of s ds over each bin, which is the energy of an even footprint of height 1 that
+        covers the bin; float32
     middle_s32 : (K,) middle of each bin in s, float32
     middle_m : (K,) mean range of that energy, ∫ ds / ∫ s ds
     q_unseen : 1/x at which surfaces are no longer drawn
@@ -73,7 +73,6 @@ class BinTable(NamedTuple):
 
     edges_m: np.ndarray
     s: np.ndarray
-    density: np.ndarray
     density32: np.ndarray
     middle_s32: np.ndarray
     middle_m: np.ndarray
@@ -165,7 +164,7 @@ def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> B
     first_m, last_m = float(bin_edges_m[0]), float(bin_edges_m[-1])
     per_metre = len(density) / (last_m - first_m)
     density32, middle_s32 = density.astype(np.float32), ((s[:-1] + s[1:]) / 2).astype(np.float32)
-    arrays = bin_edges_m, s, density, density32, middle_s32, middle_m
+    arrays = bin_edges_m, s, density32, middle_s32, middle_m
     limits = piece_limits(bin_edges_m, elevation_fov_rad)
     return BinTable(*arrays, q_unseen, first_m, per_metre, *limits)
 
@@ -241,8 +240,8 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
             # pieces that a face as far as the middle one would have, and one more for each
             i = min(max(np.int64(work[SAMPLE, uint64(n >> 1)]), 0), lattice.columns - 1)
-            nearness = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
-            height = min(piece[0], math.sqrt(piece[1] * nearness)) if nearness > 0.0 else piece[0]
+            depth_inverse = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
+            height = min(piece[0], math.sqrt(piece[1] * depth_inverse)) if depth_inverse > 0.0 else piece[0]
             are_joined = n_faces + n * rise / height <= JOINED_SHARE * n
         if are_joined:
             if not strips.are_cones:
@@ -432,16 +431,16 @@ def _divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_co
             continue
         middle, end = (low + past) >> 1, past - 1
         i = uint64(min(max(np.int64(sample[uint64(middle)]), 0), columns - 1))
-        nearness = np.float64(plane_echo[uint64(middle) + bottom, i, 0])
-        if nearness > 0.0:
+        depth_inverse = np.float64(plane_echo[uint64(middle) + bottom, i, 0])
+        if depth_inverse > 0.0:
             echo = np.float64(plane_echo[uint64(middle) + bottom, i, 3])
-            over_q, over_echo, change = 1.0 / nearness, 1.0 / max(echo, LEAST_POWER), 0.0
+            over_q, over_echo, change = 1.0 / depth_inverse, 1.0 / max(echo, LEAST_POWER), 0.0
             for m in (uint64(low), uint64(end)):
                 i = uint64(min(max(np.int64(sample[m]), 0), columns - 1))
                 change = max(change, abs(plane_echo[m + bottom, i, 0] * over_q - 1.0))
                 change = max(change, abs(plane_echo[m + bottom, i, 3] * over_echo - 1.0))
             per_row = max(
-                rise / min(piece_rad, math.sqrt(piece_m * nearness)), change / (PIECE_CHANGE * n_rows)
+                rise / min(piece_rad, math.sqrt(piece_m * depth_inverse)), change / (PIECE_CHANGE * n_rows)
             )
             nearest_v = _find_nearest(work, plane_echo, lattice, middle, bottom_row, are_cones)
         # pieces that are alike, and how many of them have a row more than the others
@@ -1463,7 +1462,7 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp)
 
 
 @inlined
-def _bin_moments(work, start, stop, cells, slot, u, strip, bins):
+def _bin_moments(work, start, stop, cells, slot, u, bins):
     """As `_bin_points`, into one body's cells; return the first bin and past the last."""
     middle_m = bins.middle_m
     K = middle_m.shape[0]
@@ -1554,7 +1553,7 @@ def sum_bodies(
                 low, high = _spread_moments(work, start, stop, cells, slot, sums, column, bins, short_ramp)
                 spans[column, 0], spans[column, 1] = min(spans[column, 0], low), max(spans[column, 1], high)
             else:
-                low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, strip, bins)
+                low, high = _bin_moments(work, start, stop, cells, slot, lattice.u, bins)
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
     runs, n_runs, pool, n_pool = _store_runs(bodies, joined, store)
@@ -1956,7 +1955,7 @@ class Reflection(NamedTuple):
     index, other_index : plain tuples of ViewIndex of S, and of the other one
     plane : (4,) normal and offset of normal · x = offset in the frame of S, offset > 0
     is_body : the reflector is a body and must be seen there; the water's surface is not seen
-    loss : (n,) reflected intensity by the sine of the grazing angle, 0 to 1
+    reflected_intensity : (n,) by the sine of the grazing angle, 0 to 1
     """
 
     azimuth_rad: float
@@ -1968,7 +1967,7 @@ class Reflection(NamedTuple):
     other_index: tuple
     plane: np.ndarray
     is_body: bool
-    loss: np.ndarray
+    reflected_intensity: np.ndarray
 
 
 class SectorFrame(NamedTuple):
@@ -2044,12 +2043,13 @@ def find_surfaces(x, y, z, first, last, view, out):
 
 
 @uncounted
-def _is_first(nearness, is_body):
+def _is_first(distance_ratio, is_body):
     """Return whether sound meets a reflector before anything else.
 
-    nearness : distance of the reflector over that of the surface seen in that direction; is_body : of `Reflection`
+    distance_ratio : distance of the reflector over that of the surface seen in that direction
+    is_body : of `Reflection`
     """
-    return nearness <= 1.0 + SAME_PLANE and (nearness >= 1.0 - SAME_PLANE or not is_body)
+    return distance_ratio <= 1.0 + SAME_PLANE and (distance_ratio >= 1.0 - SAME_PLANE or not is_body)
 
 
 @uncounted
@@ -2068,13 +2068,15 @@ def _elevation_power(elevation_pattern, sine):
 
 
 @compiled
-def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation_pattern, reflected):
+def estimate_reflection(
+    view, planes, are_bodies, reflected_intensities, range_max_m, elevation_pattern, reflected
+):
     """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
 
     Parameters
     ----------
     view : tuple of ViewIndex
-    planes, are_bodies, losses : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
+    planes, are_bodies, reflected_intensities : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
     elevation_pattern : as in `sum_footprints`
     reflected : (n,) float64, overwritten; in the unit of the direct echo
 
@@ -2119,8 +2121,9 @@ def estimate_reflection(view, planes, are_bodies, losses, range_max_m, elevation
                 if along <= 0.0 or planes[p, 3] * length >= range_max_m * along:
                     continue
                 if _is_first(seen[g] * planes[p, 3] / along, are_bodies[p]):
-                    m, rest = _place_in_table(along / length, losses.shape[1])
-                    reflected[p] += weight * (losses[p, m] + rest * (losses[p, m + 1] - losses[p, m]))
+                    m, rest = _place_in_table(along / length, reflected_intensities.shape[1])
+                    lower, upper = reflected_intensities[p, m], reflected_intensities[p, m + 1]
+                    reflected[p] += weight * (lower + rest * (upper - lower))
     return echo
 
 
@@ -2151,7 +2154,8 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
     Samples that cannot return anything have no direction, and a reflected intensity of 0.
     """
     rest, along, border, echo = work[REST], work[ALONG], work[BORDER], work[ECHO]
-    line_u, tilt, loss, from_image = work[LINE_U], work[TILT], reflection.loss, reflection.from_image
+    line_u, tilt, from_image = work[LINE_U], work[TILT], reflection.from_image
+    reflected_intensity = reflection.reflected_intensity
     there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
     leg_x, leg_y, leg_z, reflected = (
         work[LEG_X],
@@ -2184,8 +2188,9 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
         bistatic[m] = 0.0
     for m in range(uint64(strip.first), uint64(strip.last)):
         if reflected[m] > 0.0:
-            k, between = _place_in_table(reflected[m], loss.shape[0])
-            reflected[m] = loss[k] + between * (loss[k + 1] - loss[k])
+            k, between = _place_in_table(reflected[m], reflected_intensity.shape[0])
+            lower, upper = reflected_intensity[k], reflected_intensity[k + 1]
+            reflected[m] = lower + between * (upper - lower)
             if reflected[m] < MIN_REFLECTED:
                 reflected[m] = leg_x[m] = leg_y[m] = leg_z[m] = 0.0
 
@@ -2205,8 +2210,8 @@ def _keep_seen(work, strip, reflection):
         leg_x, leg_y, leg_z = work[LEG_X, m], work[LEG_Y, m], work[LEG_Z, m]
         work[LEG_X, m] = work[LEG_Y, m] = work[LEG_Z, m] = 0.0
         seen = work[SEEN, m]
-        nearness = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
-        if seen < 0.0 or not _is_first(nearness, is_body):
+        distance_ratio = seen * plane[3] / (plane[0] * leg_x + plane[1] * leg_y + plane[2] * leg_z)
+        if seen < 0.0 or not _is_first(distance_ratio, is_body):
             work[REFLECTED, m] = 0.0
             continue
         first, last = min(first, m), m + 1

@@ -120,12 +120,12 @@ def _surface_alone(
     met = on_rays(samples, surface)
     plane_echo = np.zeros_like(samples.plane_echo)
     # sin g times slant range is the height
-    for part, values in enumerate((met.nearness, *met.slopes, surface.height_m)):
+    for part, values in enumerate((met.depth_inverse, *met.slopes, surface.height_m)):
         np.copyto(plane_echo[..., part], values, where=met.is_nearest, casting="same_kind")
-    # range below the end, without a division by the nearness of rays that never meet the surface
-    near, far = (met.nearness * edge_m for edge_m in steep_m)
+    # range below the end, without a division by the 1/x of rays that never meet the surface
+    near, far = (met.depth_inverse * edge_m for edge_m in steep_m)
     is_steep = met.is_nearest & (met.ray_length >= near) & (met.ray_length < far)
     if is_steep.any():
-        range_m = met.ray_length[is_steep] / met.nearness[is_steep]
+        range_m = met.ray_length[is_steep] / met.depth_inverse[is_steep]
         plane_echo[is_steep, 3] *= over_bin_mean(range_m)
     return SectorSamples(samples.sector, plane_echo, samples.body_id)

@@ -62,7 +62,7 @@ def _covered(samples: SectorSamples, first_m: float, surface: WaterSurface | Non
     plane = samples.plane_echo[..., :3].astype(np.float64)
     if surface is not None:
         on_surface = on_rays(samples, surface)
-        for part, values in enumerate((on_surface.nearness, *on_surface.slopes)):
+        for part, values in enumerate((on_surface.depth_inverse, *on_surface.slopes)):
             np.copyto(plane[..., part], values, where=on_surface.is_nearest)
     is_near = plane[..., 0] * first_m > length
     plane[is_near] = 0

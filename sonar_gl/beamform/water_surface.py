@@ -42,13 +42,13 @@ class SurfaceOnRays(NamedTuple):
 
     Attributes
     ----------
-    nearness : (R, C) float64, 1/x where a ray meets the surface; 0 or less where it does not
+    depth_inverse : (R, C) float64, 1/x where a ray meets the surface; 0 or less where it does not
     slopes : of it along u and v, the same everywhere
     is_nearest : (R, C) bool, whether the surface is nearer than any body
     ray_length : (R, C) float64, slant range over x
     """
 
-    nearness: np.ndarray
+    depth_inverse: np.ndarray
     slopes: tuple[float, float]
     is_nearest: np.ndarray
     ray_length: np.ndarray
@@ -58,9 +58,9 @@ def on_rays(samples: SectorSamples, surface: WaterSurface) -> SurfaceOnRays:
     """Return the water's surface on the rays of samples."""
     u, v = _rays(samples)
     x, y, z = samples.sector.rotation() @ surface.up / surface.height_m
-    nearness = x - y * u + z * v
-    is_surface = nearness > samples.plane_echo[..., 0]
-    return SurfaceOnRays(nearness, (-y, z), is_surface, np.sqrt(1 + u * u + v * v))
+    depth_inverse = x - y * u + z * v
+    is_surface = depth_inverse > samples.plane_echo[..., 0]
+    return SurfaceOnRays(depth_inverse, (-y, z), is_surface, np.sqrt(1 + u * u + v * v))
 
 
 def ray_lengths(samples: SectorSamples) -> np.ndarray:

@@ -24,12 +24,6 @@ class ArrayPool:
     def _references(self, number: int) -> int:
         return sys.getrefcount(self._arrays[number])
 
-    def zeros(self) -> np.ndarray:
-        """Return an array of zeros. The caller owns it."""
-        array = self.empty()
-        array.fill(0)
-        return array
-
     def empty(self) -> np.ndarray:
         """Return an array with arbitrary contents. The caller owns it."""
         for number in range(len(self._arrays)):

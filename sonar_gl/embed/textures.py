@@ -11,12 +11,13 @@ from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import Camera, check_projection
 from sonar_gl.embed.depth_images import DEPTH_KINDS
-from sonar_gl.gl.enums import FLOAT, RED_INTEGER, RGBA, TEXTURE_2D, UNSIGNED_INT
+from sonar_gl.gl.enums import FLOAT, RED_INTEGER, RGBA, TEXTURE_2D
 from sonar_gl.gl.host import HostContext
 
 TEXTURE_WIDTH, TEXTURE_HEIGHT = 0x1000, 0x1001
 RED_TYPE, BLUE_TYPE, DEPTH_TYPE = 0x8C10, 0x8C12, 0x8C16
-SIGNED_NORMALIZED, UNSIGNED_NORMALIZED, INT = 0x8F9C, 0x8C17, 0x1404
+SIGNED_NORMALIZED, UNSIGNED_NORMALIZED = 0x8F9C, 0x8C17
+INT, UNSIGNED_INT = 0x1404, 0x1405
 RED, DEPTH_COMPONENT = 0x1903, 0x1902
 TYPE_NAMES = {
     0: "nothing of the kind",

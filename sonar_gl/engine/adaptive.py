@@ -136,7 +136,7 @@ class Sampler(Protocol):
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the samples to draw the ping with once more, or None if it is good."""
 
-    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+    def coarser(self, error: SampleLimitError) -> Resolution:
         """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
 
     def register(self, setup: PingSetup) -> bool:
@@ -173,7 +173,7 @@ class FixedSampling:
     def review(self, received: ReceivedPing) -> None:
         """Return None: there are no others."""
 
-    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+    def coarser(self, error: SampleLimitError) -> Resolution:
         """Raise the error."""
         raise error
 
@@ -304,7 +304,7 @@ class AdaptiveSampling:
         """Return whether a ping with a check costs no more than a ping may."""
         return self._cost(self.choice.level, check=True) <= self._most_cost()
 
-    def coarser(self, resolution: Resolution, error: SampleLimitError) -> Resolution:
+    def coarser(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
         if level < 0 or self.choice.planned_poses is not None:

@@ -35,42 +35,22 @@ def check_velocity(velocity) -> np.ndarray | None:
     return out
 
 
-def shown_at(azimuth_rad, range_m, velocity, sound_speed_m_s, set_speed_m_s=None):
-    """Return where a moving sonar shows what it would show elsewhere if it stood still.
-
-    An echo from r returns after t, about 2r/c. Until then the sonar has turned by w_z t, so that the bearing
-    is ψ − w_z t; and it has come v·d t nearer along d, the direction of the echo: c t is 2r − v·d t, and
-    r / (1 + v·d/c) is shown. Its motion at right angles to d, over r, turns the bearing, too.
-
-    Parameters
-    ----------
-    azimuth_rad, range_m : shapes that broadcast, as shown at rest
-    velocity : (6,) vx vy vz, m/s, and wx wy wz, rad/s, in the sonar's frame. Pitch, roll and heave change
-        which elevations are received, and are left out. Elevations are left out, too: what a conical beam at 60
-        degrees receives from 10 degrees above the fan's plane turns by 6 % less than what lies in it
-    sound_speed_m_s, set_speed_m_s : of the water, and as set in the sonar, None for the same
-
-    Returns
-    -------
-    azimuth_rad, range_m
-
-    >>> azimuth, r = shown_at(0.0, 30.0, [2.0, 0, 0, 0, 0, 0.5], 1500.0)
-    >>> float(round(azimuth, 4)), float(round(r, 4))
-    (-0.02, 29.9601)
-    """
-    shown = range_m * _nearer(azimuth_rad, velocity, sound_speed_m_s)
-    speeds = sound_speed_m_s, set_speed_m_s or sound_speed_m_s
-    return azimuth_rad + _turned(azimuth_rad, shown, velocity, *speeds), shown
-
-
 def _nearer(azimuth_rad, velocity, sound_speed_m_s):
-    """Return the range that is shown over that at rest."""
+    """Return the range that is shown over that at rest, see `shown_in_motion`.
+
+    >>> float(round(30.0 * _nearer(0.0, [2.0, 0, 0, 0, 0, 0.5], 1500.0), 4))
+    29.9601
+    """
     ahead = velocity[0] * np.cos(azimuth_rad) + velocity[1] * np.sin(azimuth_rad)
     return 1 / (1 + ahead / sound_speed_m_s)
 
 
 def _turned(azimuth_rad, shown_m, velocity, sound_speed_m_s, set_speed_m_s):
-    """Return the bearing at a range that is shown, less that at rest."""
+    """Return the bearing at a range that is shown, less that at rest, see `shown_in_motion`.
+
+    >>> float(round(_turned(0.0, 29.9601, [2.0, 0, 0, 0, 0, 0.5], 1500.0, 1500.0), 4))
+    -0.02
+    """
     aside = velocity[1] * np.cos(azimuth_rad) - velocity[0] * np.sin(azimuth_rad)
     return -velocity[5] * 2 * shown_m / set_speed_m_s - 2 * aside / sound_speed_m_s
 
@@ -120,6 +100,10 @@ def _in_head(velocity, sonar: Sonar):
 def shown_in_motion(ping: Ping, velocity) -> Ping:
     """Return the ping of a sonar at rest as a moving one shows it.
 
+    An echo from r returns after t, about 2r/c. Until then the sonar has turned by w_z t, so that the bearing
+    is ψ − w_z t; and it has come v·d t nearer along d, the direction of the echo: c t is 2r − v·d t, and
+    r / (1 + v·d/c) is shown. Its motion at right angles to d, over r, turns the bearing, too.
+
     The echo in a cell of beam and bin is shared among the cells that cover its new place, half way to the beams
     beside it, so that the sum over beams, each times the angle it covers, stays except for what leaves the fan
     and the range. What enters the fan stays dark: the sound went out before. Labels are those of the nearest
@@ -128,7 +112,10 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     Parameters
     ----------
     ping : with its sonar and acoustics
-    velocity : of `shown_at`, in the frame of the housing; or None for a sonar at rest
+    velocity : (6,) vx vy vz, m/s, and wx wy wz, rad/s, in the frame of the housing; or None for a sonar at rest.
+        In the frame of the head, pitch, roll and heave change which elevations are received, and are left out.
+        Elevations are left out, too: what a conical beam at 60 degrees receives from 10 degrees above the fan's
+        plane turns by 6 % less than what lies in it
     """
     if velocity is None:
         return ping

@@ -349,7 +349,7 @@ def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips
             other_index=own_index if from_image else tuple(source.image_index),
             plane=source.plane,
             is_body=source.reflector.body is not None,
-            loss=source.reflector.reflection_coefficient,
+            reflected_intensity=source.reflector.reflection_coefficient,
         )
         for sector, *_ in sectors
     )

@@ -39,7 +39,7 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 
 
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
-    """Draw and receive a ping, again until its samples keep the tolerance. Needs the OpenGL context."""
+    """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
     resolution, received = None, sample_alone(run, setup) if setup.request.alone else None
     if received is None:
@@ -56,7 +56,7 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
             try:
                 (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
             except SampleLimitError as error:
-                resolution = run.sampler.coarser(resolution, error)
+                resolution = run.sampler.coarser(error)
                 continue
             received = receive(drawn)
         resolution = run.review(received)  # a body came into view, or multipath is too coarse
@@ -79,7 +79,7 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
 def draw(
     sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
-    """Draw the depth + normal pass of some pings, and of their image sources. Needs the OpenGL context, if any."""
+    """Draw the depth + normal pass of some pings, and of their image sources. Inside `drawing`."""
     n, further = len(setups), [further_states(setup) for setup in setups]
     poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
     for setup, more in zip(setups, further, strict=True):

@@ -33,12 +33,12 @@ def free_bytes(context: moderngl.Context) -> int | None:
     return 1024 * sum(map(int, kilobytes)) or None  # some say 0 where they do not know
 
 
-def check_room(context: moderngl.Context, n_bytes: int, what: str) -> None:
-    """Raise an Error if the graphics card is known to lack the memory for `what`."""
+def check_room(context: moderngl.Context, n_bytes: int) -> None:
+    """Raise an Error if the graphics card is known to lack the memory for samples."""
     free = free_bytes(context)
     if free is not None and n_bytes > free:
         raise SampleLimitError(
-            f"{what} must fit the memory of the graphics card (got {n_bytes / 1e6:.1f} MB, where {free / 1e6:.1f} "
+            f"samples must fit the memory of the graphics card (got {n_bytes / 1e6:.1f} MB, where {free / 1e6:.1f} "
             f"MB are free; {COARSER})"
         )
 

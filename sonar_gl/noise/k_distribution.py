@@ -69,7 +69,7 @@ def _find_ratios(intensity, deviation, smallest, largest):
 
 
 @compiled
-def _multiply(bits, deviation, values, slopes, first_level, largest, first, shift, out):
+def _multiply(bits, deviation, values, slopes, first_level, largest, out):
     """Multiply out (N,) float32 by the tables' values at exponential variates, given as float32 bits (N,).
 
     Parameters
@@ -79,7 +79,7 @@ def _multiply(bits, deviation, values, slopes, first_level, largest, first, shif
     first_level : the first of the levels
     largest : ratio of out to deviation from which on there is no texture
     """
-    last, rest, top = values.shape[1] - 1, (1 << shift) - 1, values.shape[0] - 1
+    last, rest, top = values.shape[1] - 1, (1 << _SHIFT) - 1, values.shape[0] - 1
     for i in range(uint64(len(out))):
         if deviation[i] <= 0.0 or out[i] <= 0.0:
             continue
@@ -89,7 +89,7 @@ def _multiply(bits, deviation, values, slopes, first_level, largest, first, shif
         level = min(max(4.0 * math.log2(ratio) - first_level, 0.0), float(top))
         lower = min(int(level), top - 1)
         share, within = np.float32(level - lower), np.float32(bits[i] & rest)
-        index = min(max((bits[i] >> shift) - first, 0), last)
+        index = min(max((bits[i] >> _SHIFT) - _FIRST, 0), last)
         below = values[lower, index] + slopes[lower, index] * within
         above = values[lower + 1, index] + slopes[lower + 1, index] * within
         out[i] *= below + share * (above - below)
@@ -121,4 +121,4 @@ def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, deviatio
     first_level = math.floor(4 * math.log2(low))
     tables = _tables(first_level, max(math.ceil(4 * math.log2(high)), first_level + 1))
     bits = exponential.view(np.int32).reshape(-1)
-    _multiply(bits, deviation, *tables, first_level, largest, _FIRST, _SHIFT, flat)
+    _multiply(bits, deviation, *tables, first_level, largest, flat)

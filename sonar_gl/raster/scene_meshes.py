@@ -14,6 +14,7 @@ from sonar_gl.raster.cull import (
     PER_BODY,
     REFLECTIVITY,
     BodyBoxes,
+    BodyPlaces,
     PatchTree,
     body_spans,
     choose_patches,
@@ -166,7 +167,7 @@ class SceneMeshes:
         """Choose what a sector draws of bodies; out : (most_patches, 2) int32, overwritten."""
         if not self.bodies:
             return PatchesInView(out[:0], 0, Window())
-        places = bodies.present, bodies.matrices, bodies.rows, bodies.outside  # of BodyPlaces
+        places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
         n, n_faces, *window = choose_patches(
             self._tree, tuple(self.boxes), places, view.geometry, view.limits, out
         )

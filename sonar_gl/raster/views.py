@@ -16,6 +16,7 @@ from sonar_gl.sonar.sector import Sector
 # Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
 # choice takes hundreds of megabytes: a tolerance of 0.001 takes 3.7 million in the scene diver.
 MAX_SAMPLES, MAX_CHOSEN_SAMPLES = 1 << 24, 1 << 22
+NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
 NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
 
 # A patch replaces its mesh where its geometric error is at most so many samples, and where its echo changes

@@ -14,7 +14,7 @@ from tests.support.settings import described
 
 UNIFORM_EDGE, HAMMING_EDGE = 0.4429464707, 0.6514909  # x of half power of sinc² x and of a Hamming array
 TWO_WAY_EDGE = 0.3189166  # sinc⁴ of it is 1/2
-HALF_FAN, WIDTH, HALF_HEIGHT = np.radians([30.0, 3.0, 12.0])
+WIDTH, HALF_HEIGHT = np.radians([3.0, 12.0])
 
 
 def hamming(x):

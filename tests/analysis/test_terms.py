@@ -29,11 +29,7 @@ NAMES = [term.name for term in TERMS]
 SHOWN = 10 ** ((-60 + 60 / 32) / 10)  # by the law of SONAR, dB from -60 to 0
 ACOUSTIC = [term.name for term in TERMS if not term.of_noise]
 
-
-@pytest.fixture(autouse=True)
-def timed_once(monkeypatch):
-    """Time terms once only: no test here depends on the times."""
-    monkeypatch.setattr(terms, "TURNS", 1)
+pytestmark = pytest.mark.usefixtures("timed_once")  # no test here depends on the times
 
 
 def room(pitch=0.15, **more):

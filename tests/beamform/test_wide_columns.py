@@ -109,8 +109,8 @@ def shell(beamformer, range_m=7.0):
     for sector in beamformer.fan.sectors:
         u, v = sector.sample_coordinates()
         length = np.sqrt(1 + u * u + v * v)
-        nearness = 1 / (length * range_m)
-        plane_echo = np.stack([length / range_m, u * nearness, v * nearness, np.full_like(u, range_m)], -1)
+        slope = 1 / (length * range_m)  # of 1/x, over u and over v
+        plane_echo = np.stack([length / range_m, u * slope, v * slope, np.full_like(u, range_m)], -1)
         body_id = np.ones(u.shape, np.uint16)
         out.append(SectorSamples(sector, plane_echo.astype(np.float32), body_id))
     return out

@@ -6,8 +6,7 @@ import warnings
 import pytest
 
 from sonar_gl.core.warn import collected_warnings, warn_caller
-
-WAIT_S = 60.0  # a machine that tests run on may be slow
+from tests.support.waiting import WAIT_S
 
 
 class NarrowWarning(UserWarning):

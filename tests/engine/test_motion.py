@@ -8,7 +8,6 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.engine.motion import shown_at
 
 SONAR = sg.Sonar("test", 900e3, 128, 600, 32.0, 16.0, 0.5, 1.0, 31.0)
 ACOUSTICS = replace(sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1500.0))
@@ -152,9 +151,9 @@ def test_labels_move_with_the_echo():
     with simulator(balls((20, 1, 0), (10, -1, 0))) as run:
         got = run.ping(HERE, labels=True, velocity=(2, 0, 0, 0, 0, 0.5))
     for number, place in ((1, (20, 1)), (2, (10, -1))):
-        azimuth, r = shown_at(
-            math.atan2(place[1], place[0]), math.hypot(*place), (2, 0, 0, 0, 0, 0.5), 1500.0
-        )
+        at_rest = math.atan2(place[1], place[0])
+        r = math.hypot(*place) / (1 + 2 * math.cos(at_rest) / 1500.0)
+        azimuth = at_rest - 0.5 * 2 * r / 1500.0 + 2 * 2 * math.sin(at_rest) / 1500.0
         beam, bin_ = (
             math.floor(x) for x in ((azimuth + 64 * STEP) / STEP, (r - 0.05 - 1.0) / SONAR.bin_size_m)
         )

@@ -52,17 +52,17 @@ def test_the_least_limit_bounds_a_framebuffer(limit, expected):
 def test_samples_must_fit_the_free_memory(extension, numbers):
     driver = Driver([extension], numbers=numbers)
     assert memory.free_bytes(driver) == 5000 * 1024
-    memory.check_room(driver, 5000 * 1024, "samples")
+    memory.check_room(driver, 5000 * 1024)
     with pytest.raises(
-        Error, match=r"must fit the memory of the graphics card \(got 10.0 MB, where 5.1 MB are free"
+        Error, match=r"samples must fit the memory of the graphics card \(got 10.0 MB, where 5.1 MB are free"
     ):
-        memory.check_room(driver, 10_000_000, "samples")
+        memory.check_room(driver, 10_000_000)
 
 
 @pytest.mark.parametrize("driver", [Driver(), Driver(["GL_NVX_gpu_memory_info"], numbers={(0x9049, 1): [0]})])
 def test_a_driver_that_does_not_tell_its_memory_is_not_believed_to_lack_it(driver):
     assert memory.free_bytes(driver) is None
-    memory.check_room(driver, 1 << 60, "samples")
+    memory.check_room(driver, 1 << 60)
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,9 @@ from sonar_gl.live.hosts import wait_until_free
 from tests.support.forks import in_fork
 from tests.support.foxglove_client import Disconnected, FoxgloveClient
 from tests.support.listening import LOOPBACK, listening_ports
-from tests.support.live_messages import free_port, ping_message, sonar_topic, stamped, topic_of
+from tests.support.live_messages import free_port, ping_message, sonar_topic, stamped
 from tests.support.ros_decoders import DECODERS, by_rosbags, check_projected_image
+from tests.support.ros_topics import topic_of
 from tests.support.waiting import WAIT_S, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]

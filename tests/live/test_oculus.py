@@ -18,7 +18,8 @@ from sonar_gl.live.oculus import MODELS, OculusHead, OculusServer
 from sonar_gl.live.oculus_messages import FireMessage, OculusResult, parse_fire_message, status_message
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulated_head import SimulatedHead
-from tests.support.servers import WAIT_S, running, simulated
+from tests.support.servers import running, simulated
+from tests.support.waiting import WAIT_S
 from tools.oculus_raw import read_pings
 
 METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h

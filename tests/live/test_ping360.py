@@ -27,7 +27,8 @@ from sonar_gl.live.ping360_messages import (
 )
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulated_head import SimulatedHead
-from tests.support.servers import WAIT_S, running, simulated
+from tests.support.servers import running, simulated
+from tests.support.waiting import WAIT_S
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.live import ping_thread as ping_thread_module
 from sonar_gl.live.ping_thread import PingThread, following_s
-
-WAIT_S = 60.0  # a machine that tests run on may be slow
+from tests.support.waiting import WAIT_S
 
 
 class Pings:

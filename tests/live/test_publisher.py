@@ -26,8 +26,8 @@ from sonar_gl.sonar.sonar import Sonar
 from tests.support.forks import in_fork
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry, pose_stamped, transforms
+from tests.support.waiting import WAIT_S
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
 SONAR = Sonar("tilted", 900e3, 8, 40, 60.0, 20.0, 2.0, 0.6, 4.6, tilt_deg=10.0, ping_rate_max_hz=15.0)
 ACOUSTICS = sg.Acoustics.ideal()
 NOISE = sg.Noise(gaussian=1e-3)

@@ -16,8 +16,8 @@ from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulated_head import SimulatedHead
 from tests.support.loopback_transport import LoopbackTransport
+from tests.support.waiting import WAIT_S
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
 SONAR = sg.Sonar("small", 900e3, 16, 40, 60.0, 20.0, 2.0, 0.5, 10.5)
 ACOUSTICS = sg.Acoustics.ideal()
 SETTINGS = LiveSettings(SONAR, acoustics=ACOUSTICS, noise="none", height=40, engine="cpu")

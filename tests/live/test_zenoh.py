@@ -25,10 +25,10 @@ from tests.support.live_messages import (
     ping_message,
     sonar_topic,
     stamped,
-    topic_of,
     zenoh_router,
 )
 from tests.support.ros_decoders import DECODERS, by_rosbags, check_projected_image
+from tests.support.ros_topics import topic_of
 from tests.support.waiting import wait_until
 from tests.support.zenoh_reader import reading
 from tools.soak_live import soak

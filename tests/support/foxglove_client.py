@@ -8,7 +8,8 @@ import struct
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-WAIT_S = 60.0
+from tests.support.waiting import WAIT_S
+
 MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 OPCODE = 1  # of messages in both directions
 Disconnected = ConnectionClosed  # raised by a use of the connection once the server has ended it

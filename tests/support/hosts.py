@@ -18,23 +18,20 @@ SIZE = 64
 
 
 class EglHost:
-    """A host with an EGL context, with a pbuffer or without any surface.
+    """A host with an EGL context and a pbuffer.
 
     Parameters
     ----------
     version : (major, minor) of a core profile; None is OpenGL ES 3
-    share : host whose objects it shares
     """
 
-    def __init__(self, version=(3, 3), surface: bool = True, share: "EglHost | None" = None):
+    def __init__(self, version=(3, 3)):
         self.egl = egl = ctypes.CDLL("libEGL.so.1")
         for name in ("GetPlatformDisplay", "CreateContext", "CreatePbufferSurface", "GetCurrentContext"):
             getattr(egl, f"egl{name}").restype = ctypes.c_void_p
         for name in ("GetCurrentDisplay", "GetCurrentSurface"):
             getattr(egl, f"egl{name}").restype = ctypes.c_void_p
-        self.display = ctypes.c_void_p(
-            share.display.value if share else egl.eglGetPlatformDisplay(EGL_PLATFORM_SURFACELESS, None, None)
-        )
+        self.display = ctypes.c_void_p(egl.eglGetPlatformDisplay(EGL_PLATFORM_SURFACELESS, None, None))
         assert egl.eglInitialize(self.display, None, None)
         config, found = ctypes.c_void_p(), ctypes.c_int()
         wanted = (ctypes.c_int * len(CONFIG))(*CONFIG)
@@ -45,14 +42,10 @@ class EglHost:
             (0x3098, version[0], 0x30FB, version[1], 0x30FD, 1, NONE) if version else (0x3098, 3, NONE)
         )
         attributes = (ctypes.c_int * len(wanted_version))(*wanted_version)
-        self.context = ctypes.c_void_p(
-            egl.eglCreateContext(self.display, config, share and share.context, attributes)
-        )
+        self.context = ctypes.c_void_p(egl.eglCreateContext(self.display, config, None, attributes))
         assert self.context.value, f"EGL must make a context of {version} (got error {egl.eglGetError():#x})"
-        self.surface = ctypes.c_void_p()
-        if surface:
-            size = (ctypes.c_int * 5)(0x3057, SIZE, 0x3056, SIZE, NONE)
-            self.surface.value = egl.eglCreatePbufferSurface(self.display, config, size)
+        size = (ctypes.c_int * 5)(0x3057, SIZE, 0x3056, SIZE, NONE)
+        self.surface = ctypes.c_void_p(egl.eglCreatePbufferSurface(self.display, config, size))
         self.make_current()
         self.gl = GL()
 
@@ -84,10 +77,9 @@ class GlxHost:
     Parameters
     ----------
     version : (major, minor) of a core profile; None is the driver's default, of the compatibility profile
-    share : host whose objects it shares
     """
 
-    def __init__(self, version=None, share=None):
+    def __init__(self, version=None):
         import glfw
 
         self.glfw = glfw
@@ -99,7 +91,7 @@ class GlxHost:
             glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, version[0])
             glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, version[1])
             glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
-        self.window = glfw.create_window(SIZE, SIZE, "host", None, share and share.window)
+        self.window = glfw.create_window(SIZE, SIZE, "host", None, None)
         assert self.window, "glfw must make a window"
         self.make_current()
         self.gl = GL()

@@ -12,15 +12,10 @@ import numpy as np
 from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.live.transport import Topic
 from tests.support.even_ping import even_ping
+from tests.support.ros_topics import PROJECTED, topic_of
 
 STAMP = struct.Struct("<iI")  # seconds and nanoseconds
 STAMP_AT = 4  # behind the four bytes of CDR's own header
-PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-
-
-def topic_of(name: str, msgtype: str, **quality) -> Topic:
-    """Return a topic with the definition and the hash of its type."""
-    return Topic.of_type(name, msgtype, **quality)
 
 
 def sonar_topic(**quality) -> Topic:

@@ -7,7 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
-WAIT_S = 60.0  # a machine that tests run on may be slow
+from tests.support.waiting import WAIT_S
 
 
 @contextmanager

@@ -45,8 +45,8 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.run import run as run_batch
 from sonar_gl.batch.schema import Schema
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.engine.sequence import make_pings
 from sonar_gl.noise.noise import add_noise
+from tools import internals
 from tools.bench import harness
 from tools.bench.harness import Aim
 
@@ -132,7 +132,7 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, workers: int, folder
 
         def ping_without_batch(numbers):
             in_part = [requests[n] for n in numbers]
-            pings = make_pings(simulator.run, (one.for_sonar(mount, labels=True) for one in in_part))
+            pings = internals.pings_of(simulator, (one.for_sonar(mount, labels=True) for one in in_part))
             for request, ping in zip(in_part, pings, strict=True):
                 add_noise(ping, request.noise, 0, request.number)
 

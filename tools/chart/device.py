@@ -17,7 +17,7 @@ TOLERANCE = 0.01
 MOST = 2.5  # times the time of a ping of profile ideal, aimed at
 
 
-def variants_of(sonar: sg.Sonar) -> dict[str, tuple[sg.Acoustics, sg.Noise | None]]:
+def make_variants() -> dict[str, tuple[sg.Acoustics, sg.Noise | None]]:
     """Return acoustics and noise by name: ideal; the device, without what the water and its surroundings add; all."""
     acoustics, noise = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     return {
@@ -35,7 +35,7 @@ def costs_of(name: str, rounds: int) -> dict[str, float]:
     scene, sonar = make_scene(name), make_sonar(name, "wide")
     pose, contenders, out = scene.sonar_pose, {}, {}
     with ExitStack() as stack:
-        for variant, (acoustics, noise) in variants_of(sonar).items():
+        for variant, (acoustics, noise) in make_variants().items():
             simulator = stack.enter_context(sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE))
             out[f"{variant}, error"] = simulator.plan([pose]).error_estimate
 

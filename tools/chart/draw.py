@@ -21,7 +21,7 @@ SIZE_INCHES, DPI = (9.0, 6.0), 110
 PLAIN = FuncFormatter(lambda x, _: f"{x:g}")
 
 
-def _draw_panel(axes, methods: dict, title: str, uncertainty: float, across: str):
+def _draw_panel(axes, methods: dict, title: str, uncertainty: float):
     """Draw the lines of one width of beams; methods: {method: [(ms, error), ...]}."""
     front = envelope([point for points in methods.values() for point in points])
     axes.loglog(
@@ -53,7 +53,7 @@ def _draw_panel(axes, methods: dict, title: str, uncertainty: float, across: str
             label=look.label,
         )
     axes.set_title(title, fontsize=10)
-    axes.set_xlabel(across)
+    axes.set_xlabel("whole ping, ms (median)")
     axes.grid(True, which="major", color="#cccccc", linewidth=0.6)
     axes.grid(True, which="minor", color="#eeeeee", linewidth=0.4)
     for axis in (axes.xaxis, axes.yaxis):
@@ -94,7 +94,7 @@ def chart(path: pathlib.Path, name: str, charts: dict, uncertainties: dict, make
     figure, panels = pyplot.subplots(1, len(BEAMS), figsize=SIZE_INCHES, sharey=True)
     for axes, (beams, degrees) in zip(panels, BEAMS.items(), strict=True):
         title = f"beams {degrees:.3g}° wide"
-        _draw_panel(axes, charts[name, beams], title, uncertainties[beams], "whole ping, ms (median)")
+        _draw_panel(axes, charts[name, beams], title, uncertainties[beams])
     points = [p for methods in charts.values() for line in methods.values() for p in line]
     _set_limits(panels, [ms for ms, _ in points], [100 * error for _, error in points])
     panels[0].set_ylabel("echo in wrong bins, %")
@@ -118,7 +118,7 @@ def shimmer(path: pathlib.Path, rows: list[dict], uncertainties: dict, about: st
             if row["beams"] == beams:
                 methods.setdefault(row["method"], []).append((row["ms_median"], row["shimmer"]))
         title = f"beams {degrees:.3g}° wide"
-        _draw_panel(axes, methods, title, uncertainties[beams], "whole ping, ms (median)")
+        _draw_panel(axes, methods, title, uncertainties[beams])
     _set_limits(panels, [row["ms_median"] for row in rows], [100 * row["shimmer"] for row in rows])
     panels[0].set_ylabel("shimmer, % of the true change")
     uncertain = ", ".join(f"{100 * uncertainties[beams]:.2g} % ({beams})" for beams in BEAMS)

@@ -24,6 +24,7 @@ from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
     MAX_SAMPLES,
     NO_BODIES,
+    NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
     PatchesInView,
@@ -39,11 +40,10 @@ from sonar_gl.sonar.samples import NO_FACES, ViewSamples
 # other one takes 10 to 20 us.
 FACE_NS, SAMPLE_NS, FEW_NS = 20, 4, 60_000
 # An array is made so many times larger than needed: the system provides memory only for what is used. It is replaced by
-# a smaller one where it has MAX_EXCESS times what is needed, or else a coarse ping would keep the memory of a fine one;
-# not below MIN_KEPT entries.
-RESERVE, MAX_EXCESS, MIN_KEPT = 2, 4, 1 << 16
+# a smaller one where it has more than MAX_ENTRIES_PER_NEEDED entries for each, or else a coarse ping would keep the
+# memory of a fine one; not below MIN_KEPT entries.
+RESERVE, MAX_ENTRIES_PER_NEEDED, MIN_KEPT = 2, 4, 1 << 16
 MAX_KEPT_SAMPLES = 1 << 18
-NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class _Array:
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
         size = len(self._array)
-        if size < count or (size > MIN_KEPT and size > MAX_EXCESS * count):
+        if size < count or (size > MIN_KEPT and size > MAX_ENTRIES_PER_NEEDED * count):
             self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
         return self._array[:count]
 
@@ -174,7 +174,7 @@ class CpuWorkspace:
     halves : _HalfWorkspace of each thread
     """
 
-    def __init__(self, most_samples: int = MAX_SAMPLES):
+    def __init__(self, most_samples: int):
         self.most_samples, self.halves = most_samples, (_HalfWorkspace(), _HalfWorkspace())
         self._images, self._other_images = [], []
 

@@ -126,21 +126,21 @@ class SceneBuffers:
         """The bodies and their poses."""
         return self.uploaded.meshes
 
-    def array(self, labels: bool, lobes: bool) -> moderngl.VertexArray:
+    def array(self, with_bodies: bool, lobes: bool) -> moderngl.VertexArray:
         """Return the vertex array of the program with or without body numbers and specular lobes."""
         uploaded = self.uploaded
         bound = uploaded, self._rows.buffer
         if self._bound != bound:  # bodies were added, or a buffer was replaced by a larger one
             self._arrays = {}
             self._bound = bound
-        if (labels, lobes) not in self._arrays:
+        if (with_bodies, lobes) not in self._arrays:
             features = {
                 "SHADING_NORMALS": int(uploaded.normals.used > 0),
                 "FACE_REFLECTIVITY": int(uploaded.reflectivity.used > 0),
                 "INDIRECT": int(self.indirect),
                 "CORNER_PLANES": int(self._corner_planes),
             }
-            defines = {**features, "LABELS": int(labels), "SPECULAR": int(lobes)}
+            defines = {**features, "BODY_NUMBERS": int(with_bodies), "SPECULAR": int(lobes)}
             if (key := tuple(defines.values())) not in self._programs:
                 planes = ("gbuffer.geom",) if self._corner_planes else ()
                 files = "gbuffer.vert", *planes, "gbuffer.frag"
@@ -155,8 +155,8 @@ class SceneBuffers:
                 names = "body_x", "body_y", "body_z", "body_echo"
                 layout.append((self._rows.buffer, "4f 4f 4f 4f/i", *names))
             array = self.context.vertex_array(program, layout, index_buffer=uploaded.indices.buffer)
-            self._arrays[labels, lobes] = array
-        return self._arrays[labels, lobes]
+            self._arrays[with_bodies, lobes] = array
+        return self._arrays[with_bodies, lobes]
 
     def upload(self, rows, out: DrawList) -> None:
         """Upload the bodies' rows and the draw list."""

@@ -17,8 +17,8 @@ from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.raster.views import (
-    MAX_SAMPLES,
     NO_BODIES,
+    NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
     SectorView,
@@ -29,13 +29,12 @@ from sonar_gl.raster.views import (
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
 from sonar_gl.sonar.samples import ViewSamples
 
-NO_PLANE = 0.0, 0.0, 0.0, 1.0  # a clip plane that cuts nothing
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
 NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
 # A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
 # would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
-MAX_EXCESS, MIN_PIXELS = 2, 1 << 16
+MAX_PIXELS_PER_USED, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
 
 
@@ -68,7 +67,7 @@ class RenderTarget:
     has_bodies : whether bodies' numbers are drawn, too
     """
 
-    def __init__(self, asynchronous: bool = False):
+    def __init__(self, asynchronous: bool):
         self.width, self.height, self.has_bodies = 0, 0, False
         self._asynchronous, self._copies = asynchronous, []
         self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
@@ -88,16 +87,16 @@ class RenderTarget:
         """
         (columns, rows), pixels = self._size, self.width * self.height
         fits = self.width <= columns and self.height <= rows
-        if fits and columns * rows <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+        if fits and columns * rows <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
             return
         # a little more, so that a window that grows does not need a new target every time
         size = tuple(min(64 * -(-n // 64), limit) for n in (self.width, self.height))
         both = tuple(map(max, size, self._size))
-        if both[0] * both[1] <= max(MAX_EXCESS * pixels, MIN_PIXELS):
+        if both[0] * both[1] <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
             size = both
         self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
         context.gc()  # releases the old renderbuffers before as much memory is taken again
-        check_room(context, math.prod(size) * self._bytes_per_pixel(), "samples")
+        check_room(context, math.prod(size) * self._bytes_per_pixel())
         try:
             plane_echo = context.renderbuffer(size, 4, dtype="f4")
             body_id = context.renderbuffer(size, 1, dtype="u2")
@@ -188,7 +187,7 @@ class OpenGLWorkspace:
     draw_list : DrawList
     """
 
-    def __init__(self, context: moderngl.Context, most_samples: int = MAX_SAMPLES):
+    def __init__(self, context: moderngl.Context, most_samples: int):
         self.most_samples = most_samples
         self.draw_list, self._targets, self._other_targets = DrawList(), [], []
         self._chosen = np.empty((0, 2), np.int32)
@@ -226,7 +225,7 @@ class OpenGLRenderer:
     buffers : SceneBuffers
     fan : Fan
     specular : add the specular lobes of smooth bodies
-    workspace : OpenGLWorkspace to share with other renderers; None for its own
+    workspace : OpenGLWorkspace, which renderers may share
 
     Raises
     ------
@@ -238,8 +237,8 @@ class OpenGLRenderer:
         self,
         buffers: SceneBuffers,
         fan: Fan,
-        specular: bool = False,
-        workspace: OpenGLWorkspace | None = None,
+        specular: bool,
+        workspace: OpenGLWorkspace,
     ):
         context = buffers.context
         self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
@@ -247,7 +246,7 @@ class OpenGLRenderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
-        self._uniforms, self._workspace = {}, OpenGLWorkspace(context) if workspace is None else workspace
+        self._uniforms, self._workspace = {}, workspace
 
     def render(
         self,
