@@ -180,4 +180,4 @@ def check_moved_amounts(what: str, names: Iterable[str]) -> None:
             )
 
 
-PRESETS = {"none": Noise.none(), "demarco2015": Noise.demarco2015(), "physical": Noise.physical()}
+PRESETS = {"none": Noise.none(), "physical": Noise.physical(), "demarco2015": Noise.demarco2015()}

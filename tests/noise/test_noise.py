@@ -234,7 +234,7 @@ def test_parse(text, noise):
     [
         (
             "foo",
-            "noise 'foo': unknown name (got 'foo'; presets are none, demarco2015, physical; did you mean 'looks'?)",
+            "noise 'foo': unknown name (got 'foo'; presets are none, physical, demarco2015; did you mean 'looks'?)",
         ),
         ("fysical", "noise 'fysical': unknown name (got 'fysical'; did you mean 'physical'?)"),
         (
