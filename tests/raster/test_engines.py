@@ -32,6 +32,12 @@ SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.0, 0.5, 20.0)
 ON_EDGE = 0.0029
 
 
+@pytest.fixture(params=["0", "1"], ids=["planes of corners", "planes of the driver"])
+def driver(request, monkeypatch):
+    """Has OpenGL draw as on a graphics card, by planes from the corners of triangles, and as by a software driver."""
+    monkeypatch.setenv("SONAR_GL_SOFTWARE", request.param)
+
+
 def draw_sectors(scene, sonar, pose, engine, sampling=SAMPLING):
     """Return whole sectors: (sector, plane and echo, bodies) of each."""
     with sg.Simulator(scene, sonar, sg.Acoustics.ideal(), sampling, engine=engine) as simulator:
@@ -120,6 +126,7 @@ def both_engines(scene, sonar, pose, sampling=SAMPLING):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("driver")
 def test_random_worlds():
     """Every second world is rolled."""
     found = []
@@ -133,6 +140,7 @@ def test_random_worlds():
     assert echoes <= 1e-4 * hits
 
 
+@pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("name", SCENES)
 def test_bundled_scenes(name):
     """Scenes with shading normals and reflectivity maps."""
@@ -148,6 +156,7 @@ def test_bundled_scenes(name):
     assert sums[0] == pytest.approx(sums[1], rel=1e-4 + on_edges)
 
 
+@pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("name", SCENES)
 def test_images_of_bundled_scenes(name, monkeypatch):
     """The same sums of both engines' samples: images differ by less than 1.5e-4 of the echo.
@@ -202,6 +211,7 @@ def worlds():
     yield "both", [both, ball("b", sg.pose(7, 2)), floor()], SONAR, np.eye(4)
 
 
+@pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("bodies, sonar, pose", [pytest.param(*w[1:], id=w[0]) for w in worlds()])
 def test_hard_cases(monkeypatch, bodies, sonar, pose):
     # no coarser levels, whose edges are not those of the mesh
@@ -213,6 +223,7 @@ def test_hard_cases(monkeypatch, bodies, sonar, pose):
     assert echoes <= 5
 
 
+@pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("sonar_z_m", [-0.5, 0.5])
 def test_the_surface_of_the_water_cuts_bodies(sonar_z_m):
     """A pier from the floor into the air is seen below the surface only, or, from the air, whole."""
