@@ -6,6 +6,7 @@ import math
 import statistics
 from collections.abc import Callable
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -23,8 +24,8 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar
 SONAR, TOLERANCE, N_PINGS = "p900-45", 0.02, 9  # of the scenes
 UNIT = 2.0**-24  # half of the distance of float32 numbers, relative
 # Samples count as of one plane if their planes differ by less than 1e-5 (SAME in kernels.py) on the border between
-# them, where each is off by its noise in 1/x.
-MAX_NOISE = 1e-5 / UNIT / 2
+# them, where each is off by its noise in 1/x and by half a spacing's noise of its slope.
+MAX_NOISE = 1e-5 / UNIT / 3
 LIMITS = (
     "GL_MAX_TEXTURE_SIZE",
     "GL_MAX_RENDERBUFFER_SIZE",
@@ -47,24 +48,35 @@ EXTENSIONS = (
 )
 
 
-def sample_noise() -> float:
-    """Return the greatest deviation of the samples of a tilted wall from its plane, as the driver draws it.
+class SampleNoise(NamedTuple):
+    """Deviations of a plane's samples from the plane, in units of 2^-24 of 1/x; the greatest of each.
 
-    In units of 2^-24 of 1/x.
+    depth : of 1/x
+    slopes : of its slopes, over the spacing of the samples
     """
+
+    depth: float
+    slopes: float
+
+
+def sample_noise() -> SampleNoise:
+    """Return the noise of the samples of a tilted wall, as the driver draws it."""
     sonar = Sonar("tilted", 900e3, 64, 64, 40.0, 20.0, 1.0, 0.5, 20.0)
     wall = Body("wall", trimesh.creation.box((1.0, 60.0, 60.0)), pose(6.0, pitch=0.5, yaw=0.4))
     made_of = Scene([wall]), sonar, Acoustics.ideal(), Sampling(4, 100)
     with Simulator(*made_of) as simulator, simulator.run.drawing():
         (view,) = simulator.run.sampler.resolution.stage.draw([pose()], [None])
         ((sector, plane_echo, *_),) = view.sectors
-        depth_inverse = plane_echo[..., 0].astype(float)
+        samples = plane_echo[..., :3].astype(float)
     u, v = sector.sample_coordinates()
-    inside = depth_inverse > 0
+    inside = samples[..., 0] > 0
     columns = np.stack([np.ones_like(u), u, v], axis=-1)[inside]
     # the plane of least squares: rounding of the vertices shifts it as a whole
-    plane, *_ = np.linalg.lstsq(columns, depth_inverse[inside], rcond=None)
-    return float(np.abs(depth_inverse[inside] / (columns @ plane) - 1).max() / UNIT)
+    plane, *_ = np.linalg.lstsq(columns, samples[inside][:, 0], rcond=None)
+    exact = columns @ plane
+    depth = np.abs(samples[inside][:, 0] / exact - 1).max()
+    along = np.abs(samples[inside][:, 1:] - plane[1:]) * (sector.u[1], sector.v[2]) / exact[:, None]
+    return SampleNoise(float(depth / UNIT), float(along.max() / UNIT))
 
 
 def driver_facts() -> dict:
@@ -114,7 +126,7 @@ def measure() -> dict:
     """Return what is known of the driver; in place of what fails, why."""
     parts: dict[str, Callable] = {
         "driver": driver_facts,
-        "noise_2_to_the_-24": sample_noise,
+        "noise_2_to_the_-24": lambda: sample_noise()._asdict(),
         "scenes": scene_times,
         "engine": engine_facts,
     }

@@ -135,7 +135,7 @@ def check_known_scene():
     place = f"{sonar.range_m[bin_]:.2f} m, {math.degrees(sonar.azimuth_rad[beam]):+.1f} deg"
     detail = f"wall at 5 m: {total / expected:.4f} of its echo, {at_wall / total:.4f} of that in its bin"
     detail += f"; box to port at 7.91 m, +2.9 deg: found at {place}"
-    noise = sample_noise()
+    noise = max(sample_noise())
     detail += f"; samples of a plane within {noise:.1f} x 2^-24"
     right = noise < MAX_NOISE and abs(total / expected - 1) < TOLERANCE and at_wall / total > 1 - TOLERANCE
     right &= abs(sonar.range_m[bin_] - 7.9) < sonar.bin_size_m and sonar.azimuth_rad[beam] > math.radians(1.5)

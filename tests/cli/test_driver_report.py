@@ -39,7 +39,7 @@ def test_the_report_holds_driver_noise_and_times(report):
     assert found["driver"]["limits"]["GL_MAX_RENDERBUFFER_SIZE"] == limit
     assert found["sonar_gl"] == __version__ and found["environment"]["MESA_DEBUG"] == "silent"
     assert found["checks"] == [{"what": "known scene", "ok": True, "detail": "wall at 5 m", "cure": ""}]
-    assert 0 < found["noise_2_to_the_-24"] < driver_report.MAX_NOISE
+    assert 0 < max(found["noise_2_to_the_-24"].values()) < driver_report.MAX_NOISE
     ((name, scene),) = found["scenes"].items()
     assert name == "pylon" and 0 < scene["ms_least"] <= scene["ms_median"] and scene["rows"] > 20
 
@@ -65,14 +65,19 @@ def test_a_report_that_cannot_be_written(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("units", [8, pytest.param(256, marks=pytest.mark.slow)])
 def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path, opengl_engine):
-    """Of some thousand samples one has nearly the greatest noise.
+    """Of some thousand samples one has nearly the greatest noise, and a difference of two nearly twice that.
 
-    The driver adds its own. The known scene is wrong where noise makes edges.
+    Rows are sheared, so that slopes along v take some of the noise along u, too. The driver adds its own. The known
+    scene is wrong where noise makes edges.
     """
+    monkeypatch.setenv(
+        "SONAR_GL_SOFTWARE", "1"
+    )  # on a card slopes come from the corners of triangles, without noise
     own = driver_report.sample_noise()
     folder = noisy_shaders(tmp_path, units)
     monkeypatch.setattr(engine, "data_folder", lambda _: folder)
     noise = driver_report.sample_noise()
-    assert 0.95 * units - own < noise < units + own + 1
+    assert 0.95 * units - own.depth < noise.depth < units + own.depth + 1
+    assert 1.6 * units - own.slopes < noise.slopes < 3 * units + own.slopes + 1
     ok, detail, _ = system_checks.check_known_scene()
     assert ok == (units < driver_report.MAX_NOISE) and "samples of a plane within " in detail
