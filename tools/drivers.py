@@ -276,6 +276,9 @@ def main() -> None:
     if options.draw:
         draw_pictures(options.draw)
         return
+    for driver in DRIVERS:  # a caller's own choice would make a software driver a card
+        for variable in driver.environment:
+            os.environ.pop(variable, None)
     if unknown := set(options.names) - {one.name for one in DRIVERS}:
         parser.error(f"drivers must be of {', '.join(one.name for one in DRIVERS)} (got {sorted(unknown)})")
     drivers = [one for one in DRIVERS if not options.names or one.name in options.names]
