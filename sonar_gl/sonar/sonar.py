@@ -407,10 +407,10 @@ def too_short_step_s(times_s, max_rate_hz: float) -> float | None:
     times_s : (pings,) times of transmission, seconds
     max_rate_hz : of `Sonar.max_ping_rate_hz`
 
-    >>> too_short_step_s([0.0, 0.5, 0.5, 1.0], 2.0), too_short_step_s([0.0, 0.5, 0.75], 2.0)
+    >>> too_short_step_s([0, 1, 1, 2], 2.0), too_short_step_s([0.0, 0.5, 0.75], 2.0)
     (None, 0.25)
     """
-    steps_s = np.diff(times_s)
+    steps_s = np.diff(np.asarray(times_s, np.float64))
     shortest_s = float(steps_s[steps_s != 0].min(initial=math.inf))
     return shortest_s if shortest_s < (1 - 1e-6) / max_rate_hz else None  # times may be rounded
 
