@@ -8,7 +8,7 @@
 layout(triangles) in;
 layout(triangle_strip, max_vertices = 3) out;
 
-// Height of a triangle over its distance, squared, below which rounding of its corners decides its plane: 2^-21.
+// Square of 2^-21: where the height of a triangle is less of its distance, rounding of its corners decides its plane.
 const float SLIVER = 2.3e-13;
 
 in vec3 corner[];
