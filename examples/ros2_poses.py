@@ -13,9 +13,9 @@ from contextlib import closing, suppress
 from trimesh.transformations import quaternion_from_matrix
 
 import sonar_gl as sg
-from sonar_gl.batch.ros_messages import message_types
-from sonar_gl.live import DdsTransport, ZenohTransport
-from sonar_gl.live.transport import Topic
+from sonar_gl.ros import DdsTransport, ZenohTransport
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Topic
 
 RATE_HZ = 20.0
 SWAY_M, PERIOD_S = 2.0, 20.0

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.batch.ros_messages import message_types
 from sonar_gl.imaging.files import output_folder
-from sonar_gl.live import DdsTransport, ZenohTransport
-from sonar_gl.live.transport import Topic
+from sonar_gl.ros import DdsTransport, ZenohTransport
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Topic
 
 MSGTYPE = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 BYTES = {0: 1, 2: 2}  # of a count: DTYPE_UINT8 and DTYPE_UINT16 of marine_acoustic_msgs/SonarImageData

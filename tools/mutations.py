@@ -1165,13 +1165,13 @@ MUTATIONS = (
         ("test_moving_bodies",),
     ),
     Mutation(
-        "live/home of a model",
+        "ros/home of a model",
         "else model_from_world @ thing.pose",
         "else thing.pose",
         ("test_message_inputs",),
     ),
     Mutation(
-        "live/model without bodies",
+        "ros/model without bodies",
         "for model in scene.models if (parts := scene.parts_of(model))",
         "for model in scene.models if (parts := scene.parts_of(model)) is not None",
         ("test_message_inputs",),
@@ -1211,7 +1211,7 @@ MUTATIONS = (
         "counts/port first",
         "np.ascontiguousarray(counts[::-1].T",
         "np.ascontiguousarray(counts.T",
-        ("test_ros",),
+        ("test_bag",),
     ),
     # boxes about bodies
     Mutation(
@@ -1243,40 +1243,38 @@ MUTATIONS = (
         ("test_mujoco_model",),
     ),
     Mutation("mujoco/rows of a height field", "heights[::-1] * z_m", "heights * z_m", ("test_mujoco_model",)),
-    Mutation("live/late pings", "number + 1, time_ns", "self._number + 1, time_ns", ("test_ping_schedule",)),
+    Mutation("ros/late pings", "number + 1, time_ns", "self._number + 1, time_ns", ("test_ping_schedule",)),
+    Mutation("ros/jumps back", "time_ns < self._last_ns - self._period_ns", "False", ("test_ping_schedule",)),
+    Mutation("ros/short bags", "ahead_ns < -BACK_NS", "False", ("test_ping_schedule",)),
     Mutation(
-        "live/jumps back", "time_ns < self._last_ns - self._period_ns", "False", ("test_ping_schedule",)
-    ),
-    Mutation("live/short bags", "ahead_ns < -BACK_NS", "False", ("test_ping_schedule",)),
-    Mutation(
-        "live/clock before a ping",
+        "ros/clock before a ping",
         "if is_due or self._clock_ns is None",
         "if self._clock_ns is None",
         ("test_publisher",),
     ),
     Mutation(
-        "live/bodies of messages",
+        "ros/bodies of messages",
         "is_own = self._is_own_pose and self._are_own_bodies",
         "is_own = self._is_own_pose",
         ("test_publisher",),
     ),
     Mutation(
-        "live/length of a quaternion",
+        "ros/length of a quaternion",
         "if not abs(square - 1) <= NORM_TOLERANCE:",
         "if False:",
         ("test_message_inputs",),
     ),
     Mutation(
-        "live/shapes of a body", "and np.array_equal(other.pose, body.pose)", "", ("test_message_inputs",)
+        "ros/shapes of a body", "and np.array_equal(other.pose, body.pose)", "", ("test_message_inputs",)
     ),
     Mutation(
-        "live/angles of raw beams",
+        "ros/angles of raw beams",
         '-to_port if y_sign == "port" else to_port',
         "to_port",
         ("test_publisher",),
     ),
     Mutation(
-        "live/tilt of points",
+        "ros/tilt of points",
         "points @ self._sonar.sonar_from_head[:3, :3].T.astype(np.float32)",
         "points",
         ("test_publisher",),
@@ -1325,10 +1323,10 @@ MUTATIONS = (
         "live/pointer at a selected body", "node.remove_click_callback()", "pass", ("test_page_messages",)
     ),
     Mutation(
-        "live/readiness of a slow ping", "is_ready=self._work is None", "is_ready=True", ("test_publisher",)
+        "ros/readiness of a slow ping", "is_ready=self._work is None", "is_ready=True", ("test_publisher",)
     ),
     Mutation(
-        "live/port of a closed server",
+        "ros/port of a closed server",
         "if not wait_until_free(self._host, port, CLOSE_S):",
         "if False:",
         ("test_foxglove",),

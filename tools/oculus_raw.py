@@ -1,6 +1,6 @@
 """Raw pings of Blueprint Subsea's Oculus sonars, as the device sends them over the network.
 
-`sonar_gl.live.oculus_messages` describes their layout.
+`sonar_gl.live.emulators.oculus_messages` describes their layout.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.errors import Error
-from sonar_gl.live.oculus_messages import (
+from sonar_gl.live.emulators.oculus_messages import (
     FIRE_SETTINGS,
     HEADER,
     OCULUS_ID,

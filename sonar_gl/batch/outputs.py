@@ -16,14 +16,6 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
-from sonar_gl.batch.ros import (
-    BagSettings,
-    CameraRecord,
-    PingRecord,
-    bag_metadata,
-    read_contents,
-    write_part,
-)
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import MADE, PingStore
 from sonar_gl.core.errors import errors_at
@@ -34,6 +26,14 @@ from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
 from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.ping import Ping
+from sonar_gl.ros.bag import (
+    BagSettings,
+    CameraRecord,
+    PingRecord,
+    bag_metadata,
+    read_contents,
+    write_part,
+)
 
 MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded
 

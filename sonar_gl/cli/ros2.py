@@ -8,18 +8,18 @@ import time
 from dataclasses import replace
 from types import SimpleNamespace
 
-from sonar_gl import live
+from sonar_gl import ros
 from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from, sonar_from
 from sonar_gl.cli.output import echo
+from sonar_gl.cli.ros2_file import OPTIONS, Ros2File, read_ros2_file
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.pose_track import PoseTrack
-from sonar_gl.live.publisher import Publisher
-from sonar_gl.live.publisher_settings import TOPICS, PoseSource, PublisherSettings
-from sonar_gl.live.ros2_file import OPTIONS, Ros2File, read_ros2_file
-from sonar_gl.live.transport import ros_domain
 from sonar_gl.noise.settings import Noise
+from sonar_gl.ros.publisher import Publisher
+from sonar_gl.ros.publisher_settings import TOPICS, PoseSource, PublisherSettings
+from sonar_gl.ros.transport import ros_domain
 
 logger = logging.getLogger(__name__)
 
@@ -127,11 +127,11 @@ def _transport(kind: str, options, file: Ros2File):
     """Return a transport with the settings of its table."""
     table = getattr(file, kind).model_dump(exclude_none=True)
     if kind == "foxglove":
-        return live.FoxgloveTransport(**table)
+        return ros.FoxgloveTransport(**table)
     domain, node = ros_domain(options.domain), options.name.rpartition("/")[2]
     if kind == "dds":
-        return live.DdsTransport(domain=domain, node=node, **table)
-    return live.ZenohTransport(domain=domain, node=node, **table)
+        return ros.DdsTransport(domain=domain, node=node, **table)
+    return ros.ZenohTransport(domain=domain, node=node, **table)
 
 
 def _run(publisher: Publisher, options, track: PoseTrack | None) -> None:

@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from sonar_gl.cli import emulate
-from sonar_gl.live import oculus
-from sonar_gl.live.simulated_head import SimulatedHead
+from sonar_gl.live.emulators import oculus
+from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from tests.support.command_line import run
 
 KINDS = {"oculus": socket.SOCK_STREAM, "ping360": socket.SOCK_DGRAM}

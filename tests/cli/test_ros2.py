@@ -14,11 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 import sonar_gl as sg
-from sonar_gl import live
-from sonar_gl.batch.ros_messages import message_types
+from sonar_gl import ros
 from sonar_gl.cli.main import main
-from sonar_gl.live.ros2_file import read_ros2_file
-from sonar_gl.live.transport import Topic
+from sonar_gl.cli.ros2_file import read_ros2_file
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Topic
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry
 
@@ -32,7 +32,7 @@ class Transports(dict):
         super().__init__()
         self.arguments = {}
         for name in ("DdsTransport", "ZenohTransport", "FoxgloveTransport"):
-            monkeypatch.setitem(vars(live), name, self._maker(name))  # without loading it
+            monkeypatch.setitem(vars(ros), name, self._maker(name))  # without loading it
 
     def _maker(self, name):
         def make(**arguments):
@@ -169,8 +169,8 @@ def test_time_and_poses_come_from_other_programs(transports, monkeypatch):
         times.wait = next_time
         return times
 
-    make_clock = live.Publisher.clock
-    monkeypatch.setattr(live.Publisher, "clock", clock)
+    make_clock = ros.Publisher.clock
+    monkeypatch.setattr(ros.Publisher, "clock", clock)
     found = run("pylon", *FAST, "--clock", "ros", "--rate", "10", "--pose-from", "odometry=/odom")
     assert found.exit_code == 0 and came.is_set(), found.output
     transport = transports["DdsTransport"]
@@ -279,7 +279,7 @@ def test_poses_and_time_go_in_and_pings_come_out_over_dds(tmp_path):
     types, at, domain = message_types(), sg.load_scene("pylon").sonar_pose, 100 + os.getpid() % 100
     images, links, image = [], [], "marine_acoustic_msgs/msg/ProjectedSonarImage"
 
-    transport = live.DdsTransport(domain=domain)
+    transport = ros.DdsTransport(domain=domain)
     log = (tmp_path / "log").open("w+")
     words = [
         "--transport",

@@ -9,7 +9,7 @@ import time
 import pytest
 
 import sonar_gl as sg
-from sonar_gl import live
+from sonar_gl import ros
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
 from tests.support.loopback_transport import LoopbackTransport
@@ -39,7 +39,7 @@ def unhandled():
     ],
 )
 def test_a_live_command_prints_its_closing_line(command, closing_line, unhandled, monkeypatch):
-    monkeypatch.setitem(vars(live), "DdsTransport", lambda **_: LoopbackTransport())
+    monkeypatch.setitem(vars(ros), "DdsTransport", lambda **_: LoopbackTransport())
     handler = signal.getsignal(signal.SIGTERM)
     printed, _ = run_beside([*command, "--duration", END], lambda: None, WAIT_S, signal.SIGTERM)
     assert not unhandled and closing_line in printed

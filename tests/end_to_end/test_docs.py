@@ -38,7 +38,7 @@ MAX_FILM_BYTES = 1_500_000
 BATCHES = ROOT / "docs" / "batch.md"  # whose blocks build on one another
 ROS2 = ROOT / "docs" / "ros2.md"  # whose XML and TOML are no scenes and sonars
 POSES_FILE = "dive.csv"  # what README calls the file of its ```csv block
-# of blocks that tests/live/test_clients.py runs
+# of blocks that tests/ros/test_clients.py runs
 CLIENTS = re.compile(r"^import (rclpy|brping)$", re.MULTILINE)
 
 

@@ -10,11 +10,11 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.engine import pipeline
-from sonar_gl.live import Publisher, PublisherSettings
+from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
-from sonar_gl.live.simulated_head import SimulatedHead
+from sonar_gl.ros import Publisher, PublisherSettings
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.waiting import WAIT_S
 

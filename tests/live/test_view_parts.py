@@ -316,3 +316,9 @@ def test_a_page_that_is_woken_does_not_wait():
     start_s = time.monotonic()
     actions.do(60.0)
     assert time.monotonic() - start_s < 30.0  # a machine that tests run on may be slow
+
+
+@pytest.mark.parametrize("listens_at", ["127.0.0.1", "127.0.0.2", "localhost", "::1"])
+def test_a_site_whose_name_means_this_machine_is_another_site(listens_at):
+    assert is_other_site("http://example.org:8080", "example.org:8080", listens_at)
+    assert not is_other_site("http://127.0.0.2:8080", "127.0.0.2:8080", listens_at)

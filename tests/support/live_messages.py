@@ -9,8 +9,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from sonar_gl.batch.ros_messages import message_types
-from sonar_gl.live.transport import Topic
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Topic
 from tests.support.even_ping import even_ping
 from tests.support.ros_topics import PROJECTED, topic_of
 

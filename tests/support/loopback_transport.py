@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from sonar_gl.batch.ros_messages import message_types
-from sonar_gl.live.transport import Transport
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Transport
 
 
 class LoopbackTransport(Transport):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from trimesh.transformations import quaternion_from_matrix
 
-from sonar_gl.batch.ros_messages import message_types
+from sonar_gl.ros.messages import message_types
 
 
 def _parts(matrix, x=None, quaternion=None):

@@ -9,7 +9,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonar_gl.live.transport import Topic
+from sonar_gl.ros.transport import Topic
 
 
 def by_rosbags(topic: Topic, message: bytes):

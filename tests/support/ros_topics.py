@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonar_gl.batch.ros_messages import message_types
-from sonar_gl.live.transport import Topic
+from sonar_gl.ros.messages import message_types
+from sonar_gl.ros.transport import Topic
 
 PROJECTED = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 HEADER = "std_msgs/msg/Header"

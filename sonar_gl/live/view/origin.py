@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
-from sonar_gl.live.hosts import is_local
+from sonar_gl.core.hosts import is_local
 
 
 def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool:

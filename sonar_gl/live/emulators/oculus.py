@@ -1,0 +1,323 @@
+"""An emulated Oculus: it speaks the device's protocol over the network, and its pings are simulated."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.core.poses import pose_numbers
+from sonar_gl.live.emulators.oculus_messages import (
+    FIRE,
+    GAIN_ASSISTANCE,
+    HEADER,
+    HIGH_FREQUENCY,
+    OCULUS_ID,
+    SIXTEEN_BITS,
+    FireMessage,
+    OculusResult,
+    parse_fire_message,
+    status_message,
+)
+from sonar_gl.live.emulators.simulated_head import SimulatedHead
+from sonar_gl.ping import Ping
+from sonar_gl.sonar.sonar import Sonar, load_sonar
+
+logger = logging.getLogger(__name__)
+
+DATA_PORT, STATUS_PORT = 52100, 52102  # of liboculus, include/liboculus/Constants.h
+STATUS_S = 1.0  # between announcements
+DEVICE_ID = 1
+MAX_FIRE_BYTES = 4096  # a program that announces more speaks another protocol
+MAX_UNSENT_BYTES = 16 << 20  # a program that reads too slowly misses pings from here on
+# Ranges of an image. An M1200d sends 703 of them at 2 m; how many at most is not published.
+MAX_BINS = 1024
+GAIN_DB_PER_PERCENT = 0.6  # of the fixed gain; not published, chosen so that 50 per cent suits a sand floor
+
+
+@dataclass(frozen=True)
+class OculusModel:
+    """A model of the Oculus family.
+
+    Attributes
+    ----------
+    part_number : that the device announces, OculusPartNumberType in Oculus.h
+    presets : names of the sonars in low and in high frequency mode
+    """
+
+    part_number: int
+    presets: tuple[str, str]
+
+
+MODELS = {
+    "m370s": OculusModel(1041, ("oculus-m370s", "oculus-m370s")),
+    "m750d": OculusModel(1032, ("oculus-m750d-lf", "oculus-m750d-hf")),
+    "m1200d": OculusModel(1042, ("oculus-m1200d-lf", "oculus-m1200d-hf")),
+    "m3000d": OculusModel(2203, ("oculus-m3000d-lf", "oculus-m3000d-hf")),
+}
+
+
+class OculusHead:
+    """Answers fire messages by pings.
+
+    Parameters
+    ----------
+    model : OculusModel
+    head : SimulatedHead
+    counts : changes of the presets' laws of counts, in what fire messages do not set
+    """
+
+    def __init__(self, model: OculusModel, head: SimulatedHead, counts: Mapping | None = None):
+        self.model, self.head, self._counts = model, head, counts or {}
+
+    def sonar(self, fire: FireMessage) -> Sonar:
+        """Return the sonar with the settings of a fire message.
+
+        Raises
+        ------
+        Error
+            if the range is beyond that of the device.
+        """
+        is_high = fire.mode == HIGH_FREQUENCY
+        preset = load_sonar(self.model.presets[is_high])
+        greatest_m = preset.range_limit_m
+        range_m = fire.range_m(greatest_m)
+        if not preset.range_min_m < range_m <= greatest_m:
+            raise Error(
+                f"the range of {preset.name} must be more than {preset.range_min_m:g} m and at most {greatest_m:g} m "
+                f"(got {range_m:g} m)"
+            )
+        n_bins = min(max(1, round(range_m / preset.bin_size_m)), MAX_BINS)
+        counts = {"exponent": 0.5 * (fire.gamma or 255) / 255, "bits": 16 if fire.flags & SIXTEEN_BITS else 8}
+        if not fire.flags & GAIN_ASSISTANCE:
+            counts["gain_db"] = GAIN_DB_PER_PERCENT * fire.gain_percent
+        # an image begins at the head
+        return replace(
+            preset,
+            n_beams=fire.n_beams,
+            n_bins=n_bins,
+            range_min_m=0.0,
+            range_max_m=range_m,
+            counts=preset.counts.changed(self._counts).changed({"law": "power", **counts}),
+        )
+
+    def ping(self, fire: FireMessage, time_s: float, number: int) -> OculusResult:
+        """Make a ping with the settings of a fire message; raises Error as `sonar` does."""
+        sonar, acoustics = self.sonar(fire), self.head.acoustics
+        if fire.sound_speed_m_s:
+            acoustics = replace(acoustics, sonar_sound_speed_m_s=fire.sound_speed_m_s)
+        return oculus_result(self.head.ping(sonar, acoustics, time_s, number), fire, time_s, number)
+
+
+def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> OculusResult:
+    """Return what an Oculus reports of a ping."""
+    sonar, acoustics = ping.sonar, ping.acoustics
+    *_, roll, pitch, yaw = np.degrees(pose_numbers(ping.pose))
+    return OculusResult(
+        fire=fire,
+        number=number,
+        counts=ping.counts(),
+        azimuth_rad=ping.azimuth_rad,
+        gain=acoustics.tvg(ping.range_m, sonar),
+        bin_size_m=sonar.bin_size_m,
+        frequency_hz=sonar.frequency_hz,
+        temperature_c=acoustics.water.temperature_c,
+        pressure_bar=1.01325 + acoustics.water.depth_m / 10.0,  # ten metres of water make a bar
+        sound_speed_m_s=acoustics.assumed_sound_speed_m_s(),
+        heading_deg=float(-yaw % 360),  # a compass counts clockwise
+        pitch_deg=float(-pitch),  # up is positive
+        roll_deg=float(roll),
+        time_s=time_s,
+    )
+
+
+@dataclass
+class PingCounts:
+    """What became of the pings of an emulator: sent, and missed by programs that read too slowly."""
+
+    sent: int = 0
+    missed: int = 0
+
+
+class OculusServer:
+    """Serves the results of an Oculus to all programs that connect.
+
+    The last fire message of any program counts, as with the device. A ping that is late is left out: the ping rate
+    falls, and nothing piles up.
+
+    Parameters
+    ----------
+    device : OculusHead, which `simulation` alone uses
+    simulation : Executor of one thread
+    host, port : of the results
+    status_to : (host, port) that receives the status, or None for no status
+    """
+
+    def __init__(
+        self,
+        device: OculusHead,
+        simulation: Executor,
+        host: str = "127.0.0.1",
+        port: int = DATA_PORT,
+        status_to: tuple[str, int] | None = ("127.0.0.1", STATUS_PORT),
+    ):
+        self.counts = PingCounts()
+        self._device, self._simulation = device, simulation
+        self._host, self._port, self._status_to = host, port, status_to
+        self._fire, self._asked = None, asyncio.Event()
+        self._programs: dict[asyncio.StreamWriter, str] = {}
+
+    @property
+    def port(self) -> int:
+        """The port of the results: the one that was asked for, or the one that the system chose for 0."""
+        return self._port
+
+    async def run(self, started: asyncio.Event | None = None) -> None:
+        """Serve until this is cancelled.
+
+        Raises
+        ------
+        OSError
+            if the port is taken, or the host is no address of IPv4.
+        """
+        # messages have room for addresses of IPv4 alone
+        server = await asyncio.start_server(self._serve, self._host, self._port, family=socket.AF_INET)
+        self._port = server.sockets[0].getsockname()[1]
+        if started is not None:
+            started.set()
+        tasks = [asyncio.create_task(self._ping())]
+        if self._status_to is not None:
+            tasks.append(asyncio.create_task(self._announce()))
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            for task in tasks:
+                task.cancel()
+            server.close()
+            for writer in list(self._programs):
+                writer.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Read the messages of a program until it goes, or sends what is none."""
+        name = writer.get_extra_info("peername")
+        self._programs[writer] = str(name[0])
+        logger.info("%s:%s connects", *name[:2])
+        try:
+            while True:
+                mark, _, _, kind, version, size, _ = HEADER.unpack(await reader.readexactly(HEADER.size))
+                if mark != OCULUS_ID or size > MAX_FIRE_BYTES:
+                    logger.warning("%s:%s sends no messages of an Oculus: it is disconnected", *name[:2])
+                    return
+                payload = await reader.readexactly(size)
+                if kind == FIRE:
+                    self._heed(version, payload)
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self._programs.pop(writer, None)
+            writer.close()
+            logger.info("%s:%s is gone", *name[:2])
+
+    def _heed(self, version: int, payload: bytes) -> None:
+        """Ping with the settings of a fire message from now on; a wrong one changes nothing."""
+        try:
+            fire = parse_fire_message(version, payload)
+            self._device.sonar(fire)
+        except Error as why:
+            logger.warning("a fire message is ignored: %s", why)
+            return
+        if fire != self._fire:
+            logger.info("fire message: mode %d, range %g, %g Hz", fire.mode, fire.range, fire.ping_rate_hz)
+        self._fire = fire
+        self._asked.set()
+
+    async def _ping(self) -> None:
+        """Ping as long as a program listens and has asked for it."""
+        loop = asyncio.get_running_loop()
+        began_s, next_s, number = loop.time(), loop.time(), 0
+        while True:
+            fire = self._fire
+            if fire is None or not fire.ping_rate_hz or not self._programs:
+                self._asked.clear()
+                with suppress(asyncio.TimeoutError):  # programs come and go without asking anew
+                    await asyncio.wait_for(self._asked.wait(), 0.1)
+                next_s = loop.time()
+                continue
+            try:
+                result = await loop.run_in_executor(
+                    self._simulation, self._device.ping, fire, loop.time() - began_s, number
+                )
+            except MachineError:
+                raise
+            except Error as why:
+                logger.warning("a fire message is ignored: %s", why)
+                self._fire = None if self._fire is fire else self._fire
+                continue
+            number += 1
+            self._send(result.message(DEVICE_ID))
+            next_s = max(next_s + 1 / fire.ping_rate_hz, loop.time())
+            await asyncio.sleep(next_s - loop.time())
+
+    def _send(self, message: bytes) -> None:
+        """Send a message to all programs; one that reads too slowly misses it."""
+        for writer in list(self._programs):
+            if writer.transport.get_write_buffer_size() + len(message) > MAX_UNSENT_BYTES:
+                self.counts.missed += 1
+                continue
+            writer.write(message)
+            self.counts.sent += 1
+
+    async def _announce(self) -> None:
+        """Send the status again and again."""
+        loop, to = asyncio.get_running_loop(), self._status_to
+        transport, protocol = await loop.create_datagram_endpoint(
+            lambda: _StatusProtocol(to),
+            local_addr=(self._host, 0),
+            family=socket.AF_INET,
+            allow_broadcast=True,
+        )
+        own = transport.get_extra_info("sockname")[0]
+        try:
+            while True:
+                connected = next(iter(self._programs.values()), "0.0.0.0")
+                part, temperature_c = (
+                    self._device.model.part_number,
+                    self._device.head.acoustics.water.temperature_c,
+                )
+                message = status_message(DEVICE_ID, part, own, connected, temperature_c)
+                try:
+                    # in a thread: the look-up of a name may take seconds
+                    found = await loop.getaddrinfo(*to, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+                    transport.sendto(message, found[0][4])
+                except OSError as why:
+                    protocol.error_received(why)
+                await asyncio.sleep(STATUS_S)
+        finally:
+            transport.close()
+
+
+class _StatusProtocol(asyncio.DatagramProtocol):
+    """Says once why a status does not go out.
+
+    Parameters
+    ----------
+    to : (host, port) that should receive it
+    """
+
+    def __init__(self, to: tuple[str, int]):
+        self._to, self._has_failed = to, False
+
+    def error_received(self, why: OSError) -> None:
+        """Log the first reason."""
+        if not self._has_failed:
+            logger.warning(
+                "no status reaches %s:%d: %s (this is logged once)", *self._to, why.strerror or why
+            )
+        self._has_failed = True

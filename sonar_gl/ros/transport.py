@@ -1,0 +1,119 @@
+"""What carries messages to other programs: one interface over zenoh, DDS and Foxglove."""
+
+from __future__ import annotations
+
+import os
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sonar_gl.core.checks import check_whole_number, shown
+from sonar_gl.core.errors import Error, other_process_error
+from sonar_gl.ros.messages import message_types
+
+MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
+
+
+def ros_domain(domain: int | None = None) -> int:
+    """Return a domain of ROS 2; None is the environment variable ROS_DOMAIN_ID, or 0, as for nodes of ROS 2.
+
+    Raises
+    ------
+    Error
+        if it is no whole number in 0..232.
+    """
+    if domain is not None:
+        return check_whole_number("the ROS domain", domain, 0, MAX_DOMAIN, "as in ROS_DOMAIN_ID")
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not re.fullmatch("[0-9]{1,9}", text):
+        raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {shown(text)})")
+    return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of ROS 2 and the type of its messages.
+
+    Parameters
+    ----------
+    name : begins with "/", such as "/sonar/image"
+    msgtype : such as "sensor_msgs/msg/Image"
+    type_hash : "RIHS01_" and 64 hexadecimal digits, as ROS 2 Iron and later compare them
+    definition : fields of the type, and of the types in it, in ROS's language
+    reliable : True if what is lost is sent again
+    latched : True if late subscribers receive the last message ("transient local")
+    depth : number of messages that wait for a slow subscriber
+    """
+
+    name: str
+    msgtype: str
+    type_hash: str
+    definition: str
+    reliable: bool = True
+    latched: bool = False
+    depth: int = 5
+
+    @classmethod
+    def of_type(cls, name: str, msgtype: str, **quality) -> Topic:
+        """Return a topic of a type that `message_types` knows, with its hash and definition.
+
+        Parameters
+        ----------
+        name, msgtype : as of a Topic; types are those of ROS 2 Humble, and of pings
+        quality : `reliable`, `latched` and `depth` of the Topic
+
+        Raises
+        ------
+        Error
+            if the type is not known: make a `Topic` with its hash and definition; or an extra is not installed.
+
+        Examples
+        --------
+        >>> Topic.of_type("/chatter", "std_msgs/msg/String").type_hash[:15]
+        'RIHS01_df668c74'
+        """
+        definition, type_hash = message_types().schema(msgtype)
+        return cls(name, msgtype, type_hash, definition, **quality)
+
+
+def check_process(process: int, kind: str) -> None:
+    """Raise an Error in a fork of the process that made a transport: it lacks the threads that send."""
+    if os.getpid() != process:
+        raise other_process_error(kind)
+
+
+def check_same_type(topic: Topic, known: Topic) -> None:
+    """Raise an Error if a topic has another type than one of the same name before, whose messages are laid out so."""
+    if (topic.msgtype, topic.definition) != (known.msgtype, known.definition):
+        raise Error(
+            f"a topic must have one type (got {topic.msgtype} for {topic.name!r}, which had {known.msgtype} before"
+            f"{'' if topic.msgtype != known.msgtype else ', with another definition'})"
+        )
+
+
+class Transport(ABC):
+    """Carries messages in CDR, little endian, with its header of four bytes. Threads may share it."""
+
+    @abstractmethod
+    def advertise(self, topic: Topic) -> None:
+        """Make a topic known to other programs; `publish` does so, too, where this was not called."""
+
+    @abstractmethod
+    def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
+        """Send a message without waiting for those who receive it, nor for messages of other topics.
+
+        time_ns : time of the message in nanoseconds, as in its header
+        """
+
+    @abstractmethod
+    def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
+        """Call `receive` with each message of other programs on a topic, in a thread of the transport.
+
+        Returns a function that withdraws the subscription, which may be called twice, and after `close`. A call of
+        `receive` that has begun by then still ends.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Withdraw the topics and give back what it holds; may be called twice."""

@@ -1,0 +1,463 @@
+"""An emulated Oculus, read by a decoder that was written from the layout of its messages."""
+
+import random
+import socket
+import struct
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error
+from sonar_gl.live import simulators
+from sonar_gl.live.emulators import oculus
+from sonar_gl.live.emulators.oculus import MODELS, OculusHead, OculusServer
+from sonar_gl.live.emulators.oculus_messages import (
+    FireMessage,
+    OculusResult,
+    parse_fire_message,
+    status_message,
+)
+from sonar_gl.live.emulators.simulated_head import SimulatedHead
+from sonar_gl.live.pose_track import PoseTrack
+from tests.support.servers import running, simulated
+from tests.support.waiting import WAIT_S
+from tools.oculus_raw import read_pings
+
+METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h
+LOW, HIGH = 1, 2
+# Byte and type (as NumPy names it) of each number of a message, counted by hand in the packed structures of liboculus'
+# Oculus.h. The emulator shares nothing with them.
+HEADER = {
+    "oculusId": (0, "<u2"),
+    "srcDeviceId": (2, "<u2"),
+    "dstDeviceId": (4, "<u2"),
+    "msgId": (6, "<u2"),
+    "msgVersion": (8, "<u2"),
+    "payloadSize": (10, "<u4"),
+    "spare2": (14, "<u2"),
+}
+FIRE = HEADER | {
+    "masterMode": (16, "u1"),
+    "pingRate": (17, "u1"),
+    "networkSpeed": (18, "u1"),
+    "gammaCorrection": (19, "u1"),
+    "flags": (20, "u1"),
+    "range": (21, "<f8"),
+    "gainPercent": (29, "<f8"),
+    "speedOfSound": (37, "<f8"),
+    "salinity": (45, "<f8"),
+}
+RESULT_1 = FIRE | {
+    "pingId": (53, "<u4"),
+    "status": (57, "<u4"),
+    "frequency": (61, "<f8"),
+    "temperature": (69, "<f8"),
+    "pressure": (77, "<f8"),
+    "speedOfSoundUsed": (85, "<f8"),
+    "pingStartTime": (93, "<u4"),
+    "dataSize": (97, "u1"),
+    "rangeResolution": (98, "<f8"),
+    "nRanges": (106, "<u2"),
+    "nBeams": (108, "<u2"),
+    "imageOffset": (110, "<u4"),
+    "imageSize": (114, "<u4"),
+    "messageSize": (118, "<u4"),
+}
+RESULT_2 = FIRE | {
+    "extFlags": (53, "<u4"),  # and 32 bytes that are reserved
+    "pingId": (89, "<u4"),
+    "status": (93, "<u4"),
+    "frequency": (97, "<f8"),
+    "temperature": (105, "<f8"),
+    "pressure": (113, "<f8"),
+    "heading": (121, "<f8"),
+    "pitch": (129, "<f8"),
+    "roll": (137, "<f8"),
+    "speedOfSoundUsed": (145, "<f8"),
+    "pingStartTime": (153, "<f8"),
+    "dataSize": (161, "u1"),
+    "rangeResolution": (162, "<f8"),
+    "nRanges": (170, "<u2"),
+    "nBeams": (172, "<u2"),
+    "spare": (174, "<u4"),  # the first of four
+    "imageOffset": (190, "<u4"),
+    "imageSize": (194, "<u4"),
+    "messageSize": (198, "<u4"),
+}
+BEARINGS = {1: 122, 2: 202}  # where they begin
+
+
+def numbers_of(message, layout):
+    """Return the numbers of a message by their names in Oculus.h."""
+    return {
+        name: np.frombuffer(message, kind, 1, offset)[0].item() for name, (offset, kind) in layout.items()
+    }
+
+
+def fire_bytes(
+    version=1, mode=HIGH, rate=2, gamma=127, flags=METRES | SIMPLE | ASSISTANCE, range_m=3.0, gain=50.0
+):
+    """Return a fire message as liboculus' SonarConfiguration writes it: offsets of its packed structures."""
+    size = 53 if version == 1 else 89
+    out = bytearray(size)
+    struct.pack_into("<HHHHHIH", out, 0, 0x4F53, 0, 0, 0x15, version, size - 16, 0)
+    struct.pack_into("<BBBBB", out, 16, mode, rate, 0xFF, gamma, flags)
+    struct.pack_into("<dddd", out, 21, range_m, gain, 0.0, 0.0)
+    return bytes(out)
+
+
+@pytest.fixture(scope="module")
+def server():
+    """Serve a wall with a ball before it, to starboard, as an M1200d sees them."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.1), sg.pose(1.5, -0.5, 0))
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 20, 20)), sg.pose(2.5, 0, 0), 0.01)
+    scene = sg.Scene([ball, wall], np.eye(4), "ball and wall")
+
+    def make():
+        sonar = sg.load_sonar("oculus-m1200d-hf")
+        # without far side lobes, by which the ball shows in all beams
+        acoustics = sg.Acoustics.physical(far_side_lobes=False)
+        return SimulatedHead(scene, sonar, acoustics, sg.Noise(), PoseTrack([np.eye(4)]))
+
+    with simulated(make) as (simulation, head):
+        device = OculusHead(MODELS["m1200d"], head)
+        with running(OculusServer(device, simulation, port=0, status_to=None)) as one:
+            yield one
+
+
+@pytest.fixture
+def connection(server):
+    """Connect a program."""
+    with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as one:
+        yield one
+
+
+def read_exactly(connection, size):
+    """Return so many bytes of a connection."""
+    data = b""
+    while len(data) < size:
+        data += connection.recv(size - len(data)) or pytest.fail("the connection was closed")
+    return data
+
+
+def next_result(connection):
+    """Return the next message of a connection: its header's numbers, and all its bytes."""
+    head = read_exactly(connection, 16)
+    fields = struct.unpack("<HHHHHIH", head)
+    return fields, head + read_exactly(connection, fields[5])
+
+
+def result_of(connection, fire):
+    """Fire, and return the first message that answers it."""
+    connection.sendall(fire)
+    while True:
+        fields, message = next_result(connection)
+        if message[16 : len(fire)] == fire[16:]:
+            return fields, message
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_each_number_is_at_its_byte(version):
+    """All numbers differ, and so do their bytes."""
+    size, layout = {1: (53, RESULT_1), 2: (89, RESULT_2)}[version]
+    asked = {
+        "oculusId": 0x4F53, "srcDeviceId": 0, "dstDeviceId": 0, "msgId": 0x15, "msgVersion": version,
+        "payloadSize": size - 16, "spare2": 0, "masterMode": 2, "pingRate": 3, "networkSpeed": 201,
+        "gammaCorrection": 127, "flags": METRES | BITS_16 | ASSISTANCE, "range": 3.25, "gainPercent": 41.5,
+        "speedOfSound": 1511.5, "salinity": 34.5,
+    }  # fmt: skip
+    sent = bytearray(size)
+    for name, (offset, kind) in FIRE.items():
+        sent[offset : offset + np.dtype(kind).itemsize] = np.array(asked[name], kind).tobytes()
+    fire = parse_fire_message(version, bytes(sent[16:]))
+    assert (fire.version, fire.mode, fire.ping_rate, fire.gamma, fire.flags) == (version, 2, 3, 127, 0x13)
+    assert (fire.range, fire.gain_percent, fire.sound_speed_m_s) == (3.25, 41.5, 1511.5)
+    counts = np.arange(6, dtype=np.uint16).reshape(2, 3)
+    message = OculusResult(
+        fire,
+        number=0x01020304,
+        counts=counts,
+        azimuth_rad=np.radians([-12.34, 23.45]),
+        gain=np.ones(3),
+        bin_size_m=0.0625,
+        frequency_hz=1.25e6,
+        temperature_c=8.5,
+        pressure_bar=2.75,
+        sound_speed_m_s=1483.25,
+        heading_deg=77.5,
+        pitch_deg=-5.5,
+        roll_deg=3.75,
+        time_s=1.25,
+    ).message(0x0708)
+    assert numbers_of(message, layout) == asked | {
+        "srcDeviceId": 0x0708, "msgId": 0x23, "msgVersion": {1: 0, 2: 2}[version], "payloadSize": 2048 + 12 - 16,
+        "pingId": 0x01020304, "status": 0, "frequency": 1.25e6, "temperature": 8.5, "pressure": 2.75,
+        "speedOfSoundUsed": 1483.25, "pingStartTime": {1: 1_250_000_000, 2: 1.25}[version], "dataSize": 1,
+        "rangeResolution": 0.0625, "nRanges": 3, "nBeams": 2, "imageOffset": 2048, "imageSize": 12,
+        "messageSize": 2048 + 12,
+    } | ({} if version == 1 else {"extFlags": 0, "heading": 77.5, "pitch": -5.5, "roll": 3.75, "spare": 0})  # fmt: skip
+    # hundredths of a degree, positive to starboard; port first
+    assert np.frombuffer(message, "<i2", 2, BEARINGS[version]).tolist() == [-2345, 1234]
+    assert np.frombuffer(message, "<u2", 6, 2048).tolist() == [3, 0, 4, 1, 5, 2]
+    assert len(message) == 2048 + 12 and not any(message[BEARINGS[version] + 4 : 2048])
+
+
+def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
+    fields, message = result_of(connection, fire_bytes())
+    assert fields[0] == 0x4F53 and fields[3:5] == (0x23, 0) and fields[5] == len(message) - 16
+    (tmp_path / "ping.raw").write_bytes(message)
+    (raw,) = read_pings(tmp_path / "ping.raw")
+    assert raw.counts.shape == (256, 1024) and raw.counts.dtype == np.uint8
+    assert raw.frequency_hz == 2.1e6 and raw.bin_size_m == pytest.approx(3.0 / 1024)
+    assert raw.sound_speed_m_s == pytest.approx(sg.Acoustics.physical().water.sound_speed())
+    edge = np.sin(np.radians(30.0))
+    even_in_sine_deg = np.degrees(np.arcsin(np.linspace(-edge, edge, 256)))
+    assert raw.beam_azimuths_deg == pytest.approx(even_in_sine_deg, abs=0.0051)  # hundredths, rounded
+    # many bins are at full scale; the nearest of them is the ball's nearest point, but for the pulse and the beam
+    bins, beams = np.nonzero(raw.counts.T == 255)
+    assert abs(raw.beam_azimuths_deg[beams[0]] - np.degrees(np.arctan2(-0.5, 1.5))) < 3.0
+    assert abs((bins[0] + 0.5) * raw.bin_size_m - (np.hypot(0.5, 1.5) - 0.1)) < 0.02
+
+
+def test_second_version_has_attitude_and_its_own_offsets(connection):
+    flags = METRES | SIMPLE | ASSISTANCE | BITS_16 | GAINS | BEAMS_512
+    fields, message = result_of(connection, fire_bytes(2, LOW, flags=flags, range_m=6.0))
+    assert fields[4] == 2
+    frequency, temperature, pressure, heading, pitch, roll, speed, time_s = struct.unpack_from(
+        "<8d", message, 97
+    )
+    size_code, bin_size_m, n_bins, n_beams = struct.unpack_from("<BdHH", message, 161)
+    offset, image_bytes, message_bytes = struct.unpack_from("<III", message, 190)
+    assert (frequency, heading, pitch, roll) == (1.2e6, 0.0, 0.0, 0.0)
+    assert (size_code, n_bins, n_beams) == (1, 1024, 512) and bin_size_m == pytest.approx(6.0 / 1024)
+    assert 0.0 < time_s < 1e5 and (temperature, pressure) == (10.0, pytest.approx(2.013, abs=1e-3))
+    assert 1400 < speed < 1600
+    row = 4 + 2 * n_beams
+    assert (image_bytes, message_bytes) == (n_bins * row, len(message)) and offset + image_bytes == len(
+        message
+    )
+    bearings = np.frombuffer(message, "<i2", n_beams, 202)
+    assert (np.diff(bearings) > 0).all() and (bearings[0], bearings[-1]) == (-6500, 6500)
+    rows = np.frombuffer(message, np.uint8, offset=offset).reshape(n_bins, row)
+    gains, counts = rows[:, :4].copy().view("<u4")[:, 0], rows[:, 4:].copy().view("<u2")
+    range_m, water = (np.arange(n_bins) + 0.5) * bin_size_m, sg.Acoustics.physical().water
+    tvg_db = 20 * np.log10(range_m) + 2 * water.absorption(1.2e6) * range_m  # 20 log r, as by default
+    relative = 10 ** ((tvg_db - tvg_db[-1]) / 10)
+    assert gains[-1] == 2**31 - 1  # as much as fits into a signed number
+    assert np.abs(gains - relative * gains[-1]).max() <= 1  # rounded
+    assert counts.max() == 65535  # automatic gain brings the strongest echoes to full scale
+    starboard, port = counts[:, n_beams // 2 :], counts[:, : n_beams // 2]
+    # before the wall: the ball, to starboard, where bearings are positive
+    near = slice(0, int(1.9 / bin_size_m))
+    assert starboard[near].max() > 20_000 > 20 * port[near].max()
+
+
+def test_gain_and_gamma_change_counts_as_they_say(connection):
+    flags = METRES | SIMPLE | BITS_16
+    counts = {}
+    for gamma, gain in ((255, 10.0), (255, 20.0), (127, 10.0)):
+        _, message = result_of(connection, fire_bytes(gamma=gamma, gain=gain, flags=flags))
+        counts[gamma, gain] = np.frombuffer(message, "<u2", offset=2048).astype(float)
+    inside = (counts[255, 10.0] > 1000) & (counts[255, 20.0] < 65535)
+    assert inside.sum() > 100
+    # 10 per cent more are 6 dB: amplitude times 1.995; counts of 1000 are rounded by 0.05 %
+    assert counts[255, 20.0][inside] / counts[255, 10.0][inside] == pytest.approx(10**0.3, rel=1e-3)
+    share, with_gamma = counts[255, 10.0][inside] / 65535, counts[127, 10.0][inside] / 65535
+    assert with_gamma == pytest.approx(share ** (127 / 255), rel=1e-3)
+
+
+def test_another_gain_needs_no_other_simulator(connection, monkeypatch):
+    """A new simulator looks for its samples, and its first ping takes far longer than others."""
+    result_of(connection, fire_bytes(gain=31.0))
+    monkeypatch.setattr(simulators, "Simulator", None)  # none can be made from now on
+    for gamma, gain, flags in ((255, 12.0, BITS_16), (127, 13.0, BITS_16), (127, 14.0, ASSISTANCE)):
+        result_of(connection, fire_bytes(gamma=gamma, gain=gain, flags=METRES | SIMPLE | flags))
+
+
+def test_standby_stops_and_another_fire_message_goes_on(connection):
+    result_of(connection, fire_bytes())
+    connection.sendall(fire_bytes(rate=5))
+    connection.settimeout(0.5)
+    with pytest.raises(TimeoutError):
+        while True:
+            next_result(connection)
+    connection.settimeout(WAIT_S)
+    result_of(connection, fire_bytes(range_m=4.0))
+
+
+def test_two_programs_see_the_same_pings(connection, server):
+    with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
+        result_of(connection, fire_bytes(range_m=5.0))
+        messages = [next_result(one)[1] for one in (other, connection) for _ in range(5)]
+        numbers = [struct.unpack_from("<I", message, 53)[0] for message in messages]
+        both = set(numbers[:5]) & set(numbers[5:])
+        assert both
+        for number in both:
+            first, second = (m for m, n in zip(messages, numbers, strict=True) if n == number)
+            assert first == second
+
+
+def test_wrong_fire_message_changes_nothing(connection):
+    result_of(connection, fire_bytes(range_m=3.5))
+    for wrong in (fire_bytes(range_m=11.0), fire_bytes(range_m=float("nan")), fire_bytes(mode=0)):
+        connection.sendall(wrong)
+    for _ in range(3):
+        _, message = next_result(connection)
+        assert struct.unpack_from("<d", message, 21) == (3.5,)
+
+
+def test_settings_that_no_ping_can_be_made_with_are_ignored(connection, monkeypatch, caplog):
+    ping = SimulatedHead.ping
+
+    def limited(head, sonar, *values):
+        if sonar.range_max_m == 4.25:
+            raise Error("the ping must succeed (got 4.25 m)")
+        return ping(head, sonar, *values)
+
+    monkeypatch.setattr(SimulatedHead, "ping", limited)
+    connection.sendall(fire_bytes(range_m=4.25))
+    end_s = time.monotonic() + WAIT_S
+    while "a fire message is ignored: the ping must succeed (got 4.25 m)" not in caplog.messages:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    result_of(connection, fire_bytes(range_m=4.5))
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"range": 11.0}, "at most 10 m"),
+        ({"range": 0.05}, "more than 0.1 m"),
+    ],
+)
+def test_range_of_the_device_is_kept(server, changes, words):
+    fire = FireMessage(1, HIGH, 0, 127, METRES, changes["range"], 50.0, 0.0, b"")
+    with pytest.raises(Error, match=words):
+        OculusHead(MODELS["m1200d"], None).sonar(fire)
+
+
+def test_range_in_per_cent_is_of_the_greatest():
+    fire = FireMessage(1, LOW, 0, 127, 0, 25.0, 50.0, 0.0, b"")
+    assert OculusHead(MODELS["m1200d"], None).sonar(fire).range_max_m == 10.0
+
+
+def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
+    device = OculusHead(MODELS["m1200d"], None, {"gain_percentile": 90.0})
+    fire = FireMessage(1, LOW, 0, 127, METRES | ASSISTANCE, 5.0, 50.0, 0.0, b"")
+    laws = [device.sonar(one).counts for one in (fire, replace(fire, flags=METRES))]
+    assert [(law.gain_percentile, law.gain_db) for law in laws] == [(90.0, 0.0), (None, 30.0)]
+
+
+def test_short_fire_message_is_refused():
+    with pytest.raises(Error, match="must have 73 bytes"):
+        parse_fire_message(2, bytes(72))
+
+
+def test_status_is_as_long_as_programs_expect():
+    message = status_message(7, 1042, "192.168.1.9", "0.0.0.0", 12.5)
+    assert len(message) == 142  # sizeof(OculusStatusMsg), the only length that liboculus accepts
+    assert struct.unpack_from("<IHHI", message, 16) == (7, 1, 1042, 3)
+    assert message[52:56] == bytes([192, 168, 1, 9])
+    assert struct.unpack_from("<d", message, 70) == (12.5,)
+
+
+def test_the_status_says_where_the_device_is_and_who_is_connected(monkeypatch):
+    monkeypatch.setattr(oculus, "STATUS_S", 0.01)
+    device = OculusHead(MODELS["m750d"], SimpleNamespace(acoustics=sg.Acoustics.physical()))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(WAIT_S)
+        status_to = "localhost", listener.getsockname()[1]
+        with running(OculusServer(device, None, "localhost", port=0, status_to=status_to)) as server:
+            status = listener.recv(1000)
+            assert struct.unpack_from("<HHHHHI", status) == (0x4F53, 1, 0, 1, 1, len(status) - 16)
+            assert struct.unpack_from("<H", status, 22) == (1032,)  # partNumberM750d
+            assert (status[52:56], status[60:64]) == (bytes([127, 0, 0, 1]), bytes(4))
+            with socket.create_connection(("localhost", server.port), WAIT_S):
+                while listener.recv(1000)[60:64] != bytes([127, 0, 0, 1]):
+                    pass
+            while listener.recv(1000)[60:64] != bytes(4):
+                pass
+
+
+def test_result_of_odd_sizes_fits_its_header():
+    fire = FireMessage(1, HIGH, 0, 127, METRES | GAINS, 3.0, 50.0, 0.0, bytes(37))
+    numbers = np.arange(6, dtype=np.uint8).reshape(2, 3)
+    one = OculusResult(
+        fire,
+        2**32 + 5,
+        numbers,
+        np.array([-0.1, 0.1]),
+        np.ones(3, np.float32),
+        0.1,
+        1e6,
+        8.0,
+        1.0,
+        1500.0,
+        0,
+        0,
+        0,
+        9.0,
+    )
+    message = one.message(1)
+    assert struct.unpack_from("<I", message, 53) == (5,)  # numbers begin anew
+    rows = np.frombuffer(message, np.uint8, offset=2048).reshape(3, 6)
+    assert rows[:, 4:].tolist() == [[3, 0], [4, 1], [5, 2]]  # port's beam first, as its bearing is the lower
+    assert np.frombuffer(message, "<i2", 2, 122).tolist() == [-573, 573]
+
+
+@pytest.mark.parametrize(
+    ("time_s", "nanoseconds"), [(0.0, 0), (1.5, 1_500_000_000), (4.5, 4_500_000_000 - 2**32)]
+)
+def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_second(time_s, nanoseconds):
+    """Times that floats hold; in raw pings of an M1200d consecutive start times differ by 62.5 million."""
+    first, second = (
+        OculusResult(
+            FireMessage(version, HIGH, 0, 127, METRES, 3.0, 50.0, 0.0, bytes(size)),
+            number=1,
+            counts=np.zeros((1, 1), np.uint8),
+            azimuth_rad=np.zeros(1),
+            gain=np.ones(1, np.float32),
+            bin_size_m=0.1,
+            frequency_hz=1e6,
+            temperature_c=8.0,
+            pressure_bar=1.0,
+            sound_speed_m_s=1500.0,
+            heading_deg=0.0,
+            pitch_deg=0.0,
+            roll_deg=0.0,
+            time_s=time_s,
+        ).message(1)
+        for version, size in ((1, 37), (2, 73))
+    )
+    assert struct.unpack_from("<I", first, 93) == (nanoseconds,)
+    assert struct.unpack_from("<d", second, 153) == (time_s,)
+
+
+@pytest.mark.parametrize("count", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connection, count):
+    """Packets of random bytes, headers of any length, fire messages of random numbers."""
+    rng = random.Random(0)
+    result_of(connection, fire_bytes(range_m=2.0))
+    sent = 0
+    while sent < count:
+        with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
+            kind = rng.randrange(3)
+            try:
+                for _ in range(1 + kind * 2000):
+                    body = rng.randbytes(rng.randrange(60))
+                    head = struct.pack(
+                        "<HHHHHIH", 0x4F53, 0, 0, rng.choice((0x15, 0x22)), rng.randrange(3), len(body), 0
+                    )
+                    other.sendall(rng.randbytes(20) if kind == 0 else head + body)
+                    sent += 1
+            except OSError:  # the device has hung up
+                pass
+    start = time.monotonic()
+    result_of(connection, fire_bytes(range_m=2.5))
+    assert time.monotonic() - start < WAIT_S

@@ -1,0 +1,215 @@
+"""An emulated Ping360, by the maker's own client."""
+
+import asyncio
+import random
+import socket
+import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import brping
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.live.emulators.ping360 import FIRST_SETTINGS, Ping360Head, Ping360Server
+from sonar_gl.live.emulators.ping360_messages import (
+    AUTO_PAYLOAD,
+    AUTO_TRANSMIT,
+    PingMessage,
+    Scan,
+    TransducerSettings,
+    parse_messages,
+    parse_scan,
+)
+from sonar_gl.live.emulators.simulated_head import SimulatedHead
+from sonar_gl.live.pose_track import PoseTrack
+from tests.support.servers import running, simulated
+from tests.support.waiting import WAIT_S
+
+
+@pytest.fixture(scope="module")
+def server():
+    """Serve a small ball, 4 m to starboard of a sonar that looks along x, and a wall 6 m ahead of it."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(0, -4, 0))
+    wall = sg.Body("wall", trimesh.creation.box((0.1, 20, 20)), sg.pose(6.05, 0, 0))
+    scene = sg.Scene([ball, wall], np.eye(4), "ball and wall")
+
+    def make():
+        settings = sg.load_sonar("ping360"), sg.Acoustics.physical(), sg.Noise(), PoseTrack([np.eye(4)])
+        return SimulatedHead(scene, *settings)
+
+    with (
+        simulated(make) as (simulation, head),
+        running(Ping360Server(Ping360Head(head), simulation, port=0)) as one,
+    ):
+        yield one
+
+
+@pytest.fixture
+def client(server):
+    """Connect the maker's client."""
+    client = brping.Ping360()
+    client.connect_udp("127.0.0.1", server.port)
+    assert client.initialize()
+    yield client
+    client.iodev.close()
+
+
+def strongest_m(answer, sound_speed_m_s):
+    """Return the range of the strongest sample."""
+    sample_m = answer.sample_period * 25e-9 * sound_speed_m_s / 2
+    return (np.frombuffer(bytes(answer.data), np.uint8).argmax() + 0.5) * sample_m
+
+
+def test_counts_change_the_law_and_programs_the_gain():
+    device = Ping360Head(SimpleNamespace(acoustics=sg.Acoustics.physical()), {"law": "db", "low_db": -40.0})
+    assert device.sonar(FIRST_SETTINGS).counts == sg.Counts(low_db=-40.0, gain_db=10.0, exponent=0.26)
+
+
+def test_each_angle_shows_what_lies_there(client):
+    client.set_transmit_frequency(750)
+    client.set_sample_period(400)
+    client.set_number_of_samples(1100)
+    client.set_gain_setting(0)
+    speed_m_s = sg.Acoustics.physical().water.sound_speed()
+    for angle, range_m in ((0, 6.0), (100, 3.7)):  # a quarter turn clockwise is starboard
+        answer = client.transmitAngle(angle)
+        assert (answer.angle, answer.number_of_samples, len(answer.data)) == (angle, 1100, 1100)
+        assert (answer.transmit_frequency, answer.sample_period, answer.gain_setting) == (750, 400, 0)
+        found_m = strongest_m(answer, speed_m_s)
+        # the nearest point of either is its strongest; the pulse reaches over some samples
+        assert abs(found_m - range_m) < 0.05
+    assert not any(client.transmitAngle(300).data)  # nothing is to port
+
+
+def test_turn_without_transmitting_has_no_echo(client):
+    client.control_transducer(1, 0, 50, 32, 400, 750, 500, 0, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], 4.0)
+    assert (answer.angle, len(answer.data)) == (50, 0)
+
+
+def test_scan_goes_on_by_itself_until_the_motor_is_switched_off(client):
+    client.control_auto_transmit(1, 0, 32, 400, 750, 200, 390, 10, 5, 0)
+    kinds = [brping.definitions.PING360_AUTO_DEVICE_DATA]
+    angles = [client.wait_message(kinds, WAIT_S).angle for _ in range(6)]
+    assert angles == [390, 395, 0, 5, 10, 5]
+    client.control_motor_off()
+    assert client.wait_message([brping.definitions.COMMON_ACK], 4.0).acked_id == 2903
+
+
+def test_wrong_settings_are_refused_with_a_reason(client):
+    client.control_transducer(1, 7, 50, 32, 400, 750, 500, 1, 0)
+    answer = client.wait_message([brping.definitions.COMMON_NACK], 4.0)
+    assert (answer.nacked_id, bytes(answer.nack_message)) == (2601, b"gain_setting must be 0 to 2 (got 7)\0")
+
+
+def test_unknown_message_is_refused(client):
+    client.request(1211, timeout=0.2)  # of another device
+    assert client.transmitAngle(7).angle == 7  # and the next one is answered
+
+
+def test_scan_turns_back_at_both_ends():
+    settings = TransducerSettings(1, 0, 0, 32, 400, 750, 200)
+    assert [Scan(settings, 395, 5, 4, 0.0).angle(n) for n in range(6)] == [395, 399, 3, 399, 395, 399]
+    assert [Scan(settings, 0, 399, 10, 0.0).angle(n) for n in (0, 1, 39, 40)] == [0, 10, 390, 0]
+    assert Scan(settings, 20, 22, 5, 0.0).angle(3) == 20  # a sector narrower than a step
+
+
+def test_messages_survive_noise_before_and_behind_them():
+    first, second = PingMessage(6, b"\x04\x00"), PingMessage(2903)
+    data = b"BRxB" + first.pack(0, 0) + b"\xffBR\x00" + second.pack(0, 0) + b"BR"
+    assert parse_messages(data) == [first, second]
+    broken = bytearray(first.pack(0, 0))
+    broken[8] ^= 1
+    assert parse_messages(bytes(broken)) == []
+
+
+def test_scan_of_wrong_length_is_refused():
+    with pytest.raises(Error, match="must have 16 bytes"):
+        parse_scan(b"\x01")
+
+
+@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, client, count):
+    """Datagrams of random bytes, and whole messages with random payloads."""
+    rng, address = random.Random(0), ("127.0.0.1", server.port)
+    # no message that pings: those take their time by right
+    kinds = 0, 1, 4, 5, 6, 2000, 2300, 2600, AUTO_TRANSMIT, 2903, 4711
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        for number in range(count):
+            payload = rng.randbytes(rng.randrange(40))
+            if number % 2:
+                kind, size = rng.choice(kinds), struct.calcsize("<BBHHHHHHBB")
+                if kind == AUTO_TRANSMIT and len(payload) == size:
+                    payload = payload[1:]
+                payload = PingMessage(kind, payload).pack(0, 0)
+            other.sendto(payload, address)
+
+    def answer_to(angle, wait_s):
+        client.control_transducer(1, 0, angle, 32, 400, 750, 200, 1, 0)
+        return client.wait_message([brping.definitions.PING360_DEVICE_DATA], wait_s)
+
+    start = time.monotonic()
+    while answer_to(9, 0.05) is None:  # the first requests may be dropped
+        assert time.monotonic() - start < WAIT_S
+    while (angle := answer_to(11, WAIT_S).angle) == 9:  # to a request that was repeated
+        pass
+    assert angle == 11
+
+
+def test_settings_that_no_ping_can_be_made_with_are_refused(client, monkeypatch):
+    ping = SimulatedHead.ping
+
+    def limited(head, sonar, *values):
+        if sonar.n_bins == 201:
+            raise Error("the ping must succeed (got 201 bins)")
+        return ping(head, sonar, *values)
+
+    monkeypatch.setattr(SimulatedHead, "ping", limited)
+    client.control_transducer(1, 0, 9, 32, 400, 750, 201, 1, 0)
+    answer = client.wait_message([brping.definitions.COMMON_NACK], WAIT_S)
+    assert (answer.nacked_id, bytes(answer.nack_message)) == (2601, b"the ping must succeed (got 201 bins)\0")
+    client.control_auto_transmit(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)
+    assert client.wait_message([brping.definitions.COMMON_NACK], WAIT_S).nacked_id == 2602
+    assert client.transmitAngle(7).angle == 7
+
+
+def test_a_scan_that_the_machine_fails_ends_the_device(monkeypatch):
+    """As a single ping does: nothing comes of those that follow."""
+
+    class LostHead:
+        def ping(self, *_):
+            raise MachineError("the driver must keep the sonar's OpenGL context")
+
+    async def serve(simulation):
+        server, started = Ping360Server(LostHead(), simulation, port=0), asyncio.Event()
+        serving = asyncio.create_task(server.run(started))
+        await asyncio.wait_for(started.wait(), WAIT_S)
+        message = PingMessage(AUTO_TRANSMIT, AUTO_PAYLOAD.pack(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)).pack(
+            0, 0
+        )
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.sendto(message, ("127.0.0.1", server.port))
+            await asyncio.wait_for(serving, 5.0)
+
+    with ThreadPoolExecutor(1) as simulation, pytest.raises(MachineError, match="must keep"):
+        asyncio.run(serve(simulation))
+
+
+@pytest.mark.parametrize("duration_us, frequency_khz", [(1, 500), (1, 999), (1000, 1000)])
+def test_the_shortest_and_the_longest_pulse_are_made(client, duration_us, frequency_khz):
+    client.control_transducer(1, 0, 9, duration_us, 400, frequency_khz, 200, 1, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], WAIT_S)
+    assert (answer.transmit_duration, answer.transmit_frequency) == (duration_us, frequency_khz)
+    assert len(answer.data) == 200
+
+
+@pytest.mark.parametrize("n_samples, sample_period", [(1, 80), (1, 40_000), (1200, 80), (1200, 40_000)])
+def test_the_nearest_and_the_farthest_range_are_made(client, n_samples, sample_period):
+    client.control_transducer(1, 0, 9, 32, sample_period, 750, n_samples, 1, 0)
+    answer = client.wait_message([brping.definitions.PING360_DEVICE_DATA], WAIT_S)
+    assert (answer.sample_period, len(answer.data)) == (sample_period, n_samples)
