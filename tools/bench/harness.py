@@ -189,9 +189,9 @@ def _cells(rows: list[Mapping]) -> list[list[str]]:
 
 
 def write_csv(path: Path, rows: list[Mapping], columns: list[str] | None = None):
-    """Write a CSV file; floats with five digits."""
+    """Write a CSV file of these columns, or of all; floats with five digits."""
     with atomic_write(Path(path)) as name, open(name, "w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, columns or list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(file, columns or list(rows[0]), lineterminator="\n", extrasaction="ignore")
         writer.writeheader()
         for row in rows:
             writer.writerow({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()})

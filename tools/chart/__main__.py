@@ -84,7 +84,7 @@ def has_opengl() -> bool:
 
 
 def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out=()) -> list[dict]:
-    """Return one row a method and resolution, but for methods that are left out; see POINTS."""
+    """Return one row a method and resolution, but for methods that are left out; see POINTS, and `ms_least`."""
     acoustics, pose = sg.Acoustics.ideal(), scene.sonar_pose
     rows, contenders = [], {}
     with ExitStack() as stack:
@@ -110,16 +110,16 @@ def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out=
         times = harness.take_turns(contenders, rounds, warm_up=0)
     for row, ms in zip(rows, times.values(), strict=True):
         spread = harness.spread_of(ms)
-        row["ms_median"], row["ms_p95"] = spread["median"], spread["p95"]
+        row["ms_median"], row["ms_p95"], row["ms_least"] = spread["median"], spread["p95"], float(ms.min())
     return rows
 
 
-def points_of(rows) -> dict:
-    """Return {(scene, beams): {method: [(ms, error), ...]}}."""
+def points_of(rows, time: str = "ms_median") -> dict:
+    """Return {(scene, beams): {method: [(ms, error), ...]}}; time names a column of the rows."""
     out = {}
     for row in rows:
         methods = out.setdefault((row["scene"], row["beams"]), {})
-        methods.setdefault(row["method"], []).append((row["ms_median"], row["error"]))
+        methods.setdefault(row["method"], []).append((row[time], row["error"]))
     return out
 
 
@@ -216,7 +216,8 @@ def main():
             draw.shimmer(options.out / "pictures" / "chart_shimmer.png", found, uncertainties, about)
     print(f"took {perf_counter() - start:.0f} s")
     if options.quick and rows:
-        left = violations(charts)
+        # other work on the machine only adds time, and seldom to every round
+        left = violations(points_of(rows, "ms_least"))
         print("\n".join(left) or "ours keeps the front")
         raise SystemExit(1 if left else 0)
 
