@@ -17,7 +17,7 @@ from sonar_gl.beamform.labels import Labeller, Labels
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import WIDE_COLUMNS_PER_SUPPORT, BeamShape, Fan, make_fan
+from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
@@ -203,17 +203,16 @@ def make_beamformer(
     sampling: Sampling,
     thread: SecondThread | None = None,
     shear: float = SHEAR,
-    max_column_width: float = 0.5,
+    widths: ColumnWidths = USUAL_WIDTHS,
     workspace: Workspace | None = None,
     side_lobes: bool = True,
-    wide_columns_per_support: float = WIDE_COLUMNS_PER_SUPPORT,
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
     Parameters
     ----------
     thread, workspace : of `Beamformer`
-    shear, max_column_width, wide_columns_per_support : of `make_fan`
+    shear, widths : of `make_fan`
     side_lobes : with those of the elevation pattern
     """
     reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
@@ -231,7 +230,7 @@ def make_beamformer(
             max_elevation_deg=acoustics.max_elevation_deg(sonar),
         )
     extended = extend_rows(sampling, sonar, true_range)
-    fan = make_fan(true_range, extended, beams, shear, max_column_width, wide_columns_per_support)
+    fan = make_fan(true_range, extended, beams, shear, widths)
     workspace = workspace or Workspace()
     far_pattern, edges = acoustics.far_pattern(sonar), fan.column_edges_rad
 

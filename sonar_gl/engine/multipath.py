@@ -22,6 +22,7 @@ from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
+from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
@@ -162,14 +163,13 @@ class ImageSources:
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
-        shared = thread, WIDEST_COLUMN, stages.pools
-        self._own_stages = StageCache(
-            engine, sonar, acoustics, *shared, wide_columns_per_support=OWN_WIDE_COLUMNS
-        )
+        widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
+        own_widths = widths._replace(wide_per_support=OWN_WIDE_COLUMNS)
+        self._own_stages = StageCache(engine, sonar, acoustics, thread, own_widths, pools)
         if sonar.beam_azimuths_deg is not None:
             mirrored = tuple(-azimuth for azimuth in reversed(sonar.beam_azimuths_deg))
             sonar = replace(sonar, beam_azimuths_deg=mirrored)
-        self._image_stages = StageCache(engine, sonar, acoustics, *shared)
+        self._image_stages = StageCache(engine, sonar, acoustics, thread, widths, pools)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         self._wave_height_m = acoustics.water.wave_height_m()
         self._scene, self._reflectors, self._rows = None, [], 0

@@ -15,7 +15,7 @@ from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.engine import RasterEngine, Renderer, RenderWorkspace
 from sonar_gl.raster.views import MAX_SAMPLES
-from sonar_gl.sonar.fan import WIDE_COLUMNS_PER_SUPPORT, Fan
+from sonar_gl.sonar.fan import USUAL_WIDTHS, ColumnWidths, Fan
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sector import SHEAR
@@ -74,7 +74,7 @@ class StageCache:
     ----------
     engine : RasterEngine that draws
     sonar, acoustics, thread : of the run
-    max_column_width, wide_columns_per_support : of `make_fan`
+    widths : of `make_fan`
     pools : of the arrays of pings, to share with other caches
     most_samples : of a view; more raise a SampleLimitError
 
@@ -89,14 +89,12 @@ class StageCache:
         sonar: Sonar,
         acoustics: Acoustics,
         thread: SecondThread | None = None,
-        max_column_width: float = 0.5,
+        widths: ColumnWidths = USUAL_WIDTHS,
         pools: ArrayPools | None = None,
         most_samples: int = MAX_SAMPLES,
-        wide_columns_per_support: float = WIDE_COLUMNS_PER_SUPPORT,
     ):
         self.engine, self.sonar, self.acoustics, self.most_samples = engine, sonar, acoustics, most_samples
-        self._thread, self._max_column_width = thread, max_column_width
-        self._wide_columns_per_support = wide_columns_per_support
+        self._thread, self._widths = thread, widths
         self._workspace = Workspace(pools)
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
         self._render_workspaces: dict[float, RenderWorkspace] = {}
@@ -138,9 +136,8 @@ class StageCache:
             sampling,
             self._thread,
             shear,
-            self._max_column_width,
+            self._widths,
             self._workspace,
-            wide_columns_per_support=self._wide_columns_per_support,
         )
         if shear not in self._render_workspaces:
             self._render_workspaces[shear] = self.engine.make_workspace(self.most_samples)

@@ -58,6 +58,22 @@ WIDE_COLUMNS_PER_SUPPORT = 12
 BAND_RAD, MIN_BAND_ROWS, MIN_BAND_DEG = 0.75, 16, 1.0
 
 
+class ColumnWidths(NamedTuple):
+    """How wide columns may be under smooth beam patterns.
+
+    Attributes
+    ----------
+    max_width : of a column, in beam spacings; without effect on boxes
+    wide_per_support : the half-width of the beams' support holds at least so many wide columns, about
+    """
+
+    max_width: float = 0.5
+    wide_per_support: float = WIDE_COLUMNS_PER_SUPPORT
+
+
+USUAL_WIDTHS = ColumnWidths()
+
+
 @dataclass(frozen=True, eq=False)
 class Fan:
     """The views and columns of a sonar for one sampling.
@@ -141,16 +157,14 @@ def make_fan(
     sampling: Sampling,
     beams: BeamShape,
     shear: float = SHEAR,
-    max_column_width: float = 0.5,
-    wide_columns_per_support: float = WIDE_COLUMNS_PER_SUPPORT,
+    widths: ColumnWidths = USUAL_WIDTHS,
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
     Parameters
     ----------
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
-    max_column_width : largest width of a column, in beam spacings; without effect on boxes
-    wide_columns_per_support : the half-width of the beams' support holds at least so many wide columns, about
+    widths : ColumnWidths
     """
     azimuths = sonar.azimuth_rad
     start, stop = ends_of_fan_rad(sonar, beams)
@@ -185,7 +199,7 @@ def make_fan(
     else:
         spacing = np.diff(azimuths).min(initial=span)
         width = max(
-            min(span / n_samples, max_column_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT
+            min(span / n_samples, widths.max_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT
         )
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
@@ -195,7 +209,7 @@ def make_fan(
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
-        widest = beams.support_rad / wide_columns_per_support * (math.sqrt(2) if shear < 0 else 1)
+        widest = beams.support_rad / widths.wide_per_support * (math.sqrt(2) if shear < 0 else 1)
         width = min(SKIRTS_COARSER * span / n_samples, widest)
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:

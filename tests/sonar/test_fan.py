@@ -8,7 +8,7 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import beam_weights
-from sonar_gl.sonar.fan import BeamShape, make_fan
+from sonar_gl.sonar.fan import BeamShape, ColumnWidths, make_fan
 from tests.support.fans import box_fan, make_sonar
 
 
@@ -129,5 +129,7 @@ def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_pe
 def test_the_largest_width_of_columns_is_a_parameter():
     sonar = make_sonar(n_beams=256, beam_width_deg=0.5)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
-    fan = make_fan(sonar, sg.Sampling(1.0, 16), BeamShape(support_rad, is_box=False), max_column_width=0.25)
+    fan = make_fan(
+        sonar, sg.Sampling(1.0, 16), BeamShape(support_rad, is_box=False), widths=ColumnWidths(0.25)
+    )
     assert np.diff(fan.column_edges_rad).max() <= 0.25 * math.radians(45 / 256) * (1 + 1e-9)
