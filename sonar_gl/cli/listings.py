@@ -16,7 +16,8 @@ from sonar_gl.sonar.sonar import presets
 LEAST_ECHO = 1e-6  # listed; a perfect mirror has no diffuse part, and next to nothing off its lobe
 MATERIALS_NOTE = """\
 impedance: over that of the water. |R|^2: intensity reflection coefficient at normal incidence,
-the sum of a diffuse part and of a specular lobe, whose width is the rms slope of the facets.
+the sum of a diffuse part and of a specular lobe, whose width is the rms slope of the facets. The
+diffuse part of silts, clay and very fine sand holds what their volume scatters, too.
 dB: echo per steradian at an angle of incidence, 0 dB for a diffuse part of 1 at 0 degrees.
 Height: rms height of the roughness, which divides |R|^2 at 900 kHz; rough materials have no lobe."""
 
@@ -70,7 +71,7 @@ def _material_row(name: str, one: Material) -> tuple[str, ...]:
     return (
         name,
         f"{one.impedance_ratio:.3g}",
-        f"{one.reflectivity + one.specular:.3f}",
+        f"{one.reflected:.3f}",
         f"{one.reflectivity:.3f}",
         lobe,
         slope,

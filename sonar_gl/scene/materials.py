@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection
+from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection, sediment_backscattering
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.toml import read_toml
@@ -17,21 +17,24 @@ from sonar_gl.core.toml import read_toml
 MATERIALS = Path(__file__).with_name("materials.toml")
 # at which fine roughness divides |R|² into lobe and diffuse part
 WAVENUMBER_RAD_M = 2 * math.pi * 900e3 / 1500
+# Grazing angle at which Lambert's law has the strength of a sediment's volume. The volume's own law falls less towards
+# grazing: at 10 to 60 degrees it is apart by 3 dB at most.
+GRAZING_RAD = math.pi / 4
 
 
 @dataclass(frozen=True)
 class Material:
     """The acoustic properties of a material; None stands for an unknown value.
 
-    `reflectivity` + `specular` is the intensity reflection coefficient |R|² at normal incidence. Fine
-    roughness scatters a part of it diffusely and leaves the rest to the specular lobe.
+    Fine roughness scatters a part of what the boundary reflects diffusely, and leaves the rest to the specular lobe.
 
     Attributes
     ----------
     name : heading of its table in materials.toml
     density_ratio, speed_ratio, loss : as `rayleigh_reflection` takes them
     impedance_ratio : impedance over that of the water
-    reflectivity : μ of the diffuse echo, 0..1; all of |R|² if the surface is rough
+    reflectivity : μ of the diffuse echo, 0..1; all of |R|² if the surface is rough, and `volume`
+    volume : μ of what the volume of a sediment scatters; 0 where the boundary scatters more
     specular : strength of the specular lobe, 0..1; 0 if the surface is rough
     roughness_rad : rms slope, along any one direction, of the facets that make the lobe
     height_m : rms height of the fine roughness, metres
@@ -48,6 +51,12 @@ class Material:
     roughness_rad: float | None
     height_m: float | None
     source: str = ""
+    volume: float = 0.0
+
+    @property
+    def reflected(self) -> float:
+        """The intensity reflection coefficient |R|² at normal incidence."""
+        return self.specular + self.reflectivity - self.volume
 
 
 def material(name: str) -> Material:
@@ -97,5 +106,20 @@ def _from_table(name: str, table: dict) -> Material:
     if height is not None:
         coherent = float(coherent_loss(np.pi / 2, height, WAVENUMBER_RAD_M)) ** 2
     diffuse, specular = intensity * (1 - coherent), intensity * coherent
-    slope = table.get("roughness_rad")
-    return Material(name, density, speed, loss, impedance, diffuse, specular, slope, height, table["source"])
+    slope, volume = table.get("roughness_rad"), 0.0
+    if "volume_parameter" in table:
+        strength = sediment_backscattering(GRAZING_RAD, density, speed, loss, table["volume_parameter"])
+        volume = math.pi * float(strength) / math.sin(GRAZING_RAD) ** 2
+    return Material(
+        name,
+        density,
+        speed,
+        loss,
+        impedance,
+        diffuse + volume,
+        specular,
+        slope,
+        height,
+        table["source"],
+        volume,
+    )

@@ -65,7 +65,7 @@ def tabulate_reflection(reflects, roughness_m: float, wavenumber_rad_m: float) -
     if not isinstance(reflects, Material):
         intensity = np.full(N_SINES, float(reflects))
     elif reflects.density_ratio is None:
-        intensity = np.full(N_SINES, reflects.reflectivity + reflects.specular)
+        intensity = np.full(N_SINES, reflects.reflected)
     else:
         ratios = reflects.density_ratio, reflects.speed_ratio, reflects.loss
         intensity = np.abs(rayleigh_reflection(grazing_rad, *ratios)) ** 2

@@ -508,7 +508,7 @@ def test_scene_says_the_bodies_and_the_water_of_the_harbour():
     status, out, err = run("--scene", "harbour")
     assert (status, err) == (0, "")
     assert "\nbodies    18, 4078 triangles\n" in out and "\nwater     surface at z = 0 m\n" in out
-    rows = (("floor", "0.00405, medium_silt"), ("rubble", "0.524, rock"), ("tyre_flat", "0.00998, rubber"))
+    rows = (("floor", "0.0133, medium_silt"), ("rubble", "0.524, rock"), ("tyre_flat", "0.00998, rubber"))
     for body, ends in rows:
         assert re.search(f"^{body} .* {ends}$", out, re.MULTILINE)
 

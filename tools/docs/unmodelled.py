@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.acoustics.boundary import rayleigh_reflection
+from sonar_gl.acoustics.boundary import rayleigh_reflection, sediment_backscattering
 from sonar_gl.analysis.terms import changed_bins, differs
 from sonar_gl.scene.materials import material
 from tools.bench import harness
@@ -42,7 +42,7 @@ GREATEST_INCIDENCE_RAD = math.radians(88.0)
 RAYS = 2_000_000
 
 
-def sediment_backscattering(name: str, grazing_rad, frequency_hz: float, sound_speed_m_s: float = 1500.0):
+def floor_backscattering(name: str, grazing_rad, frequency_hz: float, sound_speed_m_s: float = 1500.0):
     """Return the backscattering cross section of a sea floor per area and steradian, by TR 9407.
 
     Parameters
@@ -50,7 +50,7 @@ def sediment_backscattering(name: str, grazing_rad, frequency_hz: float, sound_s
     name : of SEDIMENTS
     grazing_rad : array, above 0..π/2
 
-    >>> round(float(10 * np.log10(sediment_backscattering("medium_sand", np.pi / 6, 100e3))), 1)
+    >>> round(float(10 * np.log10(floor_backscattering("medium_sand", np.pi / 6, 100e3))), 1)
     -21.8
     """
     g, known = np.asarray(grazing_rad, np.float64), material(name)
@@ -65,10 +65,7 @@ def sediment_backscattering(name: str, grazing_rad, frequency_hz: float, sound_s
 
     rough, ends = kirchhoff(name, frequency_hz, sound_speed_m_s)
     share = 1 / (1 + np.exp(80 * (np.cos(g) - np.cos(ends))))
-    reflection = rayleigh_reflection(g, rho, nu, delta)
-    volume = 5 * delta * sigma2 * np.abs(1 - reflection**2) ** 2 * np.sin(g) ** 2
-    volume /= nu * math.log(10) * np.abs(p) ** 2 * np.imag(p)
-    return share * rough(g) + (1 - share) * small + volume
+    return share * rough(g) + (1 - share) * small + sediment_backscattering(g, rho, nu, delta, sigma2)
 
 
 def kirchhoff(name: str, frequency_hz: float, sound_speed_m_s: float = 1500.0) -> tuple[Callable, float]:
@@ -128,7 +125,7 @@ def print_sediment() -> None:
         laws, ends = {"Lambert": lambert_backscattering(name, g)}, {"Lambert": "-"}
         for frequency_hz in (100e3, 900e3):
             law = f"TR 9407, {frequency_hz / 1e3:g} kHz"
-            laws[law] = sediment_backscattering(name, g, frequency_hz)
+            laws[law] = floor_backscattering(name, g, frequency_hz)
             ends[law] = f"{np.degrees(kirchhoff(name, frequency_hz)[1]):.0f}"
         for law, sigma in laws.items():
             levels = {
@@ -147,7 +144,7 @@ def print_sediment() -> None:
                 grazing = np.pi / 2 - np.minimum(
                     ping.incidence_rad[mine].astype(np.float64), GREATEST_INCIDENCE_RAD
                 )
-                law = sediment_backscattering(body.material, grazing, ping.sonar.frequency_hz)
+                law = floor_backscattering(body.material, grazing, ping.sonar.frequency_hz)
                 changed[mine] *= law / lambert_backscattering(body.material, grazing)
         columns = {"scene": name, "echo of sea floors": f"{of_floors:.2%}"}
         rows.append(columns | changes(ping.intensity, changed, ping.sonar))
