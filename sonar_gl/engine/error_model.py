@@ -2,9 +2,8 @@
 
 A ping is compared with one of COARSER times fewer samples. The difference of the two decreases as the error does, and
 ERROR_FACTOR times the error that it shows nearly always exceeds the error. The relative error of a small body's echo is
-modelled as BODY_ERROR_FACTOR / n^0.75 for n samples, the law of stratified sampling in two dimensions. It is larger
-where samples are few, and at least what the difference of that body's echo between the two pings shows.
-These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
+modelled by its samples (`body_error`), and is at least what the difference of that body's echo between the two pings
+shows. These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +19,17 @@ from sonar_gl.beamform.beamformer import BeamEcho, BodySums
 from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import BodyCounts, BodyExtents, Reception, count_bodies, is_unobstructed
+from sonar_gl.engine.visibility import (
+    BODY_ERROR_RATE,
+    MIN_BODY_SAMPLES,
+    BodyCounts,
+    BodyExtents,
+    Reception,
+    body_error,
+    count_bodies,
+    is_unobstructed,
+    reception_of,
+)
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
@@ -37,10 +46,8 @@ from sonar_gl.sonar.sector import SHEAR
 
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
 ERROR_FACTOR = 1.86  # of the error that the difference shows
-BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
-MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 300
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
@@ -147,7 +154,6 @@ class ErrorModel:
         self.tolerance, self.finest = check_tolerance(tolerance), FINEST_LEVEL
         self._stages, self._sonar = stages, stages.sonar
         self._gain, self._specular = gain, stages.acoustics.specular
-        self._true_range_sonar = stages.acoustics.true_range_sonar(self._sonar)
         self._extents = BodyExtents(self.bodies, self._specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
 
@@ -243,7 +249,7 @@ class ErrorModel:
         factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
-        errors = np.maximum(_body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
+        errors = np.maximum(body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
         if not counts.any():
             return ErrorEstimate(0.0, -math.inf)
         worst = int(errors.argmax())
@@ -267,16 +273,7 @@ class ErrorModel:
         return counts
 
     def _reception(self, stage: Stage) -> Reception:
-        beamformer = stage.beamformer
-        return Reception(
-            self._true_range_sonar,
-            self._reach_rad,
-            beamformer.fan.max_elevation_rad,
-            beamformer.fan.are_cones,
-            self._gain,
-            beamformer.elevation_table,
-            beamformer.received_u,
-        )
+        return reception_of(stage.beamformer, self._reach_rad, self._gain)
 
 
 def _share_of_difference(coarser: float, rate: float) -> float:
@@ -295,8 +292,3 @@ def _sum_of_differences(a, b):
         for i in range(a.shape[1]):
             total += abs(a[j, i] - b[j, i])
     return total
-
-
-def _body_error(hits):
-    """Return the relative error of a body's echo by its samples: few may all lie along a thin body, or beside it."""
-    return BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / hits) / hits**BODY_ERROR_RATE

@@ -18,6 +18,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.engine.visibility import BodyCounts, body_error, count_bodies, reception_of
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
@@ -36,6 +37,9 @@ WIDEST_COLUMN = 2.0  # in spacings of beams
 # the reflector, or there both ways, as much as other directions.
 OWN_WIDE_COLUMNS = 3
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
+# A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
+# be weak, and the samples to suffice.
+LEAST_ON_BODY = 16
 
 
 class ImagePose(NamedTuple):
@@ -94,12 +98,14 @@ class ImageSourceSamples:
     Attributes
     ----------
     halvings : how often samples were halved for them
+    direct : BodyCounts of the direct view
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
     own, image : Stage of the sonar and of its images
     sources : ImageSource of each reflector
     """
 
     halvings: int
+    direct: BodyCounts
     single_bounce: float
     own: Stage
     image: Stage
@@ -162,6 +168,7 @@ class ImageSources:
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
+        self._reach_rad = acoustics.receive_support_rad(sonar)
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
         own_widths = widths._replace(wide_per_support=OWN_WIDE_COLUMNS)
@@ -209,15 +216,19 @@ class ImageSources:
         if not self.choice.is_fixed:
             # coarser only where they would stay so: otherwise they flicker
             wanted, kept = (
-                sum(f * multipath.total <= share * direct.total for share in SHARES) for f in (1, 2)
+                self._halvings_for(f * multipath.total / max(direct.total, 1e-30), images.direct, f)
+                for f in (1, 2)
             )
             self.choice = HalvingChoice(min(max(self.halvings, kept), wanted))
         return images.halvings > self.halvings
 
     def draw(
-        self, stage: Stage, views: Sequence[ViewSamples], poses, states: Sequence[SceneState]
+        self, stage: Stage, views: Sequence[ViewSamples], poses, states: Sequence[SceneState], gains: Sequence
     ) -> list[ImageSourceSamples | None]:
-        """Draw the image sources of pings whose direct views `stage` has just drawn; None where there are none."""
+        """Draw the image sources of pings whose direct views `stage` has just drawn; None where there are none.
+
+        gains : of the bins, of each ping
+        """
         # bubbles would have to attenuate each leg by itself
         states = [state.without_bubbles() for state in states]
         indices = [kernels.view_index(view) for view in views]
@@ -264,9 +275,42 @@ class ImageSources:
             sources[number].append(ImageSource(*about, *views_of_both))
         for number in numbers:
             out[number] = ImageSourceSamples(
-                self.halvings, self._single_bounce, own, image, tuple(sources[number])
+                self.halvings,
+                self._count_bodies(stage, views[number], gains[number]),
+                self._single_bounce,
+                own,
+                image,
+                tuple(sources[number]),
             )
         return out
+
+    def _count_bodies(self, stage: Stage, view: ViewSamples, gain) -> BodyCounts:
+        reception = reception_of(stage.beamformer, self._reach_rad, gain)
+        return count_bodies(view.sectors, len(self._scene.bodies), reception)
+
+    def _halvings_for(self, share: float, direct: BodyCounts, fewer: int = 1) -> int:
+        """Return how often samples may be halved.
+
+        share : of multipath, relative to the direct echo
+        direct : of the direct view. A body has about as many samples in the view of an image; all bodies together stand
+            for one that the image alone sees
+        fewer : times fewer samples are taken to be there
+        """
+        samples, echo = (np.append(one, one.sum()) for one in direct)
+        most = MULTIPATH_GAIN * echo / max(echo[-1], 1e-30)  # of the multipath of each
+        counts = most > SHARES[0]
+        counts[-1] = True
+        at_most = sum(share <= one for one in SHARES)
+        while at_most > 0:
+            left = np.maximum(samples[counts] / (fewer << at_most), 1.0)
+            errors, parts = body_error(left), most[counts]
+            # at the worst, multipath is that of the bodies with the fewest samples
+            order = np.argsort(-errors)
+            parts = np.diff(np.minimum(np.cumsum(parts[order]), share), prepend=0.0)
+            if left.min() >= LEAST_ON_BODY and errors[order] @ parts <= self._tolerance:
+                break
+            at_most -= 1
+        return at_most
 
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.

@@ -108,7 +108,7 @@ def draw_images(
     if sources is None:
         return [None] * len(setups)
     poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-    return sources.draw(resolution.stage, views, poses, states)
+    return sources.draw(resolution.stage, views, poses, states, [setup.gain for setup in setups])
 
 
 def further_states(setup: PingSetup) -> FurtherViews:
