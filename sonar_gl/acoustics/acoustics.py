@@ -472,7 +472,7 @@ class Acoustics:
         """Return the half-width of the receive pattern's support, radians; beyond it are the far side lobes alone.
 
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
-        beam where its power is 1e-4.
+        beam where its power is 1e-4. With `steered="straight"` it is that of the beam where it is widest.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
         >>> round(math.degrees(Acoustics.physical().receive_support_rad(load_sonar("p900-45"))), 2)  # 4 / 0.886 widths
@@ -485,10 +485,13 @@ class Acoustics:
         gaussian = self.beam_pattern == "gaussian"
         sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
         support = math.asin(min(1.0, sine))
-        if sonar.steered == "straight":  # widest for the outermost beam, on either side
-            steer = float(np.abs(sonar.azimuth_rad).max())
-            away = math.asin(min(1.0, math.sin(steer) + sine)) - steer
-            support = max(support, away, steer - math.asin(max(-1.0, math.sin(steer) - sine)))
+        if (
+            sonar.steered == "straight"
+        ):  # on either side; a beam further aside than its 4th null has none there
+            steer = np.abs(sonar.azimuth_rad)
+            away = np.arcsin(np.minimum(1.0, np.sin(steer) + sine)) - steer
+            inward = steer - np.arcsin(np.maximum(-1.0, np.sin(steer) - sine))
+            support = max(support, float(away.max()), float(inward.max()))
         return support
 
     def transmit_pattern(self, sonar) -> Callable | None:

@@ -168,7 +168,7 @@ class FieldNoise:
             receiver = (
                 self._correlation,
                 self._ping.bin_size_m,
-                self._sound_speed_m_s,
+                self._assumed_sound_speed_m_s,
                 self._stream("interference"),
             )
             add_interference(intensity, noise.interference_lines, power, *receiver)
@@ -246,7 +246,11 @@ class FieldNoise:
         place = np.asarray(sonar.head_pose(pose), np.float64)[:2].tobytes()
         wavelength_m = self._sound_speed_m_s / sonar.frequency_hz
         correlation = self._correlation._replace(pulse_weights=None)  # an array, which keys may not have
-        shape = FieldShape(correlation, len(ping.range_m), ping.bin_size_m, wavelength_m, self._pulse)
+        # in true metres, as the pose; bins and pulse are in those that the sonar shows
+        scale, pulse = 1.0 if ping.acoustics is None else ping.acoustics.shown_per_true(), self._pulse
+        if pulse is not None:
+            pulse = pulse._replace(sound_speed_m_s=pulse.sound_speed_m_s / scale)
+        shape = FieldShape(correlation, len(ping.range_m), ping.bin_size_m / scale, wavelength_m, pulse)
         return _FIELDS.field(FieldKey(shape, place, (self._seed, term, look)), self._thread, beside)
 
     def _stream(self, term: str) -> np.random.Generator:
@@ -316,6 +320,11 @@ class FieldNoise:
     def _sound_speed_m_s(self) -> float:
         acoustics = self._ping.acoustics
         return SOUND_SPEED_M_S if acoustics is None else acoustics.water.sound_speed()
+
+    @property
+    def _assumed_sound_speed_m_s(self) -> float:
+        acoustics = self._ping.acoustics
+        return SOUND_SPEED_M_S if acoustics is None else acoustics.assumed_sound_speed_m_s()
 
     def _required(self, name: str, purpose: str):
         """Return the ping's attribute `name`, or raise an Error if the ping has none."""

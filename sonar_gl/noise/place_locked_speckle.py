@@ -45,7 +45,7 @@ class FieldShape(NamedTuple):
     Attributes
     ----------
     correlation : its beams have a width; its pulse weights do not count
-    n_bins, bin_size_m, wavelength_m : K, metres, metres
+    n_bins, bin_size_m, wavelength_m : K, metres, metres; true ones, also where a sonar shows others
     pulse : PulseResponse; None without one
     """
 

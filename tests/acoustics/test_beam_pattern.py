@@ -322,6 +322,16 @@ def test_a_target_beside_the_fan_echoes_through_side_lobes():
         assert 10 * np.log10(expected[reached].max()) > -24  # the third side lobe, at least
 
 
+def test_the_support_of_a_straight_array_holds_the_fourth_null_of_each_beam():
+    """It was that of the outermost beam, which ends at 90 degrees, 34 degrees from a beam whose 4th null is 45 away."""
+    sonar, acoustics = described(SONAR, azimuth_fov_deg=150.0, beam_width_deg=4.0, steered="straight")
+    null = 4 / 0.885892941379 * 2 * np.sin(np.radians(2.0))  # in sines, of a uniform array
+    steer = sonar.azimuth_rad
+    ends = [np.arcsin(np.clip(np.sin(steer) + side * null, -1, 1)) - steer for side in (-1, 1)]
+    assert acoustics.receive_support_rad(sonar) == pytest.approx(np.abs(ends).max(), rel=1e-6)
+    assert np.degrees(np.abs(ends).max()) > 45
+
+
 def test_straight_arrays_are_limited_in_steering():
     sonar, acoustics = described(SONAR, azimuth_fov_deg=170.0, steered="straight")
     with pytest.raises(sg.Error) as caught:

@@ -131,6 +131,18 @@ def test_moving_ahead_moves_the_pattern_in_range():
     assert correlation(moved(0, *forward)[BORESIGHT, :-3], moved(0)[BORESIGHT, 3:]) > 0.998
 
 
+@pytest.mark.parametrize("pulse", [False, True])
+def test_the_pattern_moves_with_the_echoes_where_the_sonar_assumes_another_speed_of_sound(pulse):
+    """Both are shown 1.2 times as far: five bins are six, and the pattern slid away from the bodies by one."""
+    settings = {"sonar_sound_speed_m_s": 1.2 * SOUND_SPEED_M_S, "pulse": pulse}
+    forward = 5 * BIN_M * AHEAD
+    later, first = moved(0, *forward, **settings)[BORESIGHT], moved(0, **settings)[BORESIGHT]
+    assert correlation(later[:, :-6], first[:, 6:]) > 0.99
+    assert (
+        correlation(later[:, :-5], first[:, 5:]) < 0.5 + 0.5 * pulse
+    )  # a pulse of two bins correlates neighbours
+
+
 def test_moving_ahead_by_many_bins_changes_a_single_bin():
     """Its length is that of the sonar's bin, not its range."""
     before, after = (

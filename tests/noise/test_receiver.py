@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import SIDE_LOBES, absolute_levels, ambient_noise_db, thermal_noise_db
@@ -206,6 +207,23 @@ def test_interference():
     assert np.median(brightest) == pytest.approx(0.01, rel=0.2) and min(brightest) > 0.008
     first, second = (add_noise(ping, noise, 5, 3).intensity.tobytes() for _ in range(2))
     assert first == second
+
+
+@pytest.mark.parametrize(("water_m_s", "assumed_m_s", "bins"), [(1400.0, 1600.0, 16), (1600.0, 1400.0, 14)])
+def test_the_bins_of_an_interfering_pulse_last_as_long_as_the_sonar_takes_them_to(
+    water_m_s, assumed_m_s, bins
+):
+    """100 µs, of bins of 5 mm that last twice that over the speed that the sonar assumes."""
+    sonar = {"n_beams": 8, "n_bins": 400, "level": 0.0, "spacing_deg": 0.5}
+    ping = even_ping(**sonar, water=Water(sound_speed_m_s=water_m_s), sonar_sound_speed_m_s=assumed_m_s)
+    finer = replace(ping.sonar, range_max_m=ping.sonar.range_min_m + 400 * 0.005)
+    ping = replace(ping, sonar=finer, range_m=finer.range_m)
+    noise, found = Noise(interference_lines=0.2, interference_db=0.0), []
+    for number in range(60):
+        on = (add_noise(ping, noise, 0, number).intensity > 0).any(0).astype(int)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], on, [0]])))
+        found += [end - begin for begin, end in zip(edges[::2], edges[1::2], strict=True)]
+    assert np.median(found) == bins  # pulses at the ends of the range, or upon each other, are few
 
 
 def test_interference_goes_on_over_the_seam_of_a_full_circle():
