@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
@@ -24,7 +25,7 @@ ENCODING, SCHEMA_ENCODING = "cdr", "ros2msg"
 # logger of the SDK: an error for each wrong request of a viewer
 WRONG_REQUESTS = "foxglove.websocket.connected_client"
 MAX_BACKLOG = 64  # messages for a viewer that is too slow; it misses the oldest
-CLOSE_S = 5.0  # for the server to give its port back
+CLOSE_S = 5.0  # for the server to disconnect its viewers, and to give its port back
 
 
 def _library() -> SimpleNamespace:
@@ -140,21 +141,35 @@ class FoxgloveTransport(Transport):
         return partial(self._withdraw, reader)
 
     def close(self) -> None:
-        """Disconnect the viewers, end the server and its threads, and give the port back; may be called twice."""
+        """Disconnect the viewers, end the server and its threads, and give the port back; may be called twice.
+
+        It takes CLOSE_S at most. The connection of a viewer that does not read ends with the viewer, or with the program.
+        """
         if os.getpid() != self._process:  # of a fork: the server is the parent's
             return
         with self._lock:
             was_open, self._is_open = self._is_open, False
         if not was_open:
             return
-        port = self.port  # which a server that has stopped forgets
-        self._server.stop()
-        for channel in self._channels.values():
-            channel.close()
-        for _, inbox in self._readers:
-            inbox.close()
+        port, end_s = self.port, time.monotonic() + CLOSE_S  # a server that has stopped forgets its port
+        # `stop` takes no limit: it waits for ever for a viewer that does not read what is sent to it, and no signal
+        # ends it. At the end of the program the SDK's own `atexit` ends what is left of it
+        stopping = threading.Thread(target=self._server.stop, name="foxglove stop", daemon=True)
+        stopping.start()
+        try:
+            stopping.join(CLOSE_S)
+        finally:  # also after Ctrl-C
+            for channel in self._channels.values():
+                channel.close()
+            for _, inbox in self._readers:
+                inbox.close()
+        if stopping.is_alive():
+            logger.warning(
+                "a viewer does not read, and is not disconnected after %g s; its connection ends with this program",
+                CLOSE_S,
+            )
         # `stop` waits for the viewers' connections only: a task of the SDK that it does not wait for ends the listening
-        if not wait_until_free(self._host, port, CLOSE_S):
+        if not wait_until_free(self._host, port, end_s - time.monotonic()):
             logger.warning(
                 "port %d is still in use %g s after the Foxglove server was closed, by it or by another program",
                 port,

@@ -4,9 +4,13 @@ import builtins
 import json
 import random
 import re
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
+import time
 import warnings
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -281,6 +285,80 @@ def test_a_port_that_somebody_keeps_is_waited_for_and_told(monkeypatch, caplog):
     assert caplog.messages == [
         f"port {port} is still in use 0.1 s after the Foxglove server was closed, by it or by another program"
     ]
+
+
+def make_idle(transport, viewer):
+    """Have a viewer subscribe and read nothing of what is sent to it, more than buffers hold."""
+    topic = pose_topic()
+    transport.advertise(topic)
+    viewer.subscribe(topic.name)
+    wait_subscribed(viewer)
+    for k in range(2 * MAX_BACKLOG):
+        transport.publish(topic, bytes(1 << 20), k)
+    waiting = [0]
+
+    def is_stuck():
+        waiting.append(viewer.waiting_bytes())
+        return 0 < waiting[-2] == waiting[-1]
+
+    wait_until(is_stuck, often_s=0.1)
+
+
+def stops():
+    """The threads that wait for viewers."""
+    return [one for one in threading.enumerate() if one.name == "foxglove stop"]
+
+
+def test_a_viewer_that_does_not_read_holds_up_no_end(viewers, transport, monkeypatch, caplog):
+    monkeypatch.setattr(foxglove_transport, "CLOSE_S", 0.2)
+    port, viewer = transport.port, viewers()
+    make_idle(transport, viewer)
+    caplog.clear()
+    began_s = time.monotonic()
+    transport.close()
+    assert 0.2 <= time.monotonic() - began_s < WAIT_S
+    ours = [record.getMessage() for record in caplog.records if record.name.startswith("sonar_gl")]
+    assert ours == [
+        "a viewer does not read, and is not disconnected after 0.2 s; its connection ends with this program"
+    ]
+    assert port not in {number for _, number in listening_ports()}
+    viewer.close()
+    wait_until(lambda: not stops())
+
+
+def test_ctrl_c_ends_the_wait_for_a_viewer_that_does_not_read(viewers, transport, monkeypatch):
+    monkeypatch.setattr(foxglove_transport, "CLOSE_S", WAIT_S)
+    viewer, received = viewers(), []
+    make_idle(transport, viewer)
+    transport.subscribe(pose_topic(), received.append)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    again = threading.Timer(0.2, signal.pthread_kill, (threading.get_ident(), signal.SIGINT))
+    again.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            transport.close()
+    finally:
+        again.join()
+        signal.signal(signal.SIGINT, before)
+    assert not [one for one in threading.enumerate() if one.name == "inbox /pose"]
+    viewer.close()
+    wait_until(lambda: not stops())
+
+
+def test_a_program_ends_while_a_viewer_does_not_read():
+    program = (
+        "from tests.ros.test_foxglove import *\n"
+        "foxglove_transport.CLOSE_S = 0.1\n"
+        "one = FoxgloveTransport(port=0)\n"
+        "make_idle(one, FoxgloveClient(one.port))\n"
+        "one.close()\n"
+        "print(len(stops()), 'waits')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=WAIT_S, cwd=ROOT, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "1 waits\n")
+    assert done.stderr.count("\n") == 1 and done.stderr.startswith("a viewer does not read")
 
 
 def test_another_address_is_warned_of():

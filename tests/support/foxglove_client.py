@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import array
+import fcntl
 import json
 import struct
+import termios
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -37,6 +40,12 @@ class FoxgloveClient:
     def send(self, data: str | bytes) -> None:
         """Send anything."""
         self._socket.send(data)
+
+    def waiting_bytes(self) -> int:
+        """Return how many bytes wait in the system for this client, which reads a few messages ahead."""
+        count = array.array("i", [0])
+        fcntl.ioctl(self._socket.socket, termios.FIONREAD, count)
+        return count[0]
 
     def next_text(self, operation: str) -> dict:
         """Return the next message of an operation, and note channels on the way."""
