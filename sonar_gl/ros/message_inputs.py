@@ -286,3 +286,19 @@ class ClockInput:
             self._news.wait_for(lambda: self._time_ns is not None, timeout_s)
             time_ns, self._time_ns = self._time_ns, None
         return time_ns
+
+
+class PresenceInput:
+    """Whether anybody else publishes a topic.
+
+    Attributes
+    ----------
+    has_come : whether a message has come, whatever it holds
+    """
+
+    def __init__(self):
+        self.has_come = False
+
+    def receive(self, data: bytes) -> None:
+        """Take note of a message."""
+        self.has_come = True

@@ -25,7 +25,14 @@ from sonar_gl.core.warn import collected_warnings
 from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
-from sonar_gl.ros.message_inputs import BodiesInput, ClockInput, FrameInput, PoseInput, RefusedMessages
+from sonar_gl.ros.message_inputs import (
+    BodiesInput,
+    ClockInput,
+    FrameInput,
+    PoseInput,
+    PresenceInput,
+    RefusedMessages,
+)
 from sonar_gl.ros.messages import BEAMS, MAX_TIME_S, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.ros.ping_schedule import PingSchedule
 from sonar_gl.ros.publisher_settings import POSE_SOURCES, TOPICS, PublisherSettings
@@ -187,6 +194,7 @@ class Publisher:
                 Simulator, scene, sonar, acoustics, tolerance=self.settings.tolerance
             ).result()
             self._pose_input, self._bodies_input = self._make_inputs(scene)
+            self._other_clock = self._make_other_clock()
             if self._pose_input is None and scene.sonar_pose is not None:
                 self._pose = scene.sonar_pose @ np.linalg.inv(self.settings.vehicle_from_sonar)
             for topic in self._topics.values():
@@ -227,6 +235,14 @@ class Publisher:
             bodies = BodiesInput(settings.bodies_from, scene, settings.world_frame, self._refused)
             self._subscribe(settings.bodies_from, POSE_SOURCES["tf"], bodies, depth=TF_DEPTH)
         return poses, bodies
+
+    def _make_other_clock(self) -> PresenceInput | None:
+        """Subscribe to the clock of others while this one is the clock; a transport leaves its own messages out."""
+        if "clock" not in self._topics:
+            return None
+        others = PresenceInput()
+        self._subscribe(self._topics["clock"].name, TOPICS["clock"], others, depth=1)
+        return others
 
     def _subscribe(self, name: str, msgtype: str, messages, reliable: bool = False, **quality) -> None:
         """Have an input receive a topic; by best effort, which every publisher offers."""
@@ -459,7 +475,14 @@ class Publisher:
     # ---- reports and end -----------------------------------------------------------------------------
 
     def _report(self) -> None:
-        """Log what was lost, now and then."""
+        """Log another clock, once, and what was lost, now and then."""
+        if self._other_clock is not None and self._other_clock.has_come:
+            self._other_clock = None
+            logger.warning(
+                "another program publishes %s as well, so that time jumps to and fro for all that follow it; one alone "
+                'must do so, and the others follow it (--clock ros) or leave it out (topics={"clock": None})',
+                self._topics["clock"].name,
+            )
         now_s = time.monotonic()
         if now_s < self._reported_s + REPORT_S:
             return

@@ -356,6 +356,29 @@ def test_time_that_jumps_back_begins_anew(scene, loopback):
     assert [m.clock.sec for m in loopback.messages("/clock")] == [100, 100, 0, 0, 0]
 
 
+def test_another_clock_is_warned_of_once(scene, loopback, caplog):
+    types = message_types()
+    with publisher_of(scene, loopback) as publisher:
+        publisher.step(0.0)
+        assert not caplog.messages  # of its own clock
+        for k in range(3):
+            loopback.inject("/clock", types.encode(types.clock(123 + k)))
+            publisher.step((k + 1) / 100)
+    (message,) = caplog.messages
+    assert message.startswith("another program publishes /clock as well, so that time jumps to and fro")
+    assert "(--clock ros)" in message and [m.clock.sec for m in loopback.messages("/clock")] == [0] * 4
+
+
+def test_the_clock_of_another_is_right_where_this_publishes_none(scene, loopback, caplog):
+    types = message_types()
+    with publisher_of(scene, loopback, topics={"clock": None}) as publisher:
+        publisher.clock()
+        for k in range(3):
+            loopback.inject("/clock", types.encode(types.clock(k)))
+            publisher.step_at(k)
+    assert not caplog.messages
+
+
 class HeldTransport(LoopbackTransport):
     """Holds pings up until it is released."""
 

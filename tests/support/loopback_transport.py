@@ -9,7 +9,7 @@ from sonar_gl.ros.transport import Transport
 
 
 class LoopbackTransport(Transport):
-    """Hands each message at once to those who subscribe, and keeps all.
+    """Keeps what is published, and hands messages of other programs at once to those who subscribe.
 
     Attributes
     ----------
@@ -27,7 +27,6 @@ class LoopbackTransport(Transport):
     def publish(self, topic, message, time_ns):
         self.topics[topic.name] = topic
         self.sent.append((topic, message, time_ns))
-        self.inject(topic.name, message)
 
     def subscribe(self, topic, receive):
         self.topics[topic.name] = topic
@@ -39,7 +38,7 @@ class LoopbackTransport(Transport):
 
     def inject(self, name, message):
         """Have a message of another program arrive."""
-        for receive in self._receivers[name]:
+        for receive in list(self._receivers[name]):
             receive(message)
 
     def messages(self, name):
