@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +17,8 @@ from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.job_file import add_pose, new_job_text
 from sonar_gl.live.listeners import Listener
 from sonar_gl.live.recording import Recording
+
+logger = logging.getLogger(__name__)
 
 DEFAULT_FOLDER = "sonar_out"
 WAITING_FRAMES = 64  # that a recording may lag behind; then it misses some
@@ -67,6 +70,11 @@ class LiveOutput:
     def is_recording(self) -> bool:
         """Whether pings are recorded; False, too, once a recording has failed."""
         return self._listener is not None and not self._listener.is_closed
+
+    @property
+    def recording_folder(self) -> Path | None:
+        """The folder of the last recording; None if there was none."""
+        return None if self._recording is None else self._recording.folder
 
     @property
     def n_recorded(self) -> int:
@@ -175,9 +183,17 @@ class LiveOutput:
             return path
 
     def close(self) -> None:
-        """End the recording; what could not be written is reported by `stop_recording` alone."""
-        with suppress(Error):
+        """End the recording, and log where it is, or what could not be written: nobody else may tell the user."""
+        has_recording = self._listener is not None
+        try:
             self.stop_recording()
+        except Error as why:
+            logger.warning("%s", why)
+        else:
+            if has_recording:
+                logger.warning(
+                    "the recording has ended: %d pings in %s", self.n_recorded, self.recording_folder
+                )
 
     def _named_source(self) -> SceneSource:
         if self._source is None:

@@ -157,6 +157,12 @@ class ViewerPage:
         if self._listener is not None and not self.server.get_clients():
             self._listener.close()
             self._listener = None
+            if self._session.output.is_recording:
+                logger.warning(
+                    "the last browser has gone, and the recording into %s goes on until a browser stops it or this "
+                    "program ends",
+                    self._session.output.recording_folder,
+                )
 
     def _note(self, client_id: int, state: BrowserState) -> None:
         """Take note of a browser's pointer and keys."""

@@ -348,6 +348,41 @@ def test_a_recording_that_ends_names_its_folder_once(session, browser):
     assert browser.notes[1] == f"{session.output.n_recorded} pings into {folder}"
 
 
+def test_a_recording_goes_on_without_a_browser_and_the_log_says_so(scene, tmp_path, caplog):
+    folder = tmp_path / "out" / "pylon_0001"
+    session = LiveSession(scene, SETTINGS, folder=tmp_path / "out")
+    with LiveView(session, "127.0.0.1", 0) as view:
+        with connected(view.url) as first, telling(first):
+            with connected(view.url) as second:
+                first.press("Record")
+                wait_until(lambda: session.output.n_recorded >= 2)
+                assert second.uuids
+            wait_until(lambda: session.output.n_recorded >= 4)
+            assert not caplog.messages  # one browser is left
+        wait_until(lambda: caplog.messages)
+        number = session.output.n_recorded
+        wait_until(lambda: session.output.n_recorded >= number + 2)
+    number = session.output.n_recorded
+    assert caplog.messages == [
+        f"the last browser has gone, and the recording into {folder} goes on until a browser stops it or this program "
+        "ends",
+        f"the recording has ended: {number} pings in {folder}",
+    ]
+    assert len(list(folder.glob("ping_*.npz"))) == number and (folder / "film.mp4").exists()
+
+
+def test_the_log_is_silent_when_the_last_browser_goes_and_nothing_is_recorded(session, page, caplog):
+    before = set(threading.enumerate())
+
+    def listeners():
+        return [one for one in set(threading.enumerate()) - before if one.name == "sonar_gl listener"]
+
+    with connected(page.url):
+        wait_until(listeners)
+    wait_until(lambda: not listeners())
+    assert not caplog.messages
+
+
 def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypatch):
     wait_until(lambda: session.frame.number > 0)
 
