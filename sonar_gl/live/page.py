@@ -19,6 +19,7 @@ from sonar_gl.live.view.control_panel import CAMERA, KEYS, TRAJECTORY, ControlPa
 from sonar_gl.live.view.origin import own_page_alone
 from sonar_gl.live.view.ping_panel import PingPanel
 from sonar_gl.live.view.scene_nodes import SceneNodes, camera_sonar_pose
+from sonar_gl.live.view.wrong_messages import WrongMessages
 
 logger = logging.getLogger(__name__)
 
@@ -57,8 +58,10 @@ class ViewerPage:
         viser = load_viser()
         _check_host(host)
         self._session, self._is_closed = session, False
-        with _quiet_viser(), own_page_alone(host):
+        self._wrong_messages = WrongMessages()
+        with _quiet_viser(), own_page_alone(host, self._wrong_messages.server_logger):
             self.server = viser.ViserServer(host=host, port=port, label="sonar-gl view", verbose=False)
+        self._wrong_messages.watch(self.server.get_event_loop())
         with contextlib.ExitStack() as opened:
             opened.callback(self._stop_server)
             self._build(host)
@@ -100,6 +103,7 @@ class ViewerPage:
         if self._listener is not None:
             self._listener.close()
         self._stop_server()
+        self._wrong_messages.close()
 
     def _stop_server(self) -> None:
         with _quiet_viser():

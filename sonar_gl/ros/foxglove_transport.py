@@ -143,7 +143,7 @@ class FoxgloveTransport(Transport):
     def close(self) -> None:
         """Disconnect the viewers, end the server and its threads, and give the port back; may be called twice.
 
-        It takes CLOSE_S at most. The connection of a viewer that does not read ends with the viewer, or with the program.
+        It takes CLOSE_S at most. The connection of a viewer that does not read ends with the viewer or the program.
         """
         if os.getpid() != self._process:  # of a fork: the server is the parent's
             return

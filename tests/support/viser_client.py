@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import threading
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
-from tests.support.waiting import wait_until
+from tests.support.waiting import WAIT_S, wait_until
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, 0, 5), "fov": 1.0, "near": 0.1, "far": 100.0,
@@ -47,7 +47,11 @@ class ViserClient:
         """Send a message of viser's page."""
         from msgspec import msgpack
 
-        self._socket.send(msgpack.encode(message))
+        self.send_raw(msgpack.encode(message))
+
+    def send_raw(self, data: str | bytes) -> None:
+        """Send anything."""
+        self._socket.send(data)
 
     def change(self, label: str, value) -> None:
         """Give a control a value, as a user does."""
@@ -78,6 +82,10 @@ class ViserClient:
         """Return the value that a control shows."""
         return self.values[self.uuid(label)]["value"]
 
+    def wait_closed(self) -> None:
+        """Wait until the page has ended the connection."""
+        self._thread.join(WAIT_S)
+
     def close(self) -> None:
         """End the connection."""
         self._socket.close()
@@ -86,12 +94,14 @@ class ViserClient:
     def _receive(self) -> None:
         import zstandard
         from msgspec import msgpack
+        from websockets.exceptions import ConnectionClosedError
 
-        for data in self._socket:
-            size = int.from_bytes(data[8:16], "little")
-            inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + size])
-            for message in msgpack.decode(inner)["messages"]:
-                self._take(message)
+        with suppress(ConnectionClosedError):  # by a page that cannot read what was sent
+            for data in self._socket:
+                size = int.from_bytes(data[8:16], "little")
+                inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + size])
+                for message in msgpack.decode(inner)["messages"]:
+                    self._take(message)
 
     def _take(self, message: dict) -> None:
         kind = message["type"]

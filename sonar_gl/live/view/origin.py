@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -36,8 +37,11 @@ def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool
 
 
 @contextmanager
-def own_page_alone(listens_at: str):
-    """Have servers of viser that are made meanwhile refuse requests of other sites, for which viser has no option."""
+def own_page_alone(listens_at: str, logger: logging.Logger):
+    """Have servers of viser that are made meanwhile refuse requests of other sites, and log by a logger.
+
+    viser has no options for either.
+    """
     from websockets.asyncio import server  # of viser, which takes `serve` from this module
 
     serve = server.serve
@@ -52,7 +56,7 @@ def own_page_alone(listens_at: str):
                 return connection.respond(HTTPStatus.FORBIDDEN, "only its own page may reach this server\n")
             return None if process_request is None else process_request(connection, request)
 
-        return serve(*values, process_request=check, **options)
+        return serve(*values, process_request=check, logger=logger, **options)
 
     server.serve = checked
     try:
