@@ -33,7 +33,10 @@ class Error(ValueError):
 
 
 class MachineError(Error):
-    """A failure of the machine, not of the caller: the same may succeed when it is tried again."""
+    """A failure of the machine, not of the caller: the same may succeed when it is tried again.
+
+    A port that another program uses is no such failure, but an `Error`: the caller can take another one.
+    """
 
 
 OUT_OF_MEMORY = ("cannot allocate memory", "can't start new thread", "insufficient memory")

@@ -11,7 +11,7 @@ from functools import partial
 from types import SimpleNamespace
 
 from sonar_gl.core.checks import check_kind, check_whole_number
-from sonar_gl.core.errors import MachineError, closed_error
+from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.hosts import is_local, wait_until_free
 from sonar_gl.core.warn import warn_caller
@@ -81,7 +81,7 @@ class FoxgloveTransport(Transport):
             )
         except RuntimeError as why:
             reason = str(why).rpartition("port: ")[2].partition(" (os error")[0].lower()
-            raise MachineError(
+            raise Error(
                 f"the Foxglove server must be able to listen at {host}:{port} (got {reason}; is another program using "
                 "the port? port=0 takes a free one)"
             ) from None

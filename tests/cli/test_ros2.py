@@ -4,6 +4,7 @@ import logging
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -65,6 +66,18 @@ def test_a_mistake_of_the_user_is_told_before_a_missing_extra(monkeypatch):
                 or "no bundled scene 'nosuch" in done.output
                 or "-1" in done.output
             )
+
+
+def test_a_port_that_is_taken_is_a_mistake_of_the_user(tmp_path):
+    pytest.importorskip("foxglove")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        (tmp_path / "taken.toml").write_text(f"[foxglove]\nport = {port}\n")
+        found = run("pylon", *FAST, "--transport", "foxglove", "--config", str(tmp_path / "taken.toml"))
+    assert found.exit_code == 2  # as of `sonar-gl emulate`
+    assert f"must be able to listen at 127.0.0.1:{port} (got address already in use" in found.output
 
 
 def test_it_publishes_in_real_time_until_the_duration_has_passed(transports, caplog):
