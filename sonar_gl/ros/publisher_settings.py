@@ -105,7 +105,9 @@ class PublisherSettings:
     y_sign : direction of y of beam_directions, as for `BagSettings`
     image_height : of the fan image, pixels
     colormap : of the fan image, as an RGB image; None for the counts themselves, as a gray one
-    points_columns, points_rows : of the point cloud
+    points_columns, points_rows : of the point cloud, about: as of `Simulator.point_cloud` there are some rows more, 36
+        for 32, and beyond one perspective view a multiple of the views as columns; `height` and `width` of the message
+        state how many
     tolerance, seed : as for `Simulator` and `Simulator.ping`
 
     Raises

@@ -189,6 +189,17 @@ def test_points(sent, decode):
     assert np.all((on_wall < 1e-4) | (on_ball < 2e-3)) and (on_ball < 2e-3).sum() > 2
 
 
+def test_points_have_about_the_rows_that_are_set_and_the_message_states_how_many(scene, loopback):
+    only = {kind: None for kind in TOPICS if kind != "points"}
+    settings = PublisherSettings(rate_hz=10.0, topics=only)
+    with Publisher(scene, sg.load_sonar("p900-45"), [loopback], ACOUSTICS, settings=settings) as publisher:
+        publisher.step(0.0)
+    (message,) = loopback.messages("/sonar/points")
+    assert (settings.points_rows, settings.points_columns) == (32, 128)
+    assert (message.height, message.width) == (36, 128)  # as docs/ros2.md says
+    assert message.data.size == 36 * 128 * message.point_step
+
+
 @DECODERS
 def test_frames_lead_from_the_beams_to_the_world(sent, decode):
     static = {link.child_frame_id: link for link in decoded(sent, "/tf_static", decode).transforms}
