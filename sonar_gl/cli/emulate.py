@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import signal
 import socket
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 from sonar_gl.cli.common import acoustics_from, check_address, check_duration, poses_from, scene_from
 from sonar_gl.cli.output import echo
@@ -123,18 +126,38 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
 
 
 async def listen(server, describe: Callable[[], str]) -> None:
-    """Serve, and print what `describe` returns once the port is open: the system chooses a port for 0."""
+    """Serve until Ctrl-C or SIGTERM; print what `describe` returns once the port, which may be 0, is open."""
     started = asyncio.Event()
     serving = asyncio.create_task(server.run(started))
     opening = asyncio.create_task(started.wait())
+    with _cancelled_by_signals(serving):
+        try:
+            await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
+            if started.is_set():
+                echo(describe(), err=True)
+            await asyncio.wait([serving])
+        finally:
+            opening.cancel()
+            serving.cancel()
+            await asyncio.wait([serving])
+    if not serving.cancelled():
+        serving.result()
+
+
+@contextmanager
+def _cancelled_by_signals(task: asyncio.Task):
+    """Have Ctrl-C and SIGTERM cancel a task, where they would raise KeyboardInterrupt in whichever task runs."""
+    loop, before = asyncio.get_running_loop(), {}
+    if threading.current_thread() is threading.main_thread():  # others may have no handlers
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in before:
+        signal.signal(number, lambda *_: loop.call_soon_threadsafe(task.cancel))
     try:
-        await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
-        if started.is_set():
-            echo(describe(), err=True)
-        await serving
+        yield
     finally:
-        opening.cancel()
-        serving.cancel()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _reason(why: OSError) -> str:

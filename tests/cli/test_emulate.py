@@ -1,7 +1,10 @@
 """The command `emulate`."""
 
+import os
 import re
+import signal
 import socket
+import struct
 import threading
 
 import pytest
@@ -10,10 +13,25 @@ from sonar_gl.cli import emulate
 from sonar_gl.live.emulators import oculus
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from tests.support.command_line import run
+from tests.support.commands_beside import run_beside
+from tests.support.waiting import WAIT_S
 
 KINDS = {"oculus": socket.SOCK_STREAM, "ping360": socket.SOCK_DGRAM}
 # the first ping, which is made before all else, is a quick one
 PYLON = "pylon", "--profile", "ideal", "--noise", "none", "--tolerance", "0.2"
+
+
+@pytest.fixture
+def servers(monkeypatch):
+    """A list of the servers that listen."""
+    listen, found = emulate.listen, []
+
+    async def noted(server, describe):
+        found.append(server)
+        await listen(server, describe)
+
+    monkeypatch.setattr(emulate, "listen", noted)
+    return found
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -100,14 +118,7 @@ def test_a_device_that_listens_says_so_once(device):
 
 
 @pytest.mark.parametrize("device", KINDS)
-def test_port_0_is_told_as_the_port_that_the_system_chose(device, monkeypatch):
-    listen, servers = emulate.listen, []
-
-    async def noted(server, describe):
-        servers.append(server)
-        await listen(server, describe)
-
-    monkeypatch.setattr(emulate, "listen", noted)
+def test_port_0_is_told_as_the_port_that_the_system_chose(device, servers):
     status, _, errors = run("emulate", device, *PYLON, "--port", "0", "--duration", "0.1")
     assert status == 0 and servers[0].port != 0
     assert f" at 127.0.0.1:{servers[0].port}" in errors
@@ -123,6 +134,65 @@ def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
     monkeypatch.setattr(SimulatedHead, "ping", interrupt)
     status, _, errors = run("emulate", device, *PYLON, "--port", "0")
     assert status == 130 and "Traceback" not in errors
+
+
+@pytest.fixture
+def ctrl_c():
+    """Have Ctrl-C raise KeyboardInterrupt, also where tests run in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def fire_at(server):
+    """Connect a program to an Oculus, and have it ping; return the connection."""
+    program = socket.create_connection(("127.0.0.1", server.port), WAIT_S)
+    settings = struct.pack("<5B4d", 2, 2, 255, 127, 25, 3.0, 50.0, 0.0, 0.0)
+    program.sendall(struct.pack("<HHHHHIH", 0x4F53, 0, 0, 0x15, 1, len(settings), 0) + settings)
+    return program
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures("ctrl_c")
+def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_listen(number, servers, caplog):
+    programs = []
+
+    def work():
+        programs.append(fire_at(servers[0]))
+        assert len(programs[0].recv(16)) == 16
+
+    printed, _ = run_beside(["emulate", "oculus", *PYLON, "--port", "0"], work, WAIT_S, number)
+    programs[0].close()
+    assert printed.splitlines()[-1].endswith("missed by programs that read too slowly")
+    assert [record.message for record in caplog.records if record.name == "asyncio"] == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures("ctrl_c")
+def test_a_signal_while_a_result_is_packed_ends_it_as_any_other(number, servers, caplog, monkeypatch):
+    """Raised within a task it would leave the others to themselves."""
+    programs, message = [], oculus.OculusResult.message
+
+    def interrupted(result, device_id):
+        os.kill(os.getpid(), number)
+        return message(result, device_id)
+
+    monkeypatch.setattr(oculus.OculusResult, "message", interrupted)
+    listen = emulate.listen
+
+    async def fired(server, describe):
+        def described():
+            programs.append(fire_at(server))
+            return describe()
+
+        await listen(server, described)
+
+    monkeypatch.setattr(emulate, "listen", fired)
+    status, printed, errors = run("emulate", "oculus", *PYLON, "--port", "0", "--duration", "60")
+    programs[0].close()
+    assert status == 0 and printed.splitlines()[-1].endswith("missed by programs that read too slowly")
+    assert "Traceback" not in errors
+    assert [record.message for record in caplog.records if record.name == "asyncio"] == []
 
 
 @pytest.mark.parametrize("device", KINDS)

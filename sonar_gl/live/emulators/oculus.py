@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -173,6 +173,7 @@ class OculusServer:
         self._host, self._port, self._status_to = host, port, status_to
         self._fire, self._asked = None, asyncio.Event()
         self._programs: dict[asyncio.StreamWriter, str] = {}
+        self._tasks: set[asyncio.Task] = set()
 
     @property
     def port(self) -> int:
@@ -188,21 +189,31 @@ class OculusServer:
             if the port is taken, or the host is no address of IPv4.
         """
         # messages have room for addresses of IPv4 alone
-        server = await asyncio.start_server(self._serve, self._host, self._port, family=socket.AF_INET)
+        server = await asyncio.start_server(self._admit, self._host, self._port, family=socket.AF_INET)
         self._port = server.sockets[0].getsockname()[1]
         if started is not None:
             started.set()
-        tasks = [asyncio.create_task(self._ping())]
+        tasks = [self._start(self._ping())]
         if self._status_to is not None:
-            tasks.append(asyncio.create_task(self._announce()))
+            tasks.append(self._start(self._announce()))
         try:
             await asyncio.gather(*tasks)
         finally:
-            for task in tasks:
-                task.cancel()
             server.close()
-            for writer in list(self._programs):
-                writer.close()
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _start(self, work: Coroutine) -> asyncio.Task:
+        """Start a task that ends with the server."""
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a program that connects, in a task of this server's own: that of asyncio ends with a traceback."""
+        self._start(self._serve(reader, writer))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Read the messages of a program until it goes, or sends what is none."""

@@ -151,6 +151,7 @@ class Ping360Server(asyncio.DatagramProtocol):
         finally:
             if scanning is not None:
                 scanning.cancel()
+                await asyncio.gather(scanning, return_exceptions=True)
             transport.close()
 
     async def _next_message(self, scanning: asyncio.Task | None) -> tuple[PingMessage, object]:

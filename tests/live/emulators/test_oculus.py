@@ -1,9 +1,11 @@
 """An emulated Oculus, read by a decoder that was written from the layout of its messages."""
 
+import asyncio
 import random
 import socket
 import struct
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -437,6 +439,27 @@ def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_s
     )
     assert struct.unpack_from("<I", first, 93) == (nanoseconds,)
     assert struct.unpack_from("<d", second, 153) == (time_s,)
+
+
+def test_the_end_of_the_server_is_that_of_all_its_tasks():
+    """Also of the task of a program that does not read: what it has not got would otherwise be waited for."""
+    result = SimpleNamespace(message=lambda _: bytes(oculus.MAX_UNSENT_BYTES // 2))
+    device = SimpleNamespace(sonar=lambda _: None, ping=lambda *_: result)
+
+    async def serve(simulation):
+        server, started = OculusServer(device, simulation, port=0, status_to=None), asyncio.Event()
+        serving = asyncio.create_task(server.run(started))
+        await asyncio.wait_for(started.wait(), WAIT_S)
+        with socket.create_connection(("127.0.0.1", server.port)) as program:
+            program.sendall(fire_bytes())
+            while not server.counts.sent:
+                await asyncio.sleep(0.001)
+            serving.cancel()
+            await asyncio.wait([serving])
+            assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    with ThreadPoolExecutor(1) as simulation:
+        asyncio.run(serve(simulation))
 
 
 @pytest.mark.parametrize("count", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
