@@ -128,6 +128,55 @@ def test_messages_survive_noise_before_and_behind_them():
     assert parse_messages(bytes(broken)) == []
 
 
+class CountedBytes(bytes):
+    """Bytes that count how many of them are taken out in slices."""
+
+    taken = 0
+
+    def __getitem__(self, place):
+        found = super().__getitem__(place)
+        if isinstance(place, slice):
+            self.taken += len(found)
+        return found
+
+
+@pytest.mark.parametrize("noise", [b"BR" * 30_000, b"BR\x00\x74\x00\x00" * 10_000])
+def test_noise_that_begins_messages_is_not_summed_for_each_of_them(noise):
+    """Sums of up to 64 kB for each "BR" held up the device for seconds."""
+    datagram = CountedBytes(noise + PingMessage(6, b"\x04\x00").pack(0, 0))
+    assert parse_messages(datagram)[-1:] == [PingMessage(6, b"\x04\x00")]
+    assert datagram.taken == 2
+
+
+def test_messages_are_those_whose_sums_are_right():
+    """In random bytes of few values, by the definition, also where a message lies in another's payload."""
+
+    def by_definition(data):
+        found, start = [], 0
+        while start + 10 <= len(data):
+            size, kind = struct.unpack_from("<HH", data, start + 2)
+            end = start + 8 + size
+            total = sum(data[start:end]) % 2**16
+            if data[start : start + 2] == b"BR" and data[end : end + 2] == total.to_bytes(2, "little"):
+                found.append(PingMessage(kind, data[start + 8 : end]))
+                start = end + 2
+            else:
+                start += 1
+        return found
+
+    rng, count = random.Random(0), 0
+    for _ in range(2000):
+        inner = PingMessage(rng.randrange(3), rng.randbytes(rng.randrange(4))).pack(0, 0)
+        parts = inner, b"BR", b"BR\x00\x00", rng.randbytes(2), PingMessage(5, b"x" + inner + b"B").pack(1, 2)
+        data = b"".join(rng.choice(parts) for _ in range(rng.randrange(6)))
+        data = data[: rng.randrange(len(data) + 1)] if rng.random() < 0.3 else data
+        assert parse_messages(data) == by_definition(data)
+        count += len(by_definition(data))
+    long = PingMessage(9, bytes([255]) * 60_000)  # its sum passes 2^16
+    assert parse_messages(b"BR" + long.pack(0, 0) + b"BR") == [long]
+    assert count > 1000
+
+
 def test_scan_of_wrong_length_is_refused():
     with pytest.raises(Error, match="must have 16 bytes"):
         parse_scan(b"\x01")
