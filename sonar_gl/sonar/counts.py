@@ -19,6 +19,7 @@ from sonar_gl.core.key_values import parse_fields
 
 # fields that one law alone uses
 LAWS = {"power": ("exponent",), "db": ("low_db", "high_db")}
+LEAST_EXPONENT, GREATEST_EXPONENT = 0.01, 2.0
 LEVEL_BOUND_DB = 180.0  # two such levels multiply to 1e±36, which float32 holds
 # Share of full scale below which a display is black: 8 counts of 255, which on an sRGB screen have 0.24 % of the
 # luminance of white. The lowest count alone would be no measure: by I^0.26 it lies 104 dB below full scale.
@@ -69,7 +70,7 @@ class Counts:
 
     def __post_init__(self):
         check_choice("law", self.law, LAWS, "counts")
-        check_number("counts: exponent", self.exponent, 0.01, 2.0)
+        check_number("counts: exponent", self.exponent, LEAST_EXPONENT, GREATEST_EXPONENT)
         for key in ("low_db", "high_db", "gain_db"):
             check_number(f"counts: {key}", getattr(self, key), -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB")
         if self.low_db >= self.high_db:

@@ -28,6 +28,7 @@ from sonar_gl.live.emulators.oculus_messages import (
 )
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.ping import Ping
+from sonar_gl.sonar.counts import LEAST_EXPONENT
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 logger = logging.getLogger(__name__)
@@ -95,7 +96,8 @@ class OculusHead:
                 f"(got {range_m:g} m)"
             )
         n_bins = min(max(1, round(range_m / preset.bin_size_m)), MAX_BINS)
-        counts = {"exponent": 0.5 * (fire.gamma or 255) / 255, "bits": 16 if fire.flags & SIXTEEN_BITS else 8}
+        exponent = max(0.5 * (fire.gamma or 255) / 255, LEAST_EXPONENT)
+        counts = {"exponent": exponent, "bits": 16 if fire.flags & SIXTEEN_BITS else 8}
         if not fire.flags & GAIN_ASSISTANCE:
             counts["gain_db"] = GAIN_DB_PER_PERCENT * fire.gain_percent
         # an image begins at the head

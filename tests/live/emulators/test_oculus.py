@@ -348,6 +348,15 @@ def test_range_in_per_cent_is_of_the_greatest():
     assert OculusHead(MODELS["m1200d"], None).sonar(fire).range_max_m == 10.0
 
 
+@pytest.mark.parametrize(
+    "gamma, exponent",
+    [(0, 0.5), (1, 0.01), (5, 0.01), (6, 0.5 * 6 / 255), (127, 0.5 * 127 / 255), (255, 0.5)],
+)
+def test_any_gamma_is_taken(gamma, exponent):
+    fire = FireMessage(1, LOW, 0, gamma, METRES, 5.0, 50.0, 0.0, b"")
+    assert OculusHead(MODELS["m1200d"], None).sonar(fire).counts.exponent == exponent
+
+
 def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
     device = OculusHead(MODELS["m1200d"], None, {"gain_percentile": 90.0})
     fire = FireMessage(1, LOW, 0, 127, METRES | ASSISTANCE, 5.0, 50.0, 0.0, b"")
