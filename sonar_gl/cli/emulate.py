@@ -50,8 +50,10 @@ def oculus(scene_name: str, options) -> str:
         return server, lambda: f"Oculus {options.model.upper()} at {options.host}:{server.port}; {where}"
 
     server = _serve(scene_name, options, preset, serve)
+    counts = server.counts
     return (
-        f"{server.counts.sent} results sent, {server.counts.missed} missed by programs that read too slowly"
+        f"{counts.sent} results sent, {counts.missed} missed by programs that read too slowly; {counts.refused} wrong "
+        "fire messages ignored"
     )
 
 

@@ -163,7 +163,7 @@ def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_list
 
     printed, _ = run_beside(["emulate", "oculus", *PYLON, "--port", "0"], work, WAIT_S, number)
     programs[0].close()
-    assert printed.splitlines()[-1].endswith("missed by programs that read too slowly")
+    assert printed.splitlines()[-1].endswith("; 0 wrong fire messages ignored")
     assert [record.message for record in caplog.records if record.name == "asyncio"] == []
 
 
@@ -190,7 +190,7 @@ def test_a_signal_while_a_result_is_packed_ends_it_as_any_other(number, servers,
     monkeypatch.setattr(emulate, "listen", fired)
     status, printed, errors = run("emulate", "oculus", *PYLON, "--port", "0", "--duration", "60")
     programs[0].close()
-    assert status == 0 and printed.splitlines()[-1].endswith("missed by programs that read too slowly")
+    assert status == 0 and printed.splitlines()[-1].endswith("; 0 wrong fire messages ignored")
     assert "Traceback" not in errors
     assert [record.message for record in caplog.records if record.name == "asyncio"] == []
 

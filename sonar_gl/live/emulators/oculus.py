@@ -8,7 +8,7 @@ import socket
 from collections.abc import Coroutine, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from sonar_gl.live.emulators.oculus_messages import (
     SIXTEEN_BITS,
     FireMessage,
     OculusResult,
+    WrongFireError,
     parse_fire_message,
     status_message,
 )
@@ -83,7 +84,7 @@ class OculusHead:
 
         Raises
         ------
-        Error
+        WrongFireError
             if the range is beyond that of the device.
         """
         is_high = fire.mode == HIGH_FREQUENCY
@@ -91,9 +92,10 @@ class OculusHead:
         greatest_m = preset.range_limit_m
         range_m = fire.range_m(greatest_m)
         if not preset.range_min_m < range_m <= greatest_m:
-            raise Error(
+            raise WrongFireError(
+                "range",
                 f"the range of {preset.name} must be more than {preset.range_min_m:g} m and at most {greatest_m:g} m "
-                f"(got {range_m:g} m)"
+                f"(got {range_m:g} m)",
             )
         n_bins = min(max(1, round(range_m / preset.bin_size_m)), MAX_BINS)
         exponent = max(0.5 * (fire.gamma or 255) / 255, LEAST_EXPONENT)
@@ -142,10 +144,22 @@ def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> 
 
 @dataclass
 class PingCounts:
-    """What became of the pings of an emulator: sent, and missed by programs that read too slowly."""
+    """What became of the pings of an emulator: sent, and missed by programs that read too slowly.
+
+    `refused` fire messages were wrong.
+    """
 
     sent: int = 0
     missed: int = 0
+    refused: int = 0
+
+
+@dataclass
+class _Program:
+    """A program that is connected: its address, and of which kinds of its wrong fire messages the log says why."""
+
+    address: str
+    told: set[str] = field(default_factory=set)
 
 
 class OculusServer:
@@ -173,8 +187,11 @@ class OculusServer:
         self.counts = PingCounts()
         self._device, self._simulation = device, simulation
         self._host, self._port, self._status_to = host, port, status_to
-        self._fire, self._asked = None, asyncio.Event()
-        self._programs: dict[asyncio.StreamWriter, str] = {}
+        self._fire: FireMessage | None = None
+        self._logged: FireMessage | None = None  # the last one that the log names
+        self._firing: _Program | None = None  # whose fire message it is
+        self._asked = asyncio.Event()
+        self._programs: dict[asyncio.StreamWriter, _Program] = {}
         self._tasks: set[asyncio.Task] = set()
 
     @property
@@ -220,7 +237,7 @@ class OculusServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Read the messages of a program until it goes, or sends what is none."""
         name = writer.get_extra_info("peername")
-        self._programs[writer] = str(name[0])
+        program = self._programs[writer] = _Program(str(name[0]))
         logger.info("%s:%s connects", *name[:2])
         try:
             while True:
@@ -230,7 +247,7 @@ class OculusServer:
                     return
                 payload = await reader.readexactly(size)
                 if kind == FIRE:
-                    self._heed(version, payload)
+                    self._heed(program, version, payload)
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
@@ -238,25 +255,34 @@ class OculusServer:
             writer.close()
             logger.info("%s:%s is gone", *name[:2])
 
-    def _heed(self, version: int, payload: bytes) -> None:
-        """Ping with the settings of a fire message from now on; a wrong one changes nothing."""
+    def _heed(self, program: _Program, version: int, payload: bytes) -> None:
+        """Ping with the settings of a program's fire message from now on; a wrong one changes nothing."""
         try:
             fire = parse_fire_message(version, payload)
             self._device.sonar(fire)
         except Error as why:
-            logger.warning("a fire message is ignored: %s", why)
+            self._refuse(program, why)
             return
-        if fire != self._fire:
-            logger.info("fire message: mode %d, range %g, %g Hz", fire.mode, fire.range, fire.ping_rate_hz)
-        self._fire = fire
+        if fire != self._logged:
+            logger.info("fire message: %s", fire.describe(self._logged))
+        self._fire = self._logged = fire
+        self._firing = program
         self._asked.set()
+
+    def _refuse(self, program: _Program, why: Error) -> None:
+        """Count a wrong fire message; log why, unless the log says so of one like it of the same program."""
+        self.counts.refused += 1
+        kind = why.field if isinstance(why, WrongFireError) else "ping"
+        if kind not in program.told:
+            program.told.add(kind)
+            logger.warning("a fire message is ignored: %s (others like it are only counted)", why)
 
     async def _ping(self) -> None:
         """Ping as long as a program listens and has asked for it."""
         loop = asyncio.get_running_loop()
         began_s, next_s, number = loop.time(), loop.time(), 0
         while True:
-            fire = self._fire
+            fire, program = self._fire, self._firing
             if fire is None or not fire.ping_rate_hz or not self._programs:
                 self._asked.clear()
                 with suppress(asyncio.TimeoutError):  # programs come and go without asking anew
@@ -270,7 +296,7 @@ class OculusServer:
             except MachineError:
                 raise
             except Error as why:
-                logger.warning("a fire message is ignored: %s", why)
+                self._refuse(program, why)
                 self._fire = None if self._fire is fire else self._fire
                 continue
             number += 1
@@ -299,7 +325,7 @@ class OculusServer:
         own = transport.get_extra_info("sockname")[0]
         try:
             while True:
-                connected = next(iter(self._programs.values()), "0.0.0.0")
+                connected = next((program.address for program in self._programs.values()), "0.0.0.0")
                 part, temperature_c = (
                     self._device.model.part_number,
                     self._device.head.acoustics.water.temperature_c,

@@ -50,6 +50,19 @@ NANOSECONDS = 1_000_000_000
 GREATEST_GAIN = 2**31 - 1
 
 
+class WrongFireError(Error):
+    """A fire message is wrong.
+
+    Attributes
+    ----------
+    field : what of it
+    """
+
+    def __init__(self, field: str, why: str):
+        super().__init__(why)
+        self.field = field
+
+
 @dataclass(frozen=True)
 class FireMessage:
     """What a program asks an Oculus to do from now on.
@@ -87,6 +100,33 @@ class FireMessage:
         """The ping rate that is asked for, hertz; 0 in standby, and 10 for codes that are not known."""
         return 0.0 if self.ping_rate == STANDBY else PING_RATES_HZ.get(self.ping_rate, 10.0)
 
+    def describe(self, before: FireMessage | None = None) -> str:
+        """Return mode, range and ping rate in words, and what else differs from the fire message before.
+
+        >>> one = FireMessage(1, 2, 0, 127, RANGE_IN_METRES, 3.0, 50.0, 0.0, b"")
+        >>> one.describe(FireMessage(1, 2, 0, 255, RANGE_IN_METRES, 3.0, 50.0, 0.0, b""))
+        'mode 2, range 3 m, 10 Hz, gamma 127'
+        """
+        rate = f"{self.ping_rate_hz:g} Hz" if self.ping_rate_hz else "standby"
+        unit = "m" if self.flags & RANGE_IN_METRES else "%"
+        words = [f"mode {self.mode}", f"range {self.range:g} {unit}", rate]
+        known = set() if before is None else set(before._others())
+        return ", ".join([*words, *(text for text in self._others() if text not in known)])
+
+    def _others(self) -> list[str]:
+        """Return in words the settings that are named when they change."""
+        speed_m_s = self.sound_speed_m_s
+        return [
+            f"gain {self.gain_percent:g} %",
+            f"gamma {self.gamma}",
+            "16 bits" if self.flags & SIXTEEN_BITS else "8 bits",
+            f"{self.n_beams} beams",
+            "gain assistance" if self.flags & GAIN_ASSISTANCE else "no gain assistance",
+            "with gains" if self.flags & SENDS_GAIN else "no gains",
+            f"{speed_m_s:g} m/s" if speed_m_s else "speed of sound of the water",
+            f"version {self.version}",
+        ]
+
     def range_m(self, greatest_m: float) -> float:
         """Return the range that is asked for, metres, of a device with this greatest one."""
         return self.range if self.flags & RANGE_IN_METRES else self.range / 100 * greatest_m
@@ -97,27 +137,33 @@ def parse_fire_message(version: int, payload: bytes) -> FireMessage:
 
     Raises
     ------
-    Error
+    WrongFireError
         if it is too short, or a number is out of bounds.
     """
     size = FIRE_SETTINGS.size + (FIRE_RESERVE_BYTES if version == 2 else 0)
     if len(payload) < size:
-        raise Error(f"a fire message of version {version} must have {size} bytes (got {len(payload)})")
+        raise WrongFireError(
+            "length", f"a fire message of version {version} must have {size} bytes (got {len(payload)})"
+        )
     mode, rate, _network, gamma, flags, range_, gain, speed_m_s, _salinity = FIRE_SETTINGS.unpack_from(
         payload
     )
     if mode not in (LOW_FREQUENCY, HIGH_FREQUENCY):
-        raise Error(
+        raise WrongFireError(
+            "mode",
             f"a fire message must have mode 1, low frequency, or 2, high frequency (got {mode}; mode 0 needs messages "
-            "that the maker does not publish)"
+            "that the maker does not publish)",
         )
     if not (math.isfinite(range_) and 0 < range_ <= MAX_RANGE_M):
-        raise Error(f"a fire message must have a range above 0 and up to {MAX_RANGE_M:g} (got {range_:g})")
+        raise WrongFireError(
+            "range", f"a fire message must have a range above 0 and up to {MAX_RANGE_M:g} (got {range_:g})"
+        )
     if not (math.isfinite(gain) and 0 <= gain <= 100):
-        raise Error(f"a fire message must have a gain of 0 to 100 per cent (got {gain:g})")
+        raise WrongFireError("gain", f"a fire message must have a gain of 0 to 100 per cent (got {gain:g})")
     if speed_m_s != 0 and not 1000 <= speed_m_s <= 2000:
-        raise Error(
-            f"a fire message must have a speed of sound of 1000 to 2000 m/s, or 0 (got {speed_m_s:g})"
+        raise WrongFireError(
+            "speed of sound",
+            f"a fire message must have a speed of sound of 1000 to 2000 m/s, or 0 (got {speed_m_s:g})",
         )
     return FireMessage(version, mode, rate, gamma, flags, range_, gain, speed_m_s, payload[:size])
 

@@ -27,7 +27,7 @@ from sonar_gl.live.emulators.oculus_messages import (
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.live.pose_track import PoseTrack
 from tests.support.servers import running, simulated
-from tests.support.waiting import WAIT_S
+from tests.support.waiting import WAIT_S, wait_until
 from tools.oculus_raw import read_pings
 
 METRES, BITS_16, GAINS, SIMPLE, ASSISTANCE, BEAMS_512 = 1, 2, 4, 8, 16, 64  # flags of liboculus' Constants.h
@@ -324,10 +324,70 @@ def test_settings_that_no_ping_can_be_made_with_are_ignored(connection, monkeypa
     monkeypatch.setattr(SimulatedHead, "ping", limited)
     connection.sendall(fire_bytes(range_m=4.25))
     end_s = time.monotonic() + WAIT_S
-    while "a fire message is ignored: the ping must succeed (got 4.25 m)" not in caplog.messages:
+    why = "the ping must succeed (got 4.25 m)"
+    while f"a fire message is ignored: {why} (others like it are only counted)" not in caplog.messages:
         assert time.monotonic() < end_s
         time.sleep(0.01)
     result_of(connection, fire_bytes(range_m=4.5))
+
+
+def of_log(caplog, start):
+    """Return the messages of the log that begin with some words, without these."""
+    return [text.removeprefix(start) for text in caplog.messages if text.startswith(start)]
+
+
+def test_wrong_fire_messages_of_a_kind_are_logged_once_for_each_program(server, caplog):
+    """A program that goes on sending them, each with another number, would fill the disk."""
+    before = server.counts.refused
+    for expected in (before + 120, before + 240):
+        with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as program:
+            for number in range(30):
+                program.sendall(fire_bytes(range_m=11.0 + number))
+                program.sendall(fire_bytes(gain=101.0 + number))
+                program.sendall(fire_bytes(mode=3 + number))
+                program.sendall(struct.pack("<HHHHHIH", 0x4F53, 0, 0, 0x15, 7 + number, 0, 0))
+            wait_until(lambda expected=expected: server.counts.refused == expected)
+    assert of_log(caplog, "a fire message is ignored: ") == 2 * [
+        f"{why} (others like it are only counted)"
+        for why in (
+            "the range of oculus-m1200d-hf must be more than 0.1 m and at most 10 m (got 11 m)",
+            "a fire message must have a gain of 0 to 100 per cent (got 101)",
+            "a fire message must have mode 1, low frequency, or 2, high frequency (got 3; mode 0 needs messages that "
+            "the maker does not publish)",
+            "a fire message of version 7 must have 37 bytes (got 0)",
+        )
+    ]
+
+
+def test_the_log_names_what_a_fire_message_changes(server, connection, caplog):
+    caplog.set_level("INFO")
+    result_of(connection, fire_bytes(range_m=3.125, gain=1.0, gamma=0))
+    caplog.clear()
+    flags = METRES | SIMPLE | ASSISTANCE
+    for changes in (
+        {},
+        {},
+        {"gain": 50.5},
+        {"gamma": 255},
+        {"flags": flags | BITS_16},
+        {"flags": (flags | BEAMS_512) & ~ASSISTANCE},
+        {"flags": flags | GAINS},
+        {"version": 2, "rate": 5},
+        {"mode": LOW, "flags": SIMPLE | ASSISTANCE},
+    ):
+        connection.sendall(fire_bytes(**{"range_m": 3.0, "gain": 50.0, "gamma": 127, **changes}))
+    wait_until(lambda: "mode 1" in "".join(caplog.messages))
+    same = "mode 2, range 3 m, 40 Hz"
+    assert of_log(caplog, "fire message: ") == [
+        f"{same}, gain 50 %, gamma 127",
+        f"{same}, gain 50.5 %",
+        f"{same}, gain 50 %, gamma 255",
+        f"{same}, gamma 127, 16 bits",
+        f"{same}, 8 bits, 512 beams, no gain assistance",
+        f"{same}, 256 beams, gain assistance, with gains",
+        "mode 2, range 3 m, standby, no gains, version 2",
+        "mode 1, range 3 %, 40 Hz, version 1",
+    ]
 
 
 @pytest.mark.parametrize(
