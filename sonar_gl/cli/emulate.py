@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from sonar_gl.cli.common import acoustics_from, check_address, check_duration, poses_from, scene_from
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error
-from sonar_gl.core.hosts import is_local
+from sonar_gl.core.hosts import check_host, is_local
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.emulators.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
@@ -90,6 +90,7 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
     load_numba()
     check_duration(options)
     check_address("--host", options.host)
+    check_host(options.host, socket.AF_INET)  # messages have room for addresses of IPv4 alone
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     if acoustics is None:
@@ -118,9 +119,12 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
             if server is None:  # before it listened
                 raise
         except OSError as why:
+            check_host(options.host, socket.AF_INET)  # which may have gone meanwhile
+            # asyncio puts the address into its text, which the sentence has already
+            reason = os.strerror(why.errno) if why.errno else str(why)
             raise Error(
-                f"the emulator must be able to listen at {options.host} (got {_reason(why)}; is another program "
-                "using the port? --port chooses another)"
+                f"the emulator must be able to listen at {options.host} (got {reason}; is another program using the "
+                "port? --port chooses another)"
             ) from None
         finally:
             simulation.submit(head.close).result()
@@ -160,10 +164,3 @@ def _cancelled_by_signals(task: asyncio.Task):
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _reason(why: OSError) -> str:
-    """Return why a port does not open; asyncio puts the address into the text, which the sentence has already."""
-    if isinstance(why, socket.gaierror):  # its numbers are those of the resolver
-        return why.strerror
-    return os.strerror(why.errno) if why.errno else str(why)

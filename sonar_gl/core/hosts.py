@@ -1,4 +1,4 @@
-"""Addresses at which programs of this machine alone can be reached, and ports that are given back."""
+"""Addresses of this machine: those that it alone reaches, those to listen at, and ports that are given back."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import errno
 import ipaddress
 import socket
 import time
+
+from sonar_gl.core.errors import Error
 
 OFTEN_S = 0.001  # between looks at a port
 
@@ -20,6 +22,20 @@ def is_local(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host.lower() == "localhost"
+
+
+def check_host(host: str, family: int = socket.AF_UNSPEC) -> None:
+    """Raise Error unless one can listen at an address or a name, of any family of addresses or of IPv4 alone."""
+    kind = "an IPv4 address" if family == socket.AF_INET else "an address"
+    try:
+        found, stream, protocol, _, address = socket.getaddrinfo(host, 0, family, socket.SOCK_STREAM)[0]
+        with socket.socket(found, stream, protocol) as trial:
+            trial.bind(address)
+    except (OSError, UnicodeError) as why:
+        raise Error(
+            f"the host must be {kind} of this machine (got {host!r}: {getattr(why, 'strerror', None) or why}; "
+            "127.0.0.1 is reached from this machine alone)"
+        ) from None
 
 
 def wait_until_free(host: str, port: int, limit_s: float) -> bool:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import socket
 import time
 from collections.abc import Mapping
 from threading import Lock, Thread
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.core.hosts import check_host
 from sonar_gl.live.frame import LiveFrame, Reading
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions, tell
@@ -56,7 +56,7 @@ class ViewerPage:
 
     def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8080):
         viser = load_viser()
-        _check_host(host)
+        check_host(host)  # for another viser would wait for ever
         self._session, self._is_closed = session, False
         self._wrong_messages = WrongMessages()
         with _quiet_viser(), own_page_alone(host, self._wrong_messages.server_logger):
@@ -356,16 +356,3 @@ def _quiet_viser():
         yield
     finally:
         console.quiet = before
-
-
-def _check_host(host: str) -> None:
-    """Raise Error unless one can listen at an address, for which viser would wait for ever."""
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as trial:
-            trial.bind(address)
-    except (OSError, UnicodeError) as why:
-        raise Error(
-            f"the host must be an address of this machine (got {host!r}: {getattr(why, 'strerror', None) or why}; "
-            "127.0.0.1 is reached from this machine alone)"
-        ) from None

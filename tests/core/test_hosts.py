@@ -1,12 +1,14 @@
 """Addresses of this machine alone, and ports that are given back."""
 
+import re
 import socket
 import threading
 import time
 
 import pytest
 
-from sonar_gl.core.hosts import is_local, wait_until_free
+from sonar_gl.core.errors import Error
+from sonar_gl.core.hosts import check_host, is_local, wait_until_free
 
 
 @pytest.mark.parametrize(
@@ -21,6 +23,31 @@ def test_addresses_of_the_loopback_interface_are_local(host):
 )
 def test_others_are_not(host):
     assert not is_local(host)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "localhost", "0.0.0.0"])
+@pytest.mark.parametrize("family", [socket.AF_UNSPEC, socket.AF_INET])
+def test_one_can_listen_at_addresses_of_this_machine(host, family):
+    check_host(host, family)
+
+
+@pytest.mark.parametrize(
+    ("host", "family", "words"),
+    [
+        ("192.0.2.1", socket.AF_UNSPEC, "an address of this machine (got '192.0.2.1': Cannot assign"),
+        ("192.0.2.1", socket.AF_INET, "an IPv4 address of this machine (got '192.0.2.1': Cannot assign"),
+        ("::1", socket.AF_INET, "an IPv4 address of this machine (got '::1': "),
+        (
+            "no.such.host.invalid",
+            socket.AF_INET,
+            "an IPv4 address of this machine (got 'no.such.host.invalid': ",
+        ),
+        ("x" * 64, socket.AF_INET, "an IPv4 address of this machine (got 'xx"),  # longer than a label may be
+    ],
+)
+def test_one_cannot_listen_at_others(host, family, words):
+    with pytest.raises(Error, match=re.escape(f"the host must be {words}")):
+        check_host(host, family)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
