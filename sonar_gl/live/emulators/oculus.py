@@ -248,7 +248,7 @@ class OculusServer:
                 payload = await reader.readexactly(size)
                 if kind == FIRE:
                     self._heed(program, version, payload)
-        except (asyncio.IncompleteReadError, ConnectionError):
+        except (asyncio.IncompleteReadError, OSError):  # also that the network is lost
             pass
         finally:
             self._programs.pop(writer, None)

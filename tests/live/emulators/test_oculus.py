@@ -1,6 +1,9 @@
 """An emulated Oculus, read by a decoder that was written from the layout of its messages."""
 
 import asyncio
+import errno
+import gc
+import os
 import random
 import socket
 import struct
@@ -508,6 +511,23 @@ def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_s
     )
     assert struct.unpack_from("<I", first, 93) == (nanoseconds,)
     assert struct.unpack_from("<d", second, 153) == (time_s,)
+
+
+@pytest.mark.parametrize("number", [errno.ECONNRESET, errno.EHOSTUNREACH, errno.ETIMEDOUT])
+def test_a_program_that_the_network_loses_is_gone_without_a_traceback(number, monkeypatch, caplog):
+    """The last two are no ConnectionError: a cable is pulled."""
+    caplog.set_level("INFO")
+
+    async def lost(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(asyncio.StreamReader, "readexactly", lost)
+    with running(OculusServer(None, None, port=0, status_to=None)) as server:
+        with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as program:
+            assert program.recv(1) == b""
+        wait_until(lambda: any(text.endswith(" is gone") for text in caplog.messages))
+    gc.collect()  # asyncio reports an exception that nobody has asked for when its task goes
+    assert [record.message for record in caplog.records if record.name == "asyncio"] == []
 
 
 def test_the_end_of_the_server_is_that_of_all_its_tasks():
