@@ -8,13 +8,17 @@ vec3 plane_of(float depth_inverse, vec2 slopes, vec2 at)
     return vec3(depth_inverse - dot(slopes, at), -slopes.x, slopes.y);
 }
 
-// cos θ times range. The normal is a shading normal of either side, which replaces that of the plane in cos θ; vec3(0)
-// for none.
+// cos θ times range. The normal is a shading normal of any length and either side, which replaces that of the plane in
+// cos θ; vec3(0) for none.
 float cos_times_range(vec3 plane, float depth_inverse, vec2 at, vec3 normal)
 {
-    if (dot(normal, normal) <= 1e-6)
+    vec3 size = abs(normal);
+    float largest = max(max(size.x, size.y), size.z);
+    if (largest == 0.0)
         return inversesqrt(dot(plane, plane));  // the distance of the plane, which all rays share
     vec3 ray = vec3(1.0, -at.x, at.y);
+    // Squares of very long normals would overflow, those of very short ones vanish. 2^-80 and 2^100 round nothing.
+    normal *= largest > 1e12 ? 8.2718061e-25 : largest < 1e-12 ? 1.2676506e30 : 1.0;
     // p . x = 1 > 0, so that -p points to the side of the sonar
     vec3 turned = normalize(normal) * sign(-dot(normal, plane));
     return cos_incidence(turned, normalize(ray)) * length(ray) / depth_inverse;

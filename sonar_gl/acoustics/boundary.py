@@ -78,12 +78,11 @@ def cos_times_range(plane, depth_inverse, at, normal):
     4.0
     """
     ray = np.stack([np.ones_like(depth_inverse), -at[..., 0], at[..., 1]], axis=-1)
-    length, squares = np.linalg.norm(ray, axis=-1), (normal * normal).sum(axis=-1)
-    turned = (
-        normal * (np.sign(-(normal * plane).sum(axis=-1)) / np.sqrt(np.maximum(squares, 1e-30)))[..., None]
-    )
-    shaded = cos_incidence(turned, ray / length[..., None]) * length / depth_inverse
-    return np.where(squares > 1e-6, shaded, 1 / np.linalg.norm(plane, axis=-1))
+    length, largest = np.linalg.norm(ray, axis=-1), np.abs(normal).max(axis=-1, keepdims=True)
+    scaled = normal / np.where(largest > 0, largest, 1)  # whose squares neither overflow nor vanish
+    side = np.sign(-(scaled * plane).sum(axis=-1)) / np.maximum(np.linalg.norm(scaled, axis=-1), 1)
+    shaded = cos_incidence(scaled * side[..., None], ray / length[..., None]) * length / depth_inverse
+    return np.where(largest[..., 0] > 0, shaded, 1 / np.linalg.norm(plane, axis=-1))
 
 
 def rayleigh_reflection(grazing_rad, density_ratio, speed_ratio, loss=0.0):

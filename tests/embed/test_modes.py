@@ -426,6 +426,28 @@ def test_invalid_shader_outputs_raise_errors():
                 sensor.finish()
 
 
+def sonar_program(old, new):
+    """Return a program that draws sectors with a part of its shader replaced."""
+    assert old in gl_host.SONAR
+    text = "#version 330 core\n" + embed.glsl() + gl_host.SONAR.replace(old, new)
+    return gl_host.make_program(gl_host.VERTEX, text)
+
+
+@pytest.mark.parametrize("exponent", [-100, -40, -10, 20, 66, 120])
+def test_the_length_of_a_host_s_normals_changes_nothing(exponent):
+    """Powers of two round nothing. Those of a world in millimetres, 1e-3 long, were taken for those of flat faces."""
+    host = gl_host.Program(scene_of())
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        pings = []
+        for factor in (1.0, 2.0**exponent, 0.0):
+            host.programs["sonar"] = sonar_program("view_normal, mu", f"view_normal * {factor!r}, mu")
+            draw(host, sensor)
+            pings.append(sensor.finish())
+    unit, scaled, flat = pings
+    assert np.array_equal(scaled.intensity, unit.intensity)
+    assert difference(flat, unit) > 5e-4
+
+
 def test_a_warning_says_why_a_ping_has_no_echo():
     host = gl_host.Program(sg.Scene([sg.Body("far", trimesh.creation.box((1, 1, 1)), sg.pose(40, 0, 0))]))
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:

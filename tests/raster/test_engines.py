@@ -224,6 +224,22 @@ def test_hard_cases(monkeypatch, bodies, sonar, pose):
 
 
 @pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("exponent", [-100, -40, -10, 20, 66])
+def test_the_length_of_normals_changes_nothing(engine, exponent):
+    """Powers of two round nothing. Normals shorter than 1e-3 counted as none, and long ones returned no echo."""
+    unit = [ball("a", sg.pose(5), 0.9, smooth=True), ball("b", sg.pose(7, 2)), floor()]
+    scaled = replace(unit[0], normals=np.ldexp(unit[0].normals, exponent))
+    flat = replace(unit[0], normals=np.zeros_like(unit[0].normals))
+    want, got, other = (
+        pictures(draw_sectors(sg.Scene([one, *unit[1:]]), SONAR, np.eye(4), engine))
+        for one in (unit[0], scaled, flat)
+    )
+    np.testing.assert_array_equal(got[0], want[0])
+    assert (other[0] != want[0]).sum() > 1000
+
+
+@pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("sonar_z_m", [-0.5, 0.5])
 def test_the_surface_of_the_water_cuts_bodies(sonar_z_m):
     """A pier from the floor into the air is seen below the surface only, or, from the air, whole."""

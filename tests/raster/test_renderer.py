@@ -329,7 +329,9 @@ def test_glsl_functions_of_planes_equal_their_numpy_twins():
     rng = np.random.default_rng(1)
     q = np.float32(1 / rng.uniform(0.5, 60, 4096))
     at, slopes = np.float32(rng.uniform(-0.5, 0.5, (4096, 2))), np.float32(rng.normal(size=(4096, 2)) * 0.3)
-    normal = np.float32(rng.normal(size=(4096, 3)) * rng.uniform(0.1, 10, (4096, 1)))
+    normal = rng.normal(size=(4096, 3))
+    lengths = 10.0 ** rng.uniform(-32, 38, (4096, 1))  # drivers take components below 1.2e-38 for 0
+    normal = np.float32(normal / np.linalg.norm(normal, axis=1, keepdims=True) * lengths)
     normal[::5] = 0.0  # flat
     inputs = {"q": q, "slopes": slopes, "at": at}
     planes = plane_of(*(value.astype(float) for value in (q, slopes, at)))
@@ -338,7 +340,8 @@ def test_glsl_functions_of_planes_equal_their_numpy_twins():
     got = glsl.call(
         "plane.glsl", inputs | {"n": normal}, "cos_times_range(plane_of(q, slopes, at), q, at, n)"
     )[:, 0]
-    want = cos_times_range(planes, q.astype(float), at.astype(float), normal.astype(float))
+    normal = normal.astype(float)
+    want = cos_times_range(planes, q.astype(float), at.astype(float), normal)
     # near grazing incidence rounding decides on which side of the plane the normal is
     clear = np.abs((planes * normal).sum(axis=1)) > 1e-5 * np.linalg.norm(normal, axis=1)
     clear |= ~normal.any(axis=1)

@@ -603,7 +603,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
                     ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
                     nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
                     squares, slope_u, slope_v = nx * nx + ny * ny + nz * nz, planes[t, 0], planes[t, 1]
-                    if squares > 1e-6 * q * q:
+                    if squares > 0.0:  # not NaN either; float64 holds the squares of all float32
                         along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
                         along_ray = nx - ny * u + nz * v
                         turned = along_ray if along_plane > 0.0 else -along_ray
