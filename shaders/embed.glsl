@@ -13,6 +13,12 @@ uniform mat3 sonar_gl_lattice;  // of the sector: maps a pixel (1, i, j) to the 
 layout(location = 0) out vec4 sonar_gl_plane_echo;
 layout(location = 1) out uint sonar_gl_body;
 
+// Whether a number is neither NaN nor infinite. Comparisons do not tell: GLSL leaves open what they give for NaN.
+bool sonar_gl_is_finite(float number)
+{
+    return (floatBitsToUint(number) & 0x7F800000u) != 0x7F800000u;
+}
+
 // normal: in the view's axes (x right, y up, z back), of any length; vec3(0) takes that of the flat face
 // reflectivity: μ, 0..1
 // body: number of the body, 1..65534; 0 for none
@@ -26,8 +32,11 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     vec3 turned = vec3(-normal.z, -normal.x, normal.y);  // x ahead, y to port, z up
     float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
     sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
-    if (!(reflectivity >= 0.0 && reflectivity <= 1.0))
-        sonar_gl_plane_echo.w = -1.0;  // no echo is negative: reading this is an error for the host
+    // No echo is negative: these numbers tell Framebuffer.read what is wrong.
+    if (!(sonar_gl_is_finite(reflectivity) && reflectivity >= 0.0 && reflectivity <= 1.0))
+        sonar_gl_plane_echo.w = -1.0;
+    else if (!(sonar_gl_is_finite(normal.x) && sonar_gl_is_finite(normal.y) && sonar_gl_is_finite(normal.z)))
+        sonar_gl_plane_echo.w = -2.0;
     else if (lobe.x > 0.0)
         sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
     sonar_gl_body = min(body, 65535u);

@@ -21,6 +21,15 @@ FRAMEBUFFER, FRAMEBUFFER_COMPLETE, UNSIGNED_SHORT = 0x8D40, 0x8CD5, 0x1403
 MAX_RENDERBUFFER_SIZE, PACK_ALIGNMENT = 0x84E8, 0x0D05
 COLOR, DEPTH, COLOR_0, COLOR_1, DEPTH_ATTACHMENT = 0x1800, 0x1801, 0x8CE0, 0x8CE1, 0x8D00
 RGBA32F, R16UI, DEPTH_COMPONENT32F = 0x8814, 0x8234, 0x8CAC
+# what is wrong, by the negative echo that shaders/embed.glsl writes then
+WRONG_ECHO = -1.0
+MISTAKES = {
+    WRONG_ECHO: "the reflectivity that the host writes must lie in 0..1 (got another value; divide by 255?)",
+    -2.0: (
+        "the normals that the host writes must be finite (got NaN or infinity; check the normals of the mesh: "
+        "normalize(vec3(0.0)) may be NaN, where vec3(0.0) itself stands for the normal of the flat face)"
+    ),
+}
 
 
 class Framebuffer:
@@ -87,7 +96,7 @@ class Framebuffer:
         Raises
         ------
         Error
-            if the framebuffer was deleted, a value is not finite, or a reflectivity is outside 0..1.
+            if the framebuffer was deleted, a value or a normal is not finite, or a reflectivity is outside 0..1.
         """
         gl, size = self.host.gl, (0, 0, self.sector.columns, self.sector.rows)
         plane_echo = np.zeros((self.sector.rows, self.sector.columns, 4), np.float32)
@@ -108,12 +117,10 @@ class Framebuffer:
         if not np.isfinite(plane_echo).all():
             raise Error(
                 "the samples that the host writes must be finite (got NaN or infinity; set the uniform "
-                "sonar_gl_lattice for each sector, and check the normals)"
+                "sonar_gl_lattice for each sector)"
             )
-        if plane_echo[..., 3].min() < 0:
-            raise Error(
-                "the reflectivity that the host writes must lie in 0..1 (got another value; divide by 255?)"
-            )
+        if (lowest := float(plane_echo[..., 3].min())) < 0:
+            raise Error(MISTAKES.get(lowest, MISTAKES[WRONG_ECHO]))
         return plane_echo, body_id
 
     @property

@@ -448,6 +448,29 @@ def test_the_length_of_a_host_s_normals_changes_nothing(exponent):
     assert difference(flat, unit) > 5e-4
 
 
+@pytest.mark.parametrize(
+    "normal",
+    # NaN, also in one component alone, and both infinities, none of which a compiler knows
+    [
+        "vec3(sqrt(-1.0 - mu))",
+        "vec3(0.0, sqrt(-1.0 - mu), 1.0)",
+        "vec3(0.0, 0.0, exp2(200.0 + mu))",
+        "vec3(1.0, -exp2(200.0 + mu), 0.0)",
+    ],
+)
+def test_normals_that_are_not_finite_raise_an_error(normal):
+    """The echo of the body was lost: drivers clamp NaN to 0."""
+    host = gl_host.Program(scene_of())
+    host.programs["sonar"] = sonar_program("view_normal, mu", f"body == 2u ? {normal} : view_normal, mu")
+    message = r"^the normals that the host writes must be finite \(got NaN or infinity; .*check the normals"
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        with pytest.raises(sg.Error, match=message), sector:
+            host.draw("sonar", sector.view, sector.projection, sector.lattice)
+        with pytest.raises(sg.Error, match="got 0 of 1"):
+            sensor.finish()
+
+
 def test_a_warning_says_why_a_ping_has_no_echo():
     host = gl_host.Program(sg.Scene([sg.Body("far", trimesh.creation.box((1, 1, 1)), sg.pose(40, 0, 0))]))
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
