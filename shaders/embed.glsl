@@ -19,10 +19,15 @@ bool sonar_gl_is_finite(float number)
     return (floatBitsToUint(number) & 0x7F800000u) != 0x7F800000u;
 }
 
+bool sonar_gl_is_within(float number, float low, float high)
+{
+    return sonar_gl_is_finite(number) && number >= low && number <= high;
+}
+
 // normal: in the view's axes (x right, y up, z back), of any length; vec3(0) takes that of the flat face
 // reflectivity: μ, 0..1
 // body: number of the body, 1..65534; 0 for none
-// lobe: |R|² and rms slope of a smooth face; vec2(0) for none
+// lobe: |R|², 0..1, and rms slope, 0.01..0.5, of a smooth face; vec2(0) for none
 void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
 {
     float depth_inverse = gl_FragCoord.w;
@@ -33,10 +38,12 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
     sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
     // No echo is negative: these numbers tell Framebuffer.read what is wrong.
-    if (!(sonar_gl_is_finite(reflectivity) && reflectivity >= 0.0 && reflectivity <= 1.0))
+    if (!sonar_gl_is_within(reflectivity, 0.0, 1.0))
         sonar_gl_plane_echo.w = -1.0;
     else if (!(sonar_gl_is_finite(normal.x) && sonar_gl_is_finite(normal.y) && sonar_gl_is_finite(normal.z)))
         sonar_gl_plane_echo.w = -2.0;
+    else if (!(lobe.x == 0.0 || sonar_gl_is_within(lobe.x, 0.0, 1.0) && sonar_gl_is_within(lobe.y, 0.01, 0.5)))
+        sonar_gl_plane_echo.w = -3.0;
     else if (lobe.x > 0.0)
         sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
     sonar_gl_body = min(body, 65535u);

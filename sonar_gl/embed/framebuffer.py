@@ -15,6 +15,7 @@ from sonar_gl.gl.enums import (
     RGBA,
 )
 from sonar_gl.gl.host import HostContext
+from sonar_gl.scene.scene import ROUGHNESS_BOUNDS_RAD
 from sonar_gl.sonar.sector import Sector
 
 FRAMEBUFFER, FRAMEBUFFER_COMPLETE, UNSIGNED_SHORT = 0x8D40, 0x8CD5, 0x1403
@@ -28,6 +29,10 @@ MISTAKES = {
     -2.0: (
         "the normals that the host writes must be finite (got NaN or infinity; check the normals of the mesh: "
         "normalize(vec3(0.0)) may be NaN, where vec3(0.0) itself stands for the normal of the flat face)"
+    ),
+    -3.0: (
+        "a lobe that the host writes must have |R|² in 0..1 and an rms slope in {:g}..{:g} (got another value; "
+        "vec2(0.0) is none)".format(*ROUGHNESS_BOUNDS_RAD)
     ),
 }
 
@@ -96,7 +101,8 @@ class Framebuffer:
         Raises
         ------
         Error
-            if the framebuffer was deleted, a value or a normal is not finite, or a reflectivity is outside 0..1.
+            if the framebuffer was deleted, a value or a normal is not finite, or a reflectivity or a lobe is out of
+            bounds.
         """
         gl, size = self.host.gl, (0, 0, self.sector.columns, self.sector.rows)
         plane_echo = np.zeros((self.sector.rows, self.sector.columns, 4), np.float32)

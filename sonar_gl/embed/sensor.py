@@ -60,8 +60,9 @@ def glsl() -> str:
     """Return GLSL text that a host's fragment shader includes, after `#version` 330 or higher, to draw sectors.
 
     The shader calls `sonar_gl_write(vec3 normal, float reflectivity, uint body)` once: normal in the view's axes (x
-    right, y up, z back), or vec3(0) for the normal of the flat face; reflectivity 0..1; body 1..65534, 0 for none. A
-    fourth argument, vec2, holds |R|² and the rms slope of a smooth face. The host sets the uniform
+    right, y up, z back), of any length, or vec3(0) for the normal of the flat face; reflectivity 0..1; body 1..65534, 0
+    for none. A fourth argument, vec2, holds |R|², 0..1, and the rms slope, 0.01..0.5, of a smooth face; vec2(0) is
+    none. Other values raise an `Error` at the end of the sector's block. The host sets the uniform
     `mat3 sonar_gl_lattice` to the lattice of each sector. The text uses outputs 0 and 1; all of its names begin with
     sonar_gl_.
     """

@@ -15,6 +15,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl import embed
 from sonar_gl.gl import egl
+from sonar_gl.scene.scene import ROUGHNESS_BOUNDS_RAD
 from tests.support import gl_host, host_state, soak
 from tests.support.gl_host import GL  # for EGL, whatever was imported before
 from tests.support.main_lobe import main_lobe_alone
@@ -469,6 +470,41 @@ def test_normals_that_are_not_finite_raise_an_error(normal):
             host.draw("sonar", sector.view, sector.projection, sector.lattice)
         with pytest.raises(sg.Error, match="got 0 of 1"):
             sensor.finish()
+
+
+@pytest.mark.parametrize(
+    "lobe, is_right",
+    [
+        ("0.0, 0.0", True),
+        ("0.0, 7.0", True),  # none, whatever its slope
+        ("1.0, 0.1", True),
+        (f"0.5, {np.float32(ROUGHNESS_BOUNDS_RAD[0])!s}", True),
+        (f"0.5, {np.float32(ROUGHNESS_BOUNDS_RAD[1])!s}", True),
+        (f"0.5, {np.nextafter(np.float32(ROUGHNESS_BOUNDS_RAD[0]), np.float32(0))!s}", False),
+        (f"0.5, {np.nextafter(np.float32(ROUGHNESS_BOUNDS_RAD[1]), np.float32(1))!s}", False),
+        ("1.0000001, 0.1", False),
+        ("50.0, 0.1", False),
+        ("-0.5, 0.1", False),
+        ("0.5, 0.0", False),
+        ("0.5, -0.1", False),
+        ("sqrt(-1.0 - mu), 0.1", False),
+        ("0.5, sqrt(-1.0 - mu)", False),
+        ("exp2(200.0 + mu), 0.1", False),
+        ("0.5, exp2(200.0 + mu)", False),
+    ],
+)
+def test_a_lobe_outside_the_bounds_of_bodies_raises_an_error(lobe, is_right):
+    """An |R|² of 50 was accepted, -0.5 was none, and of a slope of 0 the message blamed the reflectivity."""
+    host = gl_host.Program(scene_of())
+    host.programs["sonar"] = sonar_program("body, lobe", f"body, body == 2u ? vec2({lobe}) : lobe")
+    message = r"^a lobe .* \|R\|² in 0\.\.1 and .* slope in 0\.01\.\.0\.5 \(got another"
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        (sector,) = sensor.sectors(POSE)
+        expected = contextlib.nullcontext() if is_right else pytest.raises(sg.Error, match=message)
+        with expected, sector:
+            host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+        if is_right:
+            assert sensor.finish().intensity.any()
 
 
 def test_a_warning_says_why_a_ping_has_no_echo():
