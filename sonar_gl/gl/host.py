@@ -22,7 +22,14 @@ from sonar_gl.gl.state_guard import StateGuard
 
 OPENGL_API, CONFIG_ID, NONE = 0x30A2, 0x3028, 0x3038
 # EGL_CONTEXT_MAJOR_VERSION 3, EGL_CONTEXT_MINOR_VERSION 3, EGL_CONTEXT_OPENGL_PROFILE_MASK: core
-CORE_33 = 0x3098, 3, 0x30FB, 3, 0x30FD, 1, NONE
+CORE_33 = 0x3098, 3, 0x30FB, 3, 0x30FD, 1
+# EGL_CONTEXT_OPENGL_RESET_NOTIFICATION_STRATEGY: EGL_LOSE_CONTEXT_ON_RESET; EGL_CONTEXT_OPENGL_NO_ERROR_KHR: EGL_TRUE.
+# A driver that made such a context for a host knows them.
+LOST_ON_RESET, WITHOUT_ERRORS = (0x31BD, 0x31BF), (0x31B3, 1)
+# names and values of OpenGL that tell of a context made so
+CONTEXT_FLAGS, NO_ERROR_BIT = 0x821E, 8
+RESET_NOTIFICATION_STRATEGY, LOSE_CONTEXT_ON_RESET = 0x8256, 0x8252
+ROBUSTNESS = {"GL_ARB_robustness", "GL_KHR_robustness"}  # part of OpenGL 4.5
 SURFACELESS = b"EGL_KHR_surfaceless_context"
 NONE_CURRENT = (
     "an OpenGL context must be current in this thread, to be joined (got none in {thread!r}; make the host's "
@@ -35,6 +42,10 @@ GONE = (
 DESTROYED = (
     "an OpenGL context must be current in this thread, to be joined (got one that was destroyed, or whose display was "
     "closed, as pyrender's delete() does; make a new one current first)"
+)
+REFUSED = (
+    "the driver must make an OpenGL context that shares the host's objects (got EGL error 0x{:04x}; 0x3009 means that "
+    "the host's has attributes that ours lacks; make it with version and profile alone, or leave out context='current')"
 )
 BORDER_COLOR = 0x1004  # a sampler stores it as integers bit for bit, and no texture of ours has a border
 
@@ -188,6 +199,15 @@ class HostContext:
             self.gl.glDeleteSamplers(1, ctypes.addressof(self._sampler))
 
 
+def _attributes_to_share(gl: Functions) -> tuple[int, ...]:
+    """Return what EGL demands of both contexts that share objects, as attributes of the one that is current."""
+    out = ()
+    if gl.version() >= 450 or gl.extensions() & ROBUSTNESS:
+        lost = gl.integer(RESET_NOTIFICATION_STRATEGY) == LOSE_CONTEXT_ON_RESET
+        out += LOST_ON_RESET if lost else ()
+    return out + (WITHOUT_ERRORS if gl.integer(CONTEXT_FLAGS) & NO_ERROR_BIT else ())
+
+
 def make_shared_context(host: CurrentContext) -> egl.EglContext:
     """Return an EGL context of our own that shares the objects of a host's EGL context."""
     number, config, library = ctypes.c_int(0), ctypes.c_void_p(None), egl.library()
@@ -202,18 +222,18 @@ def make_shared_context(host: CurrentContext) -> egl.EglContext:
         wanted = (ctypes.c_int * 3)(CONFIG_ID, number.value, NONE)
         found = ctypes.addressof(config), 1, ctypes.addressof(number)
         library.eglChooseConfig(display, ctypes.addressof(wanted), *found)
-    attributes, api = (ctypes.c_int * 7)(*CORE_33), library.eglQueryAPI()
+    wanted = *CORE_33, *_attributes_to_share(host.gl), NONE
+    attributes, api = (ctypes.c_int * len(wanted))(*wanted), library.eglQueryAPI()
     library.eglBindAPI(OPENGL_API)
     handle = library.eglCreateContext(display, config.value, host.handle, ctypes.addressof(attributes))
     error = library.eglGetError()
     library.eglBindAPI(api)
-    refusal = "the host's OpenGL context must let another join it (got EGL error 0x{:04x})"
     if not handle:
-        raise Error(refusal.format(error))
+        raise Error(REFUSED.format(error))
     binding = egl.Binding(display, context=handle)
     with egl.preserve_current():
         if not library.eglMakeCurrent(*binding):
-            raise Error(refusal.format(library.eglGetError()))
+            raise Error(REFUSED.format(library.eglGetError()))
         return egl.EglContext(binding, lambda: library.eglDestroyContext(display, handle))
 
 

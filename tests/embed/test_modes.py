@@ -18,6 +18,7 @@ from sonar_gl.gl import egl
 from sonar_gl.scene.scene import ROUGHNESS_BOUNDS_RAD
 from tests.support import gl_host, host_state, soak
 from tests.support.gl_host import GL  # for EGL, whatever was imported before
+from tests.support.hosts import EglHost
 from tests.support.main_lobe import main_lobe_alone
 from tests.support.threads import in_another_thread
 
@@ -886,3 +887,39 @@ def test_a_destroyed_context_cannot_be_joined(context):
     with pytest.raises(sg.Error, match=r"current in this thread, .* \(got one that was destroyed"):
         sg.Simulator(scene_of(), SONAR, context="current")
     assert ended
+
+
+@pytest.mark.parametrize("version", [(3, 3), (4, 5)])
+@pytest.mark.parametrize(
+    "more",
+    [
+        (),
+        (0x31B2, 1),  # EGL_CONTEXT_OPENGL_ROBUST_ACCESS
+        (0x31BD, 0x31BE),  # its reset notification strategy: none
+        (0x31BD, 0x31BF),  # to lose the context
+        (0x31B2, 1, 0x31BD, 0x31BF),
+        (0x31B3, 1),  # EGL_CONTEXT_OPENGL_NO_ERROR_KHR
+    ],
+)
+def test_contexts_of_any_attributes_can_be_joined(version, more):
+    """Contexts share objects only where both notify of resets, and where both check for errors."""
+    scene, host = scene_of(), EglHost(version, more)
+    current = host.platform()
+    with sg.Simulator(scene, SONAR, None, SAMPLING, context="current") as simulator:
+        joined = simulator.ping(POSE)
+        assert host.platform() == current
+    assert host.gl.errors() == []
+    host.destroy()
+    assert np.array_equal(joined.intensity, simulate(scene).intensity)
+
+
+def test_a_context_that_lets_none_join_says_why_and_what_to_do(monkeypatch):
+    library = egl.library()
+    monkeypatch.setattr(library, "eglCreateContext", lambda *_: None)
+    monkeypatch.setattr(library, "eglGetError", lambda: 0x3009)
+    message = (
+        r"^the driver must make an OpenGL context that shares the host's objects \(got EGL error 0x3009; .* has "
+        r"attributes that ours lacks; make it with version and profile alone, or leave out context='current'\)$"
+    )
+    with pytest.raises(sg.Error, match=message):
+        sg.Simulator(scene_of(), SONAR, context="current")

@@ -23,9 +23,10 @@ class EglHost:
     Parameters
     ----------
     version : (major, minor) of a core profile; None is OpenGL ES 3
+    more : further attributes of the context, names and values of EGL
     """
 
-    def __init__(self, version=(3, 3)):
+    def __init__(self, version=(3, 3), more=()):
         self.egl = egl = ctypes.CDLL("libEGL.so.1")
         for name in ("GetPlatformDisplay", "CreateContext", "CreatePbufferSurface", "GetCurrentContext"):
             getattr(egl, f"egl{name}").restype = ctypes.c_void_p
@@ -39,7 +40,7 @@ class EglHost:
         assert found.value, "EGL must have a config"
         egl.eglBindAPI(EGL_OPENGL_API if version else EGL_OPENGL_ES_API)
         wanted_version = (
-            (0x3098, version[0], 0x30FB, version[1], 0x30FD, 1, NONE) if version else (0x3098, 3, NONE)
+            (0x3098, version[0], 0x30FB, version[1], 0x30FD, 1, *more, NONE) if version else (0x3098, 3, NONE)
         )
         attributes = (ctypes.c_int * len(wanted_version))(*wanted_version)
         self.context = ctypes.c_void_p(egl.eglCreateContext(self.display, config, None, attributes))
