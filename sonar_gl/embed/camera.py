@@ -192,16 +192,33 @@ class Camera:
         across, up = np.linalg.norm(moved[:, :2] - moved[:, 2:] * at[:2] / at[2], axis=1) / at[2]
         return 1 / max(across, 1e-9), 1 / max(up, 1e-9)
 
-    def projection(self, near_m: float, far_m: float) -> np.ndarray:
-        """Return the (4, 4) OpenGL clip_from_camera with which a program renders the image."""
-        if not (is_number(near_m) and is_number(far_m) and 0 < near_m < far_m < math.inf):
-            got = f"got {near_m!r} and {far_m!r}"
-            raise Error(f"near_m and far_m must be finite metres, the former above 0 and the smaller ({got})")
+    def projection(
+        self, near_m: float, far_m: float, reversed: bool = False, zero_to_one: bool = False
+    ) -> np.ndarray:
+        """Return the (4, 4) OpenGL clip_from_camera with which a program renders the image.
+
+        Parameters
+        ----------
+        near_m, far_m : distances of the near and the far plane, metres; the latter may be infinite
+        reversed : depth falls from the near plane to the far one, as hosts draw it that clear it to 0 and keep what is
+            greater
+        zero_to_one : depth lies in 0..1, for glClipControl's GL_ZERO_TO_ONE, and not in -1..1
+        """
+        if not (is_number(near_m) and is_number(far_m) and 0 < near_m < far_m):
+            raise Error(f"near_m must be metres above 0, and far_m above that (got {near_m!r} and {far_m!r})")
         clip = np.zeros((4, 4))
         clip[[0, 1, 3], :3] = (
             _ndc_from_pixels(self.width, self.height) @ self.intrinsics @ OPTICAL_FROM_OPENGL
         )
-        clip[2, 2:] = np.array([far_m + near_m, 2 * far_m * near_m]) / (near_m - far_m)
+        near, far = (0.0 if zero_to_one else -1.0), 1.0  # depths of the planes
+        if reversed:
+            near, far = far, near
+        if far_m == math.inf:
+            clip[2, 2:] = -far, (near - far) * near_m
+        else:
+            clip[2, 2:] = np.array([far * far_m - near * near_m, (far - near) * far_m * near_m]) / (
+                near_m - far_m
+            )
         return clip
 
     def pose_gl(self, world_from_sonar) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl import embed
 from sonar_gl.embed.camera import covered_fraction
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD
 
@@ -65,6 +66,30 @@ def test_the_depth_mapping_of_a_projection_does_not_change_the_camera(change):
     # the camera gives the projection back, with the depth planes of the call
     again = camera.projection(0.5, 100.0)
     assert np.allclose(again, frustum(*sides, 0.5, 100.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("far_m", [40.0, math.inf])
+@pytest.mark.parametrize("is_reversed", [False, True])
+@pytest.mark.parametrize("zero_to_one", [False, True])
+@pytest.mark.parametrize("unit_m", [1.0, 1e-3])
+def test_every_projection_has_its_planes_where_they_are_said(far_m, is_reversed, zero_to_one, unit_m):
+    """And a world of other units is in metres after projection[2, 3] is."""
+    camera = sg.Camera(640, 480, SQUARE)
+    projection = camera.projection(
+        0.5 / unit_m, far_m / unit_m, reversed=is_reversed, zero_to_one=zero_to_one
+    )
+    depths = (0.0 if zero_to_one else -1.0), 1.0
+    for at_m, depth in zip((0.5, min(far_m, 1e15)), depths[::-1] if is_reversed else depths, strict=True):
+        _, _, z, w = projection @ [0.1, 0.2, -at_m / unit_m, 1.0]
+        assert z / w == pytest.approx(depth, abs=1e-12) and w == at_m / unit_m
+    assert np.array_equal(projection[[0, 1, 3]], camera.projection(0.5, 40.0)[[0, 1, 3]])
+    clip = projection @ [0, 0, -3.0 / unit_m, 1.0]
+    depth = clip[2] / clip[3]
+    in_metres = projection.copy()
+    in_metres[2, 3] *= unit_m
+    z_buffer = np.array([[depth if zero_to_one else (depth + 1) / 2]])
+    # float32 of a depth near 1 resolves 3 m of 0.5 m to 1e-6
+    assert embed.metres_ahead(z_buffer, in_metres, zero_to_one) == pytest.approx(3.0, rel=2e-6)
 
 
 def test_pose_and_projection_draw_points_at_the_camera_s_pixels():
@@ -180,7 +205,14 @@ def flipped(P):
             "must be an OpenGL perspective",
         ),
         (lambda: sg.Camera.of_projection(flipped(frustum(-1, 1, -1, 1, 1, 9)), 2, 2), "fx and fy above 0"),
-        (lambda: sg.Camera(2, 2, SQUARE).projection(1.0, 0.5), "near_m and far_m must be finite metres"),
+        (
+            lambda: sg.Camera(2, 2, SQUARE).projection(1.0, 0.5),
+            r"near_m must be metres above 0, and far_m above that .got 1.0 and 0.5\)",
+        ),
+        (
+            lambda: sg.Camera(2, 2, SQUARE).projection(math.inf, math.inf),
+            "near_m must be metres above 0, and far_m",
+        ),
         (lambda: sg.Camera(2, 2, SQUARE).pose_gl(np.eye(3)), r"pose must have shape \(4, 4\)"),
         (lambda: sg.Camera.covering("p900-45"), "sonar must be a Sonar"),
         (lambda: sg.Camera.covering(sg.load_sonar("p900-45"), pixel_deg=0), "pixel_deg must be degrees"),

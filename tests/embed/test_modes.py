@@ -450,6 +450,31 @@ def test_the_length_of_a_host_s_normals_changes_nothing(exponent):
     assert difference(flat, unit) > 5e-4
 
 
+@pytest.mark.parametrize("unit_m", [0.01, 0.001])
+def test_a_host_s_world_of_other_units_gives_the_same_ping(unit_m):
+    """Its view is scaled, and with it the normals, which are as short as the unit."""
+    scene, pings = scene_of(), []
+    larger = sg.Scene(
+        [
+            replace(
+                body,
+                mesh=body.mesh.copy().apply_scale(1 / unit_m),
+                pose=np.block([[body.pose[:3, :3], body.pose[:3, 3:] / unit_m], [0, 0, 0, 1]]),
+            )
+            for body in scene.bodies
+        ]
+    )
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        for world, unit in ((scene, 1.0), (larger, unit_m)):
+            host = gl_host.Program(world)
+            for sector in sensor.sectors(POSE):
+                view = sector.view @ np.diag([unit, unit, unit, 1.0])
+                with sector:
+                    host.draw("sonar", view, sector.projection, sector.lattice, lobes=True)
+            pings.append(sensor.finish())
+    assert difference(pings[1], pings[0]) < ROUNDING
+
+
 @pytest.mark.parametrize(
     "normal",
     # NaN, also in one component alone, and both infinities, none of which a compiler knows
