@@ -501,9 +501,8 @@ class Beamformer:
         """
         samples, columns = view.sectors, self._column_sums()
         is_little = self._rows(samples) < FEW_LABEL_ROWS
-        for half in range(2):
-            self.clear_columns(half, columns)
-        runs = self._labeller.sum_up(view, self.strips, partial(self._run, serial=is_little), columns)
+        run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
+        runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
         echo = self._with_bubbles(self.weigh(gain), view, gain)
         return echo, BodySums(runs, is_little)

@@ -1203,6 +1203,16 @@ class RunStore(NamedTuple):
     n_pool: int
 
 
+class LabelRoom(NamedTuple):
+    """How much of a RunStore is in use, `n_runs` and `n_pool`, and how long `cells`, `runs` and `pool` must be."""
+
+    n_runs: int
+    n_pool: int
+    cells: int
+    runs: int
+    pool: int
+
+
 @uncounted
 def atan(t):
     """Return arctan of 0..1 to 2e-8; unlike the library's, the compiler can vectorise it.
@@ -1298,6 +1308,7 @@ def _slot_of(body, bodies):
             for n in range(MOMENTS):
                 for k in range(cells.shape[2]):
                     more_cells[old, n, k] = cells[old, n, k]
+                    cells[old, n, k] = 0.0  # the caller's, to whom these are lost
             for n in range(3):
                 more_slots[old, n] = slots[old, n]
         cells, slots = more_cells, more_slots
@@ -1512,7 +1523,8 @@ def sum_bodies(
 
     Returns
     -------
-    cells, store : or larger ones, where they were full; a plain tuple again
+    plain tuple of LabelRoom: how much of the store is in use, and how long `cells`, `runs` and `pool` must be. Where
+    one of them is shorter, the results are lost, and all samples must be summed again
     """
     lattice, strips, bins, store = Lattice(*lattice), StripTable(*strips), BinTable(*bins), RunStore(*store)
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
@@ -1557,7 +1569,7 @@ def sum_bodies(
             slots[slot, 1], slots[slot, 2] = min(slots[slot, 1], low), max(slots[slot, 2], high)
             start = stop
     runs, n_runs, pool, n_pool = _store_runs(bodies, joined, store)
-    return bodies.cells, (runs, n_runs, pool, n_pool)
+    return n_runs, n_pool, bodies.cells.shape[0], runs.shape[0], pool.shape[0]
 
 
 # ---- labels: columns to beams, and the body with the strongest echo ------------------------------------
@@ -1587,8 +1599,7 @@ class Runs(NamedTuple):
     pools: tuple
 
 
-@compiled
-def sort_runs(stores, n_columns, wide_edges, wide_shares):
+def sort_runs(stores, n_columns: int, wide_edges: np.ndarray, wide_shares: np.ndarray) -> tuple:
     """Return the Runs of both halves, by body and column; each column takes its share of the run of a wide one.
 
     Parameters
@@ -1600,16 +1611,34 @@ def sort_runs(stores, n_columns, wide_edges, wide_shares):
     -------
     plain tuple of Runs
     """
+    n, highest = _count_runs(stores, n_columns, wide_edges)
+    bodies, begins = np.empty(highest + 1, np.int64), np.empty(highest + 2, np.int64)
+    table, owner, share = np.empty((n, RUN), np.int64), np.empty(n, np.int64), np.empty(n, np.float32)
+    n_bodies = _sort_runs(stores, n_columns, wide_edges, wide_shares, bodies, begins, table, owner, share)
+    return bodies[:n_bodies], begins[: n_bodies + 1], table, owner, share, (stores[0][2], stores[1][2])
+
+
+@compiled
+def _count_runs(stores, n_columns, wide_edges):
+    """Return how many runs there are, those of wide columns once for each column, and the highest number of a body."""
     first, second = RunStore(*stores[0]), RunStore(*stores[1])
     n_first, n_all = first.n_runs, first.n_runs + second.n_runs
-    # in their order, one for each column: which run, its column, its body
     n, highest = 0, 0
     for i in range(n_all):
         run = first.runs[i] if i < n_first else second.runs[i - n_first]
         wide = run[COLUMN] - n_columns
         n += 1 if wide < 0 else wide_edges[wide + 1] - wide_edges[wide]
         highest = max(highest, run[BODY])
-    entry = np.empty((3, n), np.int64)
+    return n, highest
+
+
+@compiled
+def _sort_runs(stores, n_columns, wide_edges, wide_shares, bodies, begins, table, owner, share):
+    """Fill the arrays of Runs, of which `bodies` and `begins` may be longer; return the number of bodies."""
+    first, second = RunStore(*stores[0]), RunStore(*stores[1])
+    n_first, n_all = first.n_runs, first.n_runs + second.n_runs
+    # in their order, one for each column: which run, its column, its body
+    entry = np.empty((3, table.shape[0]), np.int64)
     n = 0
     for i in range(n_all):
         run = first.runs[i] if i < n_first else second.runs[i - n_first]
@@ -1620,7 +1649,7 @@ def sort_runs(stores, n_columns, wide_edges, wide_shares):
             n += 1
     # by counting, and by the least significant key first: runs of one body and column stay in their order
     order, sorted_ = np.arange(n), np.empty(n, np.int64)
-    for key, n_keys in ((1, n_columns), (2, highest + 1)):
+    for key, n_keys in ((1, n_columns), (2, bodies.shape[0])):
         places = np.zeros(n_keys + 1, np.int64)
         for i in range(n):
             places[entry[key, i] + 1] += 1
@@ -1631,8 +1660,7 @@ def sort_runs(stores, n_columns, wide_edges, wide_shares):
             sorted_[places[at]] = order[i]
             places[at] += 1
         order, sorted_ = sorted_, order
-    table, owner, share = np.empty((n, RUN), np.int64), np.empty(n, np.int64), np.empty(n, np.float32)
-    bodies, begins, n_bodies = np.empty(highest + 1, np.int64), np.empty(highest + 2, np.int64), 0
+    n_bodies = 0
     for i in range(n):
         k = entry[0, order[i]]
         run = first.runs[k] if k < n_first else second.runs[k - n_first]
@@ -1645,7 +1673,7 @@ def sort_runs(stores, n_columns, wide_edges, wide_shares):
             bodies[n_bodies], begins[n_bodies] = table[i, BODY], i
             n_bodies += 1
     begins[n_bodies] = n
-    return bodies[:n_bodies], begins[: n_bodies + 1], table, owner, share, (first.pool, second.pool)
+    return n_bodies
 
 
 class StrongestEcho(NamedTuple):

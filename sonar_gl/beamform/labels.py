@@ -201,6 +201,7 @@ class Labeller:
         strips,
         run: Callable,
         columns: ColumnSums,
+        clear: Callable[[int], None],
     ) -> tuple:
         """Return the sums of each body, a plain tuple of kernels.Runs, which stay as they are until the next call.
 
@@ -209,7 +210,8 @@ class Labeller:
         view : whose samples hold the numbers of bodies
         strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
         run : function (work) that does work(0) and work(1)
-        columns : the sums of all bodies are added to it, as by `Beamformer.sum_footprints`
+        columns : the sums of all bodies are written to it, as by `Beamformer.sum_footprints`
+        clear : function (half) that sets the sums of its columns to zero
         """
         room = self._workspace.label_sums(len(self._middle_m))
         is_spread = self._fan.sampling.reducer == "footprint"
@@ -226,20 +228,26 @@ class Labeller:
             for one in view.sectors
         ]
 
+        def sum_sector(half, arrays, mine):
+            used = kernels.sum_bodies(
+                self._workspace.works[half],
+                *arrays,
+                mine,
+                *settings,
+                room.cells[half],
+                tuple(room.stores[half]),
+                columns.all_sums,
+                columns.all_spans,
+            )
+            return room.take(half, kernels.LabelRoom(*used))
+
         def work(half):
-            cells, store = room.cells[half], tuple(room.stores[half]._replace(n_runs=0, n_pool=0))
-            for arrays, mine in zip(of_sectors, strips[half], strict=True):
-                cells, store = kernels.sum_bodies(
-                    self._workspace.works[half],
-                    *arrays,
-                    mine,
-                    *settings,
-                    cells,
-                    store,
-                    columns.all_sums,
-                    columns.all_spans,
-                )
-            room.cells[half], room.stores[half] = cells, kernels.RunStore(*store)
+            is_done = False
+            while not is_done:  # again where there was too little room, which is larger then
+                clear(half)
+                room.clear(half)
+                sectors = zip(of_sectors, strips[half], strict=True)
+                is_done = all(sum_sector(half, arrays, mine) for arrays, mine in sectors)
 
         run(work)
         joined = self._columns.count, self._columns.wide_edges, self._columns.wide_shares

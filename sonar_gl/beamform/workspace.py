@@ -11,7 +11,9 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.core.array_pool import ArrayPools
 
-SLOTS, RUNS, POOL = 4, 1024, 1 << 18  # initial room of labels: bodies in a column, runs of bins, numbers
+# Initial room of labels: bodies in a column, runs of bins, and numbers. Where it is too small, samples are summed twice;
+# what is not used takes no memory.
+SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +83,27 @@ class LabelSums:
 
     def __init__(self, n_bins: int):
         self.cells = [np.zeros((SLOTS, kernels.MOMENTS, n_bins), np.float32) for _ in range(2)]
-        self.stores = [
-            kernels.RunStore(np.empty((RUNS, kernels.RUN), np.int64), 0, np.empty(POOL, np.float32), 0)
-            for _ in range(2)
-        ]
+        self.stores = [_empty_store(RUNS, POOL) for _ in range(2)]
+
+    def clear(self, half: int) -> None:
+        """Have the store of a half hold nothing."""
+        self.stores[half] = self.stores[half]._replace(n_runs=0, n_pool=0)
+
+    def take(self, half: int, room: kernels.LabelRoom) -> bool:
+        """Note how much of a half is in use; return False, with an empty and larger one, if it was too small."""
+        cells, store = self.cells[half], self.stores[half]
+        if (len(cells), len(store.runs), len(store.pool)) == room[2:]:
+            self.stores[half] = store._replace(n_runs=room.n_runs, n_pool=room.n_pool)
+            return True
+        if len(cells) < room.cells:
+            self.cells[half] = np.zeros((room.cells, *cells.shape[1:]), np.float32)
+        self.stores[half] = _empty_store(room.runs, room.pool)
+        return False
+
+
+def _empty_store(n_runs: int, n_pool: int) -> kernels.RunStore:
+    """Return a store with room for so many runs, and numbers of them."""
+    return kernels.RunStore(np.empty((n_runs, kernels.RUN), np.int64), 0, np.empty(n_pool, np.float32), 0)
 
 
 class Workspace:

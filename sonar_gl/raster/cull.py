@@ -145,15 +145,21 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     return outside
 
 
-@compiled
-def body_spans(matrices, bounds, extremes):
+def body_spans(matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray) -> np.ndarray:
     """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
     Parameters
     ----------
     matrices : of `BodyPlaces`; bounds, extremes : of BodyBoxes
     """
-    out = np.empty((matrices.shape[0] + 1, 2))
+    out = np.empty((len(matrices) + 1, 2))
+    _find_body_spans(matrices, bounds, extremes, out)
+    return out
+
+
+@compiled
+def _find_body_spans(matrices, bounds, extremes, out):
+    """Fill `out` with what `body_spans` returns."""
     out[0, 0], out[0, 1] = 0.0, np.inf
     sonar = np.empty(3)  # in the body's frame
     for n in range(matrices.shape[0]):
@@ -168,7 +174,6 @@ def body_spans(matrices, bounds, extremes):
             far2 = max(far2, apart2)
         out[n + 1, 0] = 1.0 / math.sqrt(far2) if far2 > 0.0 else np.inf
         out[n + 1, 1] = 1.0 / math.sqrt(near2) if near2 > 0.0 else np.inf
-    return out
 
 
 @compiled

@@ -159,37 +159,53 @@ class _Patch:
     children: tuple = ()
 
 
-@compiled
-def _compacted(vertices, faces):
+def _compacted(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Drop the vertices that no face uses; return the (n,) others in their order, and the faces by them.
 
     faces : (m, 3) int32 indices into `vertices`
     """
-    number = np.full(vertices.shape[0], -1, np.int32)
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            number[faces[f, k]] = 0
-    used, n = np.empty(vertices.shape[0], vertices.dtype), 0
-    for v in range(vertices.shape[0]):
-        if number[v] == 0:
-            used[n], number[v] = vertices[v], n
-            n += 1
-    numbered = np.empty((faces.shape[0], 3), np.int32)
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            numbered[f, k] = number[faces[f, k]]
+    used, numbered = np.empty_like(vertices), np.empty((len(faces), 3), np.int32)
+    n = _compact(vertices, faces, used, numbered)
     return used[:n].copy(), numbered
 
 
 @compiled
-def _joined(vertices, faces, more_vertices, more_faces):
+def _compact(vertices, faces, used, numbered):
+    """Fill `numbered`, and the first of `used`, with what `_compacted` returns; return how many are used."""
+    number = np.full(vertices.shape[0], -1, np.int32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            number[faces[f, k]] = 0
+    n = 0
+    for v in range(vertices.shape[0]):
+        if number[v] == 0:
+            used[n], number[v] = vertices[v], n
+            n += 1
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            numbered[f, k] = number[faces[f, k]]
+    return n
+
+
+def _joined(
+    vertices: np.ndarray, faces: np.ndarray, more_vertices: np.ndarray, more_faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Join two patches; return the (n,) rising vertices of both, each once, and the (m, 3) int32 faces by them.
 
     vertices, more_vertices : rising; faces, more_faces : int32 indices into them
     """
+    both = np.empty(len(vertices) + len(more_vertices), vertices.dtype)
+    joined = np.empty((len(faces) + len(more_faces), 3), np.int32)
+    n = _join(vertices, faces, more_vertices, more_faces, both, joined)
+    return both[:n].copy(), joined
+
+
+@compiled
+def _join(vertices, faces, more_vertices, more_faces, both, joined):
+    """Fill `joined`, and the first of `both`, with what `_joined` returns; return how many vertices there are."""
     count, more = vertices.shape[0], more_vertices.shape[0]
     number, more_number = np.empty(count, np.int32), np.empty(more, np.int32)
-    both, n, i, j = np.empty(count + more, vertices.dtype), 0, 0, 0
+    n, i, j = 0, 0, 0
     while i < count or j < more:
         is_one = i < count and (j >= more or vertices[i] <= more_vertices[j])
         is_other = j < more and (i >= count or more_vertices[j] <= vertices[i])
@@ -200,13 +216,12 @@ def _joined(vertices, faces, more_vertices, more_faces):
             both[n], more_number[j] = more_vertices[j], n
             j += 1
         n += 1
-    joined = np.empty((faces.shape[0] + more_faces.shape[0], 3), np.int32)
     for k in range(3):
         for f in range(faces.shape[0]):
             joined[f, k] = number[faces[f, k]]
         for f in range(more_faces.shape[0]):
             joined[faces.shape[0] + f, k] = more_number[more_faces[f, k]]
-    return both[:n].copy(), joined
+    return n
 
 
 def _patch(faces) -> _Patch:

@@ -123,8 +123,7 @@ def stable_argsort(costs):
     return order
 
 
-@compiled
-def simplify(points, faces, locked, target):
+def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: int) -> tuple:
     """Collapse edges of a mesh until `target` faces remain.
 
     Parameters
@@ -139,6 +138,14 @@ def simplify(points, faces, locked, target):
     faces : (F', 3) int32, over a subset of the vertices
     error_m : largest rms distance between the end of a collapsed edge and the planes of the vertex it replaces
     """
+    left = np.empty(faces.shape, np.int32)
+    n_left, error_m = _simplify(points, faces, locked, target, left)
+    return left[:n_left].copy(), error_m
+
+
+@compiled
+def _simplify(points, faces, locked, target, left):
+    """Write the faces of `simplify` to the first rows of `left`; return how many there are, and the error."""
     n_vertices = points.shape[0]
     quadrics = np.zeros((n_vertices, 11))
     _quadrics(points, faces, quadrics)
@@ -190,4 +197,7 @@ def simplify(points, faces, locked, target):
                 faces[n_left, 0], faces[n_left, 1], faces[n_left, 2] = i, j, k
                 n_left += 1
         faces = faces[:n_left].copy()
-    return faces, math.sqrt(worst)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            left[f, k] = faces[f, k]
+    return faces.shape[0], math.sqrt(worst)

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels, labels
+from sonar_gl.beamform import kernels, labels, workspace
 from sonar_gl.beamform.beamformer import Beamformer, beam_weights
 from sonar_gl.beamform.kernels import asin, atan, bin_table
 from sonar_gl.beamform.labels import label_columns
@@ -72,6 +72,37 @@ def test_labels_agree_with_the_echoes_of_single_bodies(reducer, n_bodies, fov_de
         np.testing.assert_array_equal(found.shadow[sure], ((alone > 0) & (remaining < 0.1 * alone))[sure])
         for name in ("elevation_rad", "incidence_rad", "true_range_m"):
             np.testing.assert_array_equal(np.isnan(getattr(found, name)), whole == 0)
+
+
+@pytest.mark.parametrize("room", [(1, 1 << 14, 1 << 22), (16, 1, 1 << 22), (16, 1 << 14, 1), (2, 40, 3000)])
+def test_samples_are_summed_again_where_there_was_too_little_room(room, monkeypatch):
+    """To the bit. Cells that were too few are left empty: after an interrupt they are used again."""
+    fan, samples = fan_and_samples("footprint", n_bodies=10)
+    gain, view = np.linspace(1, 2, fan.sonar.n_bins, dtype=np.float32), ViewSamples(tuple(samples))
+    taken, take = [], workspace.LabelSums.take
+
+    def watched(self, half, needed):
+        cells = self.cells[half]
+        taken.append(take(self, half, needed))
+        assert not cells.any()
+        return taken[-1]
+
+    def echo_and_labels():
+        beamformer = Beamformer(fan, beam_weights(fan, None, math.radians(1.5)))
+        for _ in range(2):  # the second time there is room
+            taken.clear()
+            echo, bodies = beamformer.sum_bodies(view, gain)
+            yield all(taken), {"echo": echo.intensity, **vars(beamformer.find_labels(bodies, gain, 10))}
+
+    monkeypatch.setattr(workspace.LabelSums, "take", watched)
+    (fits, expected), _ = echo_and_labels()
+    assert fits
+    for name, size in zip(("SLOTS", "RUNS", "POOL"), room, strict=True):
+        monkeypatch.setattr(workspace, name, size)
+    for has_room, (fits, found) in enumerate(echo_and_labels()):
+        assert fits == has_room
+        for name, array in found.items():
+            np.testing.assert_array_equal(array, expected[name])
 
 
 def test_labels_of_echoes_through_side_lobes():

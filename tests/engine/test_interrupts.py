@@ -1,11 +1,53 @@
 """An interrupt (Ctrl-C) at any line: afterwards a simulator makes the same bytes, or raises an Error."""
 
+import numba
+import numpy as np
 import pytest
+import trimesh
+from numba.core import serialize
 
 import sonar_gl as sg
 from tests.support import interrupts
 
 EVERY = 20
+
+
+class Unpickled(dict):
+    """What Numba has unpickled, which it looks up in Python code as it boxes an array that a kernel returns.
+
+    Attributes
+    ----------
+    n_reads : how often
+    """
+
+    n_reads = 0
+
+    def __getitem__(self, key):
+        self.n_reads += 1
+        return super().__getitem__(key)
+
+
+def test_no_kernel_runs_python_code_as_it_returns(monkeypatch):
+    """There Ctrl-C is a SystemError, or a ValueError, that no `except KeyboardInterrupt` catches.
+
+    Of pings with labels half the interrupts came so: kernels without the GIL take most of their time.
+    """
+    monkeypatch.setattr(serialize, "_unpickled_memo", unpickled := Unpickled())
+    assert numba.njit(lambda: np.zeros(1))() == 0
+    assert unpickled.n_reads > 0  # this version of Numba does it still
+    unpickled.n_reads = 0
+    for action in interrupts.ACTIONS.values():
+        with interrupts.make_simulator(action.settings) as simulator:
+            action.do(simulator)
+    ball = sg.Body("ball", trimesh.creation.icosphere(5, 0.5), sg.pose(4))  # of levels of detail
+    for levels in (True, False):
+        with sg.Simulator(sg.Scene([ball]), interrupts.SONAR, tolerance=0.5) as simulator:
+            ping = simulator.ping(sg.pose(), labels=levels)
+    assert ping.intensity.any()
+    (camera,) = sg.Camera.covering(interrupts.SONAR)
+    depth = np.full((camera.height, camera.width), 4.0)
+    assert sg.ping_from_depth(depth, interrupts.SONAR, camera, labels=True).intensity.any()
+    assert unpickled.n_reads == 0
 
 
 @pytest.mark.timeout(60, method="thread")  # a hang may be one that no signal ends
