@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.core.array_pool import ArrayPools
 
-# Initial room of labels: bodies in a column, runs of bins, and numbers. Where it is too small, samples are summed twice;
+# Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
 

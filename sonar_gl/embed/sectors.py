@@ -46,25 +46,29 @@ class DrawnSector:
         self.projection = sector.projection(near_m, far_m) @ np.linalg.inv(view_from_head)
         self.lattice = np.stack([sector.u, sector.v, [1 / far_m, 0, 0]])
         self._framebuffer, self.samples, self.lost_framebuffer = framebuffer, None, False
+        self._n_outer_blocks = 0  # of the host's guard, while this one is drawn
 
     def __enter__(self):
         framebuffer = self._framebuffer
         if framebuffer.is_released:
             raise Error("a sector must be one of the last call of Sensor.sectors (got one that was released)")
-        framebuffer.host.__enter__()
+        host, self._n_outer_blocks = framebuffer.host, framebuffer.host.guard.n_blocks
         try:
+            host.__enter__()
             framebuffer.bind()
-            framebuffer.host.guard.resume_debug_output()
+            host.guard.resume_debug_output()
+            framebuffer.is_being_drawn = True
+            return self
         except BaseException:
-            framebuffer.host.leave()
+            framebuffer.is_being_drawn = False
+            if host.guard.n_blocks > self._n_outer_blocks:  # else it is what `host` raised as it was entered
+                host.leave()
             raise
-        framebuffer.is_being_drawn = True
-        return self
 
     def __exit__(self, failed, *_):
-        framebuffer = self._framebuffer
-        host, framebuffer.is_being_drawn = framebuffer.host, False
+        framebuffer, host = self._framebuffer, self._framebuffer.host
         try:
+            framebuffer.is_being_drawn = False
             if host.is_in_reach():
                 host.guard.save_host_errors()
             if failed is None:
@@ -72,7 +76,12 @@ class DrawnSector:
                 self.lost_framebuffer = not framebuffer.is_bound()
                 self.samples = SectorSamples(framebuffer.sector, *framebuffer.read())
         finally:
-            host.leave()
+            try:
+                host.leave()
+            except BaseException:  # an interrupt
+                if host.is_in_reach():
+                    host.guard.end_blocks(self._n_outer_blocks)
+                raise
 
 
 class Drawing:

@@ -179,14 +179,14 @@ class Block(NamedTuple):
     ----------
     errors : that are pending for the host
     debug_output : whether the host's debug callback is on
-    clear_color, clear_depth : read after the defaults are set, before which they would be clamped
+    state : None until it is read
+    clear_values : color and depth, read after the defaults are set, before which they would be clamped; None until then
     """
 
     errors: list[int]
     debug_output: bool
-    state: SavedState
-    clear_color: list[float]
-    clear_depth: list[float]
+    state: SavedState | None = None
+    clear_values: tuple[list[float], list[float]] | None = None
 
 
 class StateGuard:
@@ -236,22 +236,54 @@ class StateGuard:
         self._blocks: list[Block] = []
 
     def __enter__(self):
-        errors = self.gl.take_errors()
-        debug_output = self._has_debug and self.gl.glIsEnabled(DEBUG_OUTPUT)
-        self._set_debug_output(False)
-        state = self._save()
-        self.set_defaults()
-        self._blocks.append(Block(errors, debug_output, state, *self._read_clear_values()))
-        self.gl.glClearColor(0.0, 0.0, 0.0, 0.0)
-        self.gl.glClearDepth(1.0)
-        return self
+        block = Block([], self._has_debug and self.gl.glIsEnabled(DEBUG_OUTPUT))
+        n_blocks = self.n_blocks
+        try:
+            block.errors.extend(self.gl.take_errors())
+            self._set_debug_output(False)
+            block = block._replace(state=self._save())
+            self.set_defaults()
+            block = block._replace(clear_values=self._read_clear_values())
+            self.gl.glClearColor(0.0, 0.0, 0.0, 0.0)
+            self.gl.glClearDepth(1.0)
+            self._blocks.append(block)
+            return self
+        except BaseException:  # an interrupt; no __exit__ follows
+            del self._blocks[n_blocks:]
+            if block.state is None:  # what is pending is the host's
+                block.errors.extend(self.gl.take_errors())
+            self._end(block)
+            raise
 
     def __exit__(self, *_):
-        block = self._blocks.pop()
+        self.end_blocks(self.n_blocks - 1)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks that are under way."""
+        return len(self._blocks)
+
+    def end_blocks(self, n_left: int) -> None:
+        """End the innermost blocks, so that `n_left` remain. It may be repeated where it was interrupted."""
+        while self.n_blocks > n_left:
+            block = self._blocks[-1]
+            try:
+                self._end(block)
+            except BaseException:  # an interrupt: restoring may be repeated
+                self._end(block)
+                self._blocks.pop()
+                raise
+            self._blocks.pop()
+
+    def _end(self, block: Block) -> None:
+        """Restore what a block has saved so far."""
         self._set_debug_output(False)
-        self.gl.glClearColor(*block.clear_color)
-        self.gl.glClearDepth(*block.clear_depth)
-        self._restore(block.state)
+        if block.clear_values is not None:
+            color, depth = block.clear_values
+            self.gl.glClearColor(*color)
+            self.gl.glClearDepth(*depth)
+        if block.state is not None:
+            self._restore(block.state)
         self.gl.take_errors()
         self.gl.restore_errors(block.errors)  # while the host's debug callback is off
         self._set_debug_output(block.debug_output)
@@ -353,7 +385,7 @@ class StateGuard:
         for name, count in ((COLOR_CLEAR_VALUE, 4), (DEPTH_CLEAR_VALUE, 1)):
             self.gl.glGetDoublev(name, self._address)
             out.append(self._doubles[0:count])
-        return out
+        return tuple(out)
 
     # ---- restoring --------------------------------------------------------------------------------------
 
