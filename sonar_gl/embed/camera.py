@@ -110,6 +110,11 @@ class Camera:
             if the matrix is not a perspective projection.
         """
         P = check_projection(matrix)
+        if min(P[0, 0], P[1, 1]) <= 0:
+            raise Error(
+                "projection must have x to the right and y up, [0, 0] and [1, 1] above 0 "
+                f"(got {P[0, 0]:g} and {P[1, 1]:g}; give it without the flip, and turn the image's rows round)"
+            )
         width, height = _check_pixels("width", width), _check_pixels("height", height)
         K = np.linalg.inv(_ndc_from_pixels(width, height)) @ P[[0, 1, 3], :3] @ OPTICAL_FROM_OPENGL
         K[2] = 0, 0, 1

@@ -11,9 +11,13 @@ from sonar_gl.core.checks import check_kind, is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import Camera
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
+from sonar_gl.sonar.sonar import Sonar
 
 MAX_BODY_ID = 65534
 DEPTH_KINDS = "planar", "range"
+# Of z-buffers: what most of their pixels hold at least, of what is further off than ten times their near plane. Sonars
+# with shorter ranges may have all surfaces within a metre.
+FAR_DEPTH, MOST, MANY_M = 0.9, 0.95, 5.0
 NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
 
 
@@ -95,7 +99,7 @@ def _check_image(camera: Camera, depth, normals, body_id, reflectivity) -> Depth
         depth,
         NO_NORMALS if normals is None else normals,
         NO_BODIES if body_id is None else body_id,
-        _pixel_reflectivity(reflectivity, body_id, shape),
+        _pixel_reflectivity(reflectivity, body_id, depth),
     )
 
 
@@ -112,8 +116,8 @@ def _check_array(name: str, value, shape) -> np.ndarray:
     return out
 
 
-def _pixel_reflectivity(value, body_id, shape) -> np.ndarray:
-    """Return μ as float32, a scalar or one per pixel."""
+def _pixel_reflectivity(value, body_id, depth: np.ndarray) -> np.ndarray:
+    """Return μ as float32, a scalar or one per pixel; it may be NaN where nothing is."""
     if isinstance(value, dict):
         if body_id is None:
             raise Error("reflectivity by numbers of bodies needs body_id (got none)")
@@ -125,7 +129,15 @@ def _pixel_reflectivity(value, body_id, shape) -> np.ndarray:
         return table[body_id]
     if np.ndim(value) == 0:
         return _check_reflectivity(value)
-    return _check_reflectivity(_check_array("reflectivity", value, shape))
+    value = _check_array("reflectivity", value, depth.shape)
+    if (unknown := np.isnan(value)).any():
+        count = int((unknown & (depth > 0) & (depth < np.inf)).sum())
+        if count:
+            raise Error(
+                f"reflectivity must lie in 0..1 where depth shows a surface (got NaN in {count} of these pixels)"
+            )
+        value = np.where(unknown, 0, value)
+    return _check_reflectivity(value)
 
 
 def _check_reflectivity(value) -> np.ndarray:
@@ -151,10 +163,20 @@ def check_body_names(bodies) -> list[str]:
     return bodies
 
 
-def z_buffer_suspicion(images) -> str | None:
-    """Return a warning if the depths look like those of a z-buffer, or None."""
-    depths = [image.depth for image in images]
-    if all(depth.min() >= 0 and depth.max() == 1 for depth in depths):
+def z_buffer_suspicion(images, sonar: Sonar) -> str | None:
+    """Return a warning if the depths look like those of a z-buffer, or None.
+
+    A z-buffer lies in 0..1. Where nothing was drawn it is 1, or 0 if it is reversed. Elsewhere it is about 1 − near/Z,
+    or near/Z: with a near plane at 0.1 m, more than 0.9 or less than 0.1 for all that is further off than 1 m.
+    """
+    depth = np.concatenate([image.depth.ravel() for image in images])
+    drawn = depth[(depth > 0) & (depth < np.inf)]
+    if not len(drawn) or drawn.max() > 1 or depth.min() < 0:
+        return None
+    # An image full of metres between 0.9 and 1 shows a wall across the view; one of centimetres is what no camera sees.
+    is_ordinary = len(drawn) == len(depth) and np.mean(drawn >= FAR_DEPTH) >= MOST
+    is_reversed = np.mean(drawn <= 1 - FAR_DEPTH) >= MOST
+    if drawn.max() == 1 or (sonar.range_max_m >= MANY_M and (is_ordinary or is_reversed)):
         return "depth lies in 0..1, as a z-buffer does (embed.metres_ahead makes metres of that)"
     return None
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,7 +54,29 @@ from sonar_gl.sonar.sampling import Sampling, check_tolerance, sampling_at, typi
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_RIGS = 4
+
+
+class DepthKind(NamedTuple):
+    """What the depths of images are.
+
+    Attributes
+    ----------
+    planar : whether they lie along the camera's axis; otherwise along each ray
+    advice : what to check if a ping has no echo
+    may_be_z_buffer : whether a caller may have taken a z-buffer for metres
+    """
+
+    planar: bool
+    advice: str
+    may_be_z_buffer: bool = True
+
+
 IMAGES_ADVICE = "depth must be metres ahead of the camera, above 0: OpenGL's z is minus that"
+METRES_ADVICE = 'a texture of metres must hold them above 0; a depth attachment is holds="z-buffer"'
+Z_BUFFER_ADVICE = (
+    "projection must be the one that the z-buffer was drawn with, and zero_to_one be True if glClipControl had set "
+    "GL_ZERO_TO_ONE, as for most reversed z-buffers"
+)
 
 
 def glsl() -> str:
@@ -191,7 +214,10 @@ class Sensor:
         request = self._request(pose, noise, seed, ping_number, labels, velocity, label_level_db)
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, self._host.renderer)
         checked = check_images(*images, reflectivity)
-        return self._ping_of_images(request, *checked, holds != "range", origin)
+        kind = DepthKind(holds != "range", METRES_ADVICE)
+        if holds == "z-buffer":
+            kind = DepthKind(True, Z_BUFFER_ADVICE, may_be_z_buffer=False)
+        return self._ping_of_images(request, *checked, kind, origin)
 
     def ping_from_depth(
         self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=DEFAULT_REFLECTIVITY,
@@ -212,7 +238,8 @@ class Sensor:
             (x right, y down, z ahead). With None, and where a pixel holds 0 or NaN, normals are estimated from the
             neighbouring depths
         body_id : (H, W) whole numbers: 1..65534 for bodies, 0 for an unknown body, which still echoes
-        reflectivity : μ in 0..1: a scalar; or (H, W); or a dict from body numbers, 0.5 for bodies not in it
+        reflectivity : μ in 0..1: a scalar; or (H, W), NaN allowed where a pixel is empty; or a dict from body numbers,
+            0.5 for bodies not in it
         bodies : names of the bodies for the ping's meta, that of number 1 first. With labels each entry of
             `body_echo` has a name, such as "body 7" where the list has none
         noise, seed, labels, ping_number, velocity, label_level_db : as for `Simulator.ping`; with labels the first
@@ -231,11 +258,11 @@ class Sensor:
         Error
             if an image does not fit its camera, or the cameras see nothing of the fan.
         """
-        planar = is_planar(holds)
+        kind = DepthKind(is_planar(holds), IMAGES_ADVICE)
         checked = check_images(camera, depth, normals, body_id, reflectivity)
         request = self._request(pose, noise, seed, ping_number, labels, velocity, label_level_db)
         origin = SampleOrigin("host", tuple(check_body_names(bodies)), (), None, "none: depth image")
-        return self._ping_of_images(request, *checked, planar, origin)
+        return self._ping_of_images(request, *checked, kind, origin)
 
     def _check_open(self) -> None:
         """Raise an `Error` in another process, and after `close`."""
@@ -266,15 +293,15 @@ class Sensor:
             yield
 
     def _ping_of_images(
-        self, request: PingRequest, cameras, images, planar: bool, origin: SampleOrigin
+        self, request: PingRequest, cameras, images, kind: DepthKind, origin: SampleOrigin
     ) -> Ping:
         """Return the ping of checked images."""
         self._check_open()
         with self._pinging():
-            rig = self._find_rig(cameras, images)
-            return self._ping(request, rig.stage, rig.samples(images, planar), origin, IMAGES_ADVICE)
+            rig = self._find_rig(cameras, images, kind)
+            return self._ping(request, rig.stage, rig.samples(images, kind.planar), origin, kind.advice)
 
-    def _find_rig(self, cameras, images) -> CameraRig:
+    def _find_rig(self, cameras, images, kind: DepthKind) -> CameraRig:
         """Return the rig of these cameras, from a cache of the `MAX_RIGS` that were used last."""
         key = tuple((c.width, c.height, c.intrinsics.tobytes(), c.rotation.tobytes()) for c in cameras)
         if (rig := self._rigs.pop(key, None)) is None:
@@ -286,7 +313,8 @@ class Sensor:
                 self._thread,
                 self.acoustics.has_cones(self.sonar),
             )
-            for warning in (rig.warning, z_buffer_suspicion(images)):
+            suspicion = z_buffer_suspicion(images, self.sonar) if kind.may_be_z_buffer else None
+            for warning in (rig.warning, suspicion):
                 if warning:
                     warn_caller(warning)
         self._rigs[key] = rig  # at the end: the dict is in order of use
@@ -313,8 +341,11 @@ class Sensor:
         setup = self._instrument.set_up(request, None, highest)
         received = receive(DrawnPing(setup, Resolution(stage), ViewSamples(tuple(samples))))
         if received.total <= 0:
-            no_surface = f"no echo came back: what was drawn shows no surface in the fan; {advice}"
-            warn_caller(why_view_has_no_echo(self.sonar, stage.fan.sonar, samples) or no_surface)
+            why = why_view_has_no_echo(self.sonar, stage.fan.sonar, samples)
+            if why is None or advice is Z_BUFFER_ADVICE:  # else what was drawn is right
+                why = why or "no echo came back: what was drawn shows no surface in the fan"
+                why += f"; {advice}"
+            warn_caller(why)
         if request.labels:
             unnamed = tuple(f"body {number}" for number in range(len(names) + 1, highest + 1))
             origin = replace(origin, bodies=names + unnamed)

@@ -14,6 +14,7 @@ from sonar_gl.embed.depth_images import DEPTH_KINDS
 from sonar_gl.gl.enums import FLOAT, RED_INTEGER, RGBA, TEXTURE_2D
 from sonar_gl.gl.host import HostContext
 
+ROUNDING = 1e-6  # by which a z-buffer that was computed may exceed 0..1
 TEXTURE_WIDTH, TEXTURE_HEIGHT = 0x1000, 0x1001
 RED_TYPE, BLUE_TYPE, DEPTH_TYPE = 0x8C10, 0x8C12, 0x8C16
 SIGNED_NORMALIZED, UNSIGNED_NORMALIZED = 0x8F9C, 0x8C17
@@ -170,9 +171,17 @@ def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
     Raises
     ------
     Error
-        if the z-buffer is not a finite image, or the projection is not such a perspective.
+        if the z-buffer is not an image of 0..1, or the projection is not such a perspective.
     """
     z_buffer = frozen_array(z_buffer, np.float32, (None, None), "z_buffer")
+    low, high = (z_buffer.min(), z_buffer.max()) if z_buffer.size else (0, 1)
+    if low < -ROUNDING or high > 1 + ROUNDING:
+        cure = (
+            "make 0..1 of -1..1 by d / 2 + 0.5"
+            if high <= 1
+            else "divide whole numbers by the largest of their type"
+        )
+        raise Error(f"z_buffer must lie in 0..1 (got {low:g} to {high:g}; {cure})")
     projection = check_projection(projection)
     if projection[2, 0] or projection[2, 1]:
         raise Error(

@@ -204,7 +204,10 @@ def flipped(P):
             lambda: sg.Camera.of_projection(frustum(-1, 1, -1, 1, 1, 9).T, 2, 2),
             "must be an OpenGL perspective",
         ),
-        (lambda: sg.Camera.of_projection(flipped(frustum(-1, 1, -1, 1, 1, 9)), 2, 2), "fx and fy above 0"),
+        (
+            lambda: sg.Camera.of_projection(flipped(frustum(-1, 1, -1, 1, 1, 9)), 2, 2),
+            r"projection must have x to the right and y up, \[0, 0\] and \[1, 1\] above 0 \(got 1 and -1; give it",
+        ),
         (
             lambda: sg.Camera(2, 2, SQUARE).projection(1.0, 0.5),
             r"near_m must be metres above 0, and far_m above that .got 1.0 and 0.5\)",

@@ -575,7 +575,10 @@ GOOD = np.full((30, 40), 5.0)
         ({"body_id": np.full((30, 40), 65535)}, "body_id must lie in 0..65534.*65535"),
         ({"reflectivity": 1.5}, "reflectivity must lie in 0..1"),
         ({"reflectivity": "high"}, "reflectivity must be a number"),
-        ({"reflectivity": np.full((30, 40), np.nan)}, "reflectivity must lie in 0..1"),
+        (
+            {"reflectivity": np.full((30, 40), np.nan)},
+            "reflectivity must lie in 0..1 where depth shows a surface .got NaN in 1200 of these pixels",
+        ),
         ({"reflectivity": np.zeros((3, 4))}, "reflectivity must have the shape"),
         ({"reflectivity": {1: 0.2}}, "reflectivity by numbers of bodies needs body_id"),
         ({"reflectivity": {"rock": 0.2}, "body_id": np.ones((30, 40), int)}, "must name numbers of bodies"),
@@ -629,6 +632,64 @@ def test_masked_pixels_are_empty():
     assert masked.intensity[: sonar.n_beams // 4].sum() == 0
 
 
+def test_reflectivity_may_be_unknown_where_a_pixel_is_empty():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    depth, mu = np.full((camera.height, camera.width), 6.0), np.full((camera.height, camera.width), 0.4)
+    for row, empty in enumerate((0.0, -1.0, np.nan, np.inf)):
+        depth[row] = empty
+    mu[:4] = np.nan
+    unknown = sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=mu)
+    known = sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=np.nan_to_num(mu))
+    assert np.array_equal(unknown.intensity, known.intensity) and known.intensity.any()
+    mu[4, :3] = np.nan
+    with pytest.raises(sg.Error, match="got NaN in 3 of these pixels"):
+        sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=mu)
+
+
+def z_buffer_hints(depth, sonar, camera) -> int:
+    """Return how many warnings say that depth looks like a z-buffer."""
+    with warnings.catch_warnings(record=True) as caught, embed.Sensor(sonar, IDEAL) as sensor:
+        warnings.simplefilter("always")
+        sensor.ping_from_depth(depth, camera)
+    return sum("as a z-buffer does" in str(one.message) for one in caught)
+
+
+@pytest.mark.parametrize("near_m", [0.01, 0.1])
+@pytest.mark.parametrize("some_cleared", [False, True])
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_every_z_buffer_in_place_of_depth_gives_a_hint(is_reversed, some_cleared, near_m):
+    """Early versions gave it only if the largest value was exactly 1."""
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    tilted = np.linspace(1.5, 18, camera.width)
+    for metres in (np.full((camera.height, camera.width), 6.0), np.tile(tilted, (camera.height, 1))):
+        if some_cleared:
+            metres[:, :9] = np.inf
+        depth = near_m / metres if is_reversed else 1 - near_m / metres
+        assert z_buffer_hints(depth, sonar, camera) == 1
+
+
+def test_metres_give_no_hint_of_a_z_buffer():
+    sonar = sonar_of()
+    camera = camera_of(sonar)
+    shape = camera.height, camera.width
+    small = np.zeros(shape)
+    small[3:9, 3:9] = 0.95  # something before the camera, and nothing else
+    metres = {
+        "wall": np.full(shape, 0.8),
+        "walls": np.tile(np.linspace(0.6, 0.99, camera.width), (camera.height, 1)),
+        "corner of a tank": np.tile(np.linspace(0.05, 0.9, camera.width), (camera.height, 1)),
+        "small": small,
+        "far": np.tile(np.linspace(0.95, 1.05, camera.width), (camera.height, 1)),
+        "nothing": np.zeros(shape),
+    }
+    hints = {name: z_buffer_hints(depth, sonar, camera) for name, depth in metres.items()}
+    assert hints == dict.fromkeys(metres, 0)
+    short = replace(sonar, range_min_m=0.1, range_max_m=2.0)
+    assert z_buffer_hints(np.full(shape, 0.95), short, camera) == 0
+
+
 def test_a_z_buffer_in_place_of_depth_warns_once():
     sonar = sonar_of()
     camera = camera_of(sonar)
@@ -650,6 +711,14 @@ def test_a_z_buffer_in_place_of_depth_warns_once():
     for wrong, message in (
         ((np.zeros(3), projection), "z_buffer must have shape"),
         ((z_buffer, projection.T), "projection must be an OpenGL perspective"),
+        (
+            (np.full((2, 2), 4_000_000_000, np.uint32), projection),
+            r"z_buffer must lie in 0..1 \(got 4e\+09 to 4e\+09; divide whole numbers by the largest of their type\)",
+        ),
+        (
+            ([[-0.5, 0.9]], projection),
+            r"z_buffer must lie in 0..1 \(got -0.5 to 0.9; make 0..1 of -1..1 by d / 2 \+ 0.5\)",
+        ),
     ):
         with pytest.raises(sg.Error, match=message):
             embed.metres_ahead(*wrong)

@@ -301,8 +301,17 @@ def test_a_reversed_z_buffer(infinite, context):
         more = {"pose": POSE, "normals": drawn["normals"]}
         ping = sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=True, **more)
         metres = sensor.ping_from_textures(drawn["metres"], projection, holds="planar", **more)
-        with pytest.warns(UserWarning, match="no echo came back"):
+        advice = "projection must be the one that the z-buffer was drawn with, and zero_to_one be True"
+        with pytest.warns(UserWarning, match=f"no echo came back: .*; {advice}") as caught:
             sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=False, **more)
+        assert "metres ahead" not in str(caught[-1].message)
+        ordinary = camera.projection(0.1, 100.0)  # not reversed: all seems to be at the near plane
+        with pytest.warns(UserWarning, match=f"no echo came back: the nearest surface .*; {advice}"):
+            sensor.ping_from_textures(drawn["z-buffer"], ordinary, **more)
+        with pytest.raises(
+            sg.Error, match=r"^projection must have x to the right and y up, .* without the flip"
+        ):
+            sensor.ping_from_textures(drawn["z-buffer"], np.diag([1, -1, 1, 1]) @ projection, **more)
     assert difference(ping, metres) < 1e-4  # a reversed float z-buffer is as exact as metres
 
 
