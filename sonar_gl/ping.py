@@ -47,7 +47,7 @@ class GBuffer:
     body_id: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ping:
     """One transmission and what it brought back. B beams, K bins.
 
@@ -97,6 +97,13 @@ class Ping:
     coherent: np.ndarray | None = None
     texture_deviation: np.ndarray | None = None
     volume: np.ndarray | None = None
+
+    def __repr__(self):
+        shape = np.shape(self.intensity)
+        size = f"{shape[0]} beams x {shape[1]} bins" if len(shape) == 2 else f"shape {shape}"
+        name = "" if self.sonar is None else f", sonar {self.sonar.name!r}"
+        by = f", by {self.meta['gl_renderer']}" if "gl_renderer" in self.meta else ""
+        return f"<Ping of {size}{name}{by}>"
 
     @property
     def bin_size_m(self) -> float:

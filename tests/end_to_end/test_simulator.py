@@ -762,3 +762,15 @@ def test_whole_numbers_of_a_sonar_compile_nothing_more():
             simulator.ping(sg.pose())
         kinds.append(len(choose_patches.signatures))
     assert kinds[0] == kinds[1]
+
+
+def test_the_repr_of_a_ping_is_one_short_line():
+    """That of a dataclass printed its arrays and its whole meta, 16 000 characters."""
+    sonar = sg.Sonar("test", 900e3, 4, 30, 20.0, 10.0, 3.0, 0.5, 10.0)
+    with sg.Simulator(sg.Scene([]), sonar, sampling=sg.Sampling(1, 8)) as simulator:
+        renderer = simulator.gl_info["renderer"]
+        with pytest.warns(UserWarning, match="the scene has no bodies"):
+            ping = simulator.ping(sg.pose())
+    assert repr(ping) == f"<Ping of 4 beams x 30 bins, sonar 'test', by {renderer}>"
+    assert repr(sg.Ping(ping.intensity, ping.azimuth_rad, ping.range_m)) == "<Ping of 4 beams x 30 bins>"
+    assert repr(sg.Ping(None, None, None)) == "<Ping of shape ()>"

@@ -3,6 +3,7 @@
     python -m tools.bench embed --docs docs       # all; writes the tables of docs/embedding.md, and its chart
     python -m tools.bench embed --only pylon
     python -m tools.bench embed --hosts           # the hosts of examples/ alone
+    python -m tools.bench embed --cameras         # what depth cameras that are not ideal cost, alone
 
 The scenes are the chart's: 256 box beams a degree wide over 45 degrees, 512 bins to 30 m, profile ideal,
 faces flat, errors against `sonar_gl.reference_ping`. What the host draws anyway, its images, is not counted;
@@ -47,6 +48,8 @@ LOOKS = {
 }
 KINDS = "metres", "normals", "numbers"
 SHOWN = "pyrender_host", "mujoco_host"  # in the page
+CAMERA = sg.Camera.of_fov(640, 480, fov_x_rad=np.radians(60))
+NOISE_M, HOLES, STEPS_MM, ASIDE_CM = 0.005, 0.05, (1, 10), (2, 5, 10, 30)
 
 
 class Modes:
@@ -145,6 +148,53 @@ def measure(name: str, rounds: int, quick: bool) -> list[dict]:
     ]
 
 
+def measure_camera(name: str) -> dict[str, float]:
+    """Return the share of echo in wrong bins, by what is wrong with the images of CAMERA."""
+    scene, sonar = make_scene(name), make_sonar(name, "wide")
+    truth, context = make_truth(scene, sonar, quick=True), gl_host.make_context()
+    host, size = gl_host.Program(scene), (CAMERA.width, CAMERA.height)
+    mu = {number: float(np.mean(body.reflectivity)) for number, body in enumerate(scene.bodies, 1)}
+    random = np.random.default_rng(0)
+
+    def images(aside_m=0.0):
+        view = np.linalg.inv(CAMERA.pose_gl(scene.sonar_pose @ sg.pose(0, aside_m, 0)))
+        drawn = host.textures(view, CAMERA.projection(0.1, 300.0), *size)
+        out = read_textures(HostContext(CurrentContext()), [(drawn[kind], kind, kind) for kind in KINDS])
+        return {"depth": out[0], "normals": out[1][..., :3] * np.float32([1, -1, -1]), "body_id": out[2]}
+
+    with Sensor(sonar, sg.Acoustics.ideal()) as sensor:
+
+        def error(depth, body_id, normals=None):
+            more = {"normals": normals, "body_id": body_id, "reflectivity": mu}
+            return ping_error(sensor.ping_from_depth(depth, CAMERA, scene.sonar_pose, **more), truth)
+
+        exact = images()
+        depth, body_id = exact["depth"], exact["body_id"]
+        found = {"none, with normals": error(**exact), "none": error(depth, body_id)}
+        for step_mm in STEPS_MM:
+            steps = np.round(depth * (1000 / step_mm)) * (step_mm / 1000)
+            found[f"depth in steps of {step_mm} mm"] = error(steps, body_id)
+        noise = random.normal(0, NOISE_M, depth.shape)
+        found[f"noise of {1000 * NOISE_M:g} mm"] = error(np.where(depth > 0, depth + noise, 0), body_id)
+        holes = random.random(depth.shape) < HOLES
+        found[f"{100 * HOLES:g} % of pixels empty"] = error(np.where(holes, 0, depth), body_id)
+        for aside_cm in ASIDE_CM:
+            found[f"{aside_cm} cm to port of the sonar, with normals"] = error(**images(aside_cm / 100))
+    context.release()
+    return found
+
+
+def table_of_cameras(found: dict) -> str:
+    """Return the figures of `measure_camera`, by scene, as Markdown."""
+    faults = next(iter(found.values()))
+    return harness.markdown(
+        [
+            {"fault": fault, **{name: f"{100 * errors[fault]:.1f} %" for name, errors in found.items()}}
+            for fault in faults
+        ]
+    )
+
+
 def table_of(rows: list[dict]) -> str:
     """Return the rows as Markdown, mode by mode."""
     return harness.markdown(
@@ -225,15 +275,19 @@ def add_options(parser):
     """Add the options of this bench."""
     parser.add_argument("--only", action="append", choices=SCENES, help="may be repeated; default: all")
     parser.add_argument("--hosts", action="store_true", help="the hosts of examples/ alone")
+    parser.add_argument("--cameras", action="store_true", help="depth cameras that are not ideal, alone")
     parser.add_argument("--docs", type=Path, help="folder of embedding.md and pictures/, which are rewritten")
 
 
 def run(options) -> dict:
     """Measure scenes and hosts; write the page."""
-    names = () if options.hosts else options.only or SCENES
+    names = () if options.hosts or options.cameras else options.only or SCENES
     found = {name: measure(name, options.rounds, options.quick) for name in names}
     texts, docs = {name: table_of(rows) for name, rows in found.items()}, options.docs
-    if options.hosts or not (options.only or options.quick):
+    if options.cameras or not (options.only or options.quick or options.hosts):
+        found["cameras"] = {name: measure_camera(name) for name in SCENES}
+        texts["cameras"] = table_of_cameras(found["cameras"])
+    if options.hosts or not (options.only or options.quick or options.cameras):
         found["hosts"] = measure_hosts(host.ROUNDS[0], docs and docs / "pictures")
         texts["hosts"] = table_of_hosts(found["hosts"])
     if docs:
@@ -247,7 +301,9 @@ def run(options) -> dict:
             about = f"All modes draw by {by}; {cores}."
             if name == "hosts":
                 about = f"Hosts draw by {by}, the standalone simulator by its default: {alone_by}; {cores}."
-            put_table(docs / "embedding.md", name, f"{about}\n\n{text}")
+            # errors alone, whatever draws
+            text = text if name == "cameras" else f"{about}\n\n{text}"
+            put_table(docs / "embedding.md", name, text)
     return {"modes": found, "tables": texts}
 
 
