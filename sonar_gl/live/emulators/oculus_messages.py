@@ -110,10 +110,10 @@ class FireMessage:
         rate = f"{self.ping_rate_hz:g} Hz" if self.ping_rate_hz else "standby"
         unit = "m" if self.flags & RANGE_IN_METRES else "%"
         words = [f"mode {self.mode}", f"range {self.range:g} {unit}", rate]
-        known = set() if before is None else set(before._others())
-        return ", ".join([*words, *(text for text in self._others() if text not in known)])
+        known = set() if before is None else set(before.other_settings())
+        return ", ".join([*words, *(text for text in self.other_settings() if text not in known)])
 
-    def _others(self) -> list[str]:
+    def other_settings(self) -> list[str]:
         """Return in words the settings that are named when they change."""
         speed_m_s = self.sound_speed_m_s
         return [
