@@ -83,9 +83,10 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
             y = K_inverse[1, 0] * i + K_inverse[1, 1] * j + K_inverse[1, 2]
             nx = ny = nz = length = 0.0
             if normals.shape[0] > 0:
-                nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
+                nx, ny = np.float64(normals[j, i, 0]), np.float64(normals[j, i, 1])
+                nz = np.float64(normals[j, i, 2])
                 length = math.sqrt(nx * nx + ny * ny + nz * nz)
-            if 0.0 < length < 1e30:  # not NaN either
+            if 0.0 < length < math.inf:  # not NaN either
                 towards = nx * x + ny * y + nz
                 echo = abs(towards) / (q * length)
                 # the plane's 1/Z is q n . (x, y, 1) / towards

@@ -172,9 +172,13 @@ class HostContext:
     def __enter__(self):
         pause = CollectorPause()
         self.check()
-        self.guard.__enter__()
-        self._pauses.append(pause)
-        return self
+        self._pauses.append(pause)  # before the guard is entered: `leave` may follow at once
+        try:
+            self.guard.__enter__()
+            return self
+        except BaseException:  # the guard has put back the state
+            self._pauses.pop().end()
+            raise
 
     def leave(self) -> bool:
         """End the block; return whether the context was still there, so that its state was restored."""

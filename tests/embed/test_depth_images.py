@@ -378,6 +378,21 @@ def test_a_sphere_and_its_limb():
         assert wrong(ping, exact) < 0.005
 
 
+def test_normals_may_have_any_length():
+    """Longer than 1e19 counted as none, since the square of a float32 overflows."""
+    sonar = sg.load_sonar("p900-45")
+    (camera,) = sg.Camera.covering(sonar)
+    depth = np.full((camera.height, camera.width), 6.0)
+    normals = np.broadcast_to(np.float32([0.75, 0, -0.5]), (*depth.shape, 3))
+    pings = [
+        sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=normals * np.float32(2.0**power)).intensity
+        for power in (0, -100, 66, 120)
+    ]
+    assert pings[0].sum() < 0.7 * sg.ping_from_depth(depth, sonar, camera, IDEAL).intensity.sum()
+    for other in pings[1:]:
+        np.testing.assert_array_equal(other, pings[0])
+
+
 def test_edge_on_faces_and_invalid_normals_stay_finite():
     sonar = sonar_of()
     camera = camera_of(sonar)

@@ -11,7 +11,7 @@ from tests.support import gl_host
 from tests.support.host_state import GL, changes, enum, snapshot
 from tests.support.interrupts import PACKAGE, SONAR, Interrupter
 
-FILES = "gl/state_guard.py", "embed/sectors.py", "embed/framebuffer.py"
+FILES = "gl/host.py", "gl/state_guard.py", "embed/sectors.py", "embed/framebuffer.py"
 
 
 @pytest.fixture
@@ -49,12 +49,12 @@ def test_an_interrupt_as_a_block_begins_or_ends_leaves_the_state_of_the_host(con
         set_state(gl)
         with Interrupter() as every:
             draw()
-        # Python handles signals where it calls something
+        # Python handles signals where it calls something; ctypes drops what is raised in the lambda that C code calls
         lines = {file: (Path(PACKAGE) / file).read_text().splitlines() for file in FILES}
         places = [
             (file, line)
             for file, line in dict.fromkeys(every.places)
-            if file in FILES and "(" in lines[file][line - 1]
+            if file in FILES and "(" in lines[file][line - 1] and "lambda" not in lines[file][line - 1]
         ]
         faults, n_interrupts = {}, 0
         for place in places:
