@@ -66,9 +66,8 @@ class WrongMessages:
     def _is_shown(self, record: logging.LogRecord) -> bool:
         """Return whether a record of websockets is logged as it is."""
         text, why = record.getMessage(), record.exc_info[1] if record.exc_info else None
-        if (
-            text == NO_REQUEST
-        ):  # as of browsers that connect beforehand; viser leaves these out, too, after its first page
+        # as of browsers that connect beforehand; viser leaves these out, too, after its first page
+        if text == NO_REQUEST:
             return False
         if text != FAILED or not isinstance(why, Exception) or _is_own(why):
             return True
