@@ -41,6 +41,7 @@ MOST_STEPS_ALONE = 4
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
+CHECK_BRIGHTER = 2.0  # times the reflectivity of a body
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
 # as much as so many more, also in a check. By the pings of `tools/bench live`.
@@ -436,7 +437,7 @@ class AdaptiveSampling:
 
 
 class ReplanTrigger:
-    """Decides when to estimate the error again: sonar or bodies have moved since the last check."""
+    """Decides when to estimate the error again: sonar or bodies have moved, or bodies changed, since the last check."""
 
     def __init__(self, sonar: Sonar):
         self._far_m = CHECK_MOVE * sonar.range_max_m
@@ -444,11 +445,13 @@ class ReplanTrigger:
         self._far_rad = math.radians(turn_deg)
 
     def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
-        """Return whether sonar or bodies have moved far since the last check, or a little for `n_pings`, long."""
+        """Return whether sonar or bodies have changed much since the last check, or a little for `n_pings`, long."""
         moved, turned = self._change_since(last, pose, state)
-        if moved <= 0.0 and turned < 1e-6:
+        brighter = 1.0 if math.isinf(moved) else _brighter(last.state, state)
+        if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
             return False
-        return n_pings >= CHECK_EVERY or moved > self._far_m or turned > self._far_rad
+        is_much = moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
+        return is_much or n_pings >= CHECK_EVERY
 
     def is_far(self, last: LastCheck | PingHistory, pose, state: SceneState) -> bool:
         """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
@@ -465,6 +468,17 @@ class ReplanTrigger:
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
         return moved, turned
+
+
+def _brighter(before: SceneState, after: SceneState) -> float:
+    """Return by how many times at most a body reflects more, or less, than in another state with the same bodies."""
+    mu, before_mu = after.reflectivity, before.reflectivity
+    if mu is before_mu:
+        return 1.0
+    if mu is None or before_mu is None:  # the bodies' own are not known here
+        return math.inf
+    high, low = np.maximum(mu, before_mu), np.minimum(mu, before_mu)
+    return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -198,7 +198,9 @@ class ErrorModel:
         """Return a view that was drawn and summed already, with what was met of each body."""
         if self._extents.n_bodies < len(self.bodies):  # some were added
             self._extents = BodyExtents(self.bodies, self._specular)
-        counts = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
+        samples, echoes = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
+        # most of the echo of a round smooth body is that of few samples, and none of it may have met the glint
+        counts = BodyCounts(samples * self._extents.glint_shares, echoes)
         return TriedView(stage, view, echo, counts)
 
     def judge(

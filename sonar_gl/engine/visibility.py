@@ -19,11 +19,13 @@ from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
 POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
+MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
-IN_FRONT = 1.01  # 1/x over that of the sample there: a point at the foot of a body is as near as the floor
+# 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
+IN_FRONT = 1.001
 
 
 class Reception(NamedTuple):
@@ -152,8 +154,9 @@ def is_unobstructed(
     """Return whether some point of a body that few samples met, or none, lies in a beam, in front of others around it.
 
     Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
-    lie beside the fan. A point must lie in front of all nine, but for samples of the body itself in a beam: the corners
-    of a body in the place of another lie beside samples of that. Samples of the body beside the fan show that only an
+    lie beside the fan. A point must lie in front of the planes that all nine met, but for samples of the body itself in
+    a beam: the corners of a body in the place of another lie beside samples of that. The samples themselves are nearer
+    than what lies on a floor that they meet at a grazing angle. Samples of the body beside the fan show that only an
     edge of it reaches in. What lies above the water's surface is not drawn for a sonar in the water.
 
     Parameters
@@ -186,18 +189,19 @@ def is_unobstructed(
         i, j = np.rint(np.linalg.inv(lattice) @ (np.stack([u, v]) - origin)).astype(int)
         in_front = _in_a_beam(sector, u, v, q, sonar, received)
         in_front &= (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
-        i, j, q = i[in_front], j[in_front], q[in_front]
+        u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         for row, column in product((-1, 0, 1), repeat=2):
             if not len(q):  # soon, of most bodies: they are hidden
                 break
             at_j, at_i = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
-            there = plane_echo[at_j, at_i, 0].astype(np.float64)
+            there, along_u, along_v = plane_echo[at_j, at_i, :3].astype(np.float64).T
+            at = origin + lattice @ np.stack([at_i, at_j])
+            plane = np.where(there > 0, there + along_u * (u - at[0]) + along_v * (v - at[1]), 0.0)
             is_own = body_id[at_j, at_i] == number
             if is_own.any():
-                at = origin + lattice @ np.stack([at_i, at_j])
                 is_own &= _in_a_beam(sector, *at, there, sonar, received)
-            in_front = (q > there * IN_FRONT) | is_own
-            i, j, q = i[in_front], j[in_front], q[in_front]
+            in_front = (q > plane * IN_FRONT) | is_own
+            u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         if len(q):
             return True
     return False
@@ -312,6 +316,25 @@ def _area_m2(surface) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
+def glint_share(surface, roughness_rad: float) -> float:
+    """Return the share of a smooth body's outline that returns most of its echo, 1 where its faces are flat.
+
+    Facets within twice the roughness of the direction of the sonar do: of a round body, a part as wide as twice that in
+    sines, on each side; of a cylinder, which is round in one direction alone, a strip.
+    """
+    faces = np.asarray(surface.faces)
+    a, b, c = np.asarray(surface.vertices, np.float64)[faces[:: 1 + len(faces) // MAX_CLIPPED_FACES].T]
+    cross = np.cross(b - a, c - a)
+    areas = np.linalg.norm(cross, axis=1)
+    normals, areas = cross[areas > 0] / areas[areas > 0, None], areas[areas > 0]
+    if len(np.unique(normals.round(2), axis=0)) <= MAX_FLAT_FACES:
+        return 1.0
+    _, axes = np.linalg.eigh(normals.T @ (areas[:, None] * normals))
+    is_beside = np.abs(normals @ axes[:, 0]) < 0.1  # the axis that the fewest normals follow
+    is_round_once = areas[is_beside].sum() > 0.7 * areas.sum()
+    return min(1.0, 4 * roughness_rad) ** (1 if is_round_once else 2)
+
+
 class BodyExtents:
     """How much echo each body of a scene could return at most, if nothing stood in front of it.
 
@@ -319,6 +342,10 @@ class BodyExtents:
     ----------
     bodies : of the scene
     specular : with the specular lobes of smooth bodies
+
+    Attributes
+    ----------
+    glint_shares : (bodies + 1,) by number; of bodies without a lobe 1
     """
 
     def __init__(self, bodies, specular: bool = False):
@@ -329,6 +356,12 @@ class BodyExtents:
         self._radii_m = np.array([sphere.radius_m for sphere in spheres])
         lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
         self._lobes, self._reflectivity = np.array(lobes), GreatestReflectivity(bodies)
+        has_lobe = [specular and body.specular > 0 for body in bodies]
+        shares = (
+            glint_share(surface, body.roughness_rad) if has else 1.0
+            for surface, body, has in zip(surfaces, bodies, has_lobe, strict=True)
+        )
+        self.glint_shares = np.array([1.0, *shares])
         # the silhouette of a surface is half of its area at most, and inside that of its sphere
         self._area_m2 = np.minimum(
             np.pi * self._radii_m**2,

@@ -15,7 +15,7 @@ from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, is_unobstructed
+from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, glint_share, is_unobstructed
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
@@ -611,3 +611,73 @@ def test_an_empty_scene_needs_no_samples():
     with sg.Simulator(sg.Scene([]), SONAR) as simulator, pytest.warns(UserWarning, match="no bodies"):
         ping = simulator.ping(np.eye(4))
     assert ping.error_estimate == 0.0
+
+
+@pytest.mark.filterwarnings("ignore:tolerance 0.002 cannot be met")  # of the truth
+class TestBodiesThatSamplesMiss:
+    """Small bodies whose echo was lost as a whole, at an estimated error of a hundredth of the tolerance."""
+
+    SONAR = sg.Sonar("s", 900e3, 128, 400, 60.0, 20.0, 60 / 128, 0.5, 20.0)
+    LIMIT = 5 * 0.05  # the promise for a body's own echo, at tolerance 0.05
+
+    def body_error(self, bodies, pose=None, acoustics=IDEAL):
+        """Return the relative error of the last body's echo at tolerance 0.05, and its share of all."""
+        echoes = []
+        for tolerance in (0.05, 0.002):
+            with sg.Simulator(sg.Scene(bodies), self.SONAR, acoustics, tolerance=tolerance) as simulator:
+                echoes.append(simulator.ping(np.eye(4) if pose is None else pose, labels=True).body_echo)
+        found, truth = echoes
+        return abs(found[-1] / truth[-1] - 1), truth[-1] / truth.sum()
+
+    @pytest.mark.parametrize(
+        ("x", "y", "radius_m"), [(14.12, -1.68, 0.05), (14.9, -0.14, 0.04), (14.79, 3.54, 0.04)]
+    )
+    def test_a_ball_on_a_floor_is_not_hidden_by_what_is_nearer_of_the_floor(self, x, y, radius_m):
+        floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -2.5), "mud")
+        ball = sg.Body("ball", trimesh.creation.icosphere(3, radius_m), sg.pose(x, y, radius_m - 2), 0.8)
+        error, share = self.body_error([floor, ball], sg.pose(0, 0, 0, 0, 0.15, 0))
+        assert share > 0.01 and error < self.LIMIT
+
+    def test_a_pebble_below_a_sonar_that_looks_down_is_seen(self):
+        """It is a hundredth of the range high."""
+        floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -12.5), "mud")
+        ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.06), sg.pose(0.5, 1.0, -11.94), 0.8)
+        error, share = self.body_error([floor, ball], sg.pose(pitch=np.pi / 2))
+        assert share > 1e-3 and error < self.LIMIT
+
+    @pytest.mark.parametrize(
+        ("material", "y", "radius_m"), [("glass", 0.5, 0.15), ("glass", -2.0, 0.3), ("steel", 2.0, 0.1)]
+    )
+    def test_the_glint_of_a_round_body_is_met(self, material, y, radius_m):
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(18), "sand")
+        ball = sg.Body("ball", trimesh.creation.icosphere(5, radius_m), sg.pose(9, y, 0.3), material)
+        error, share = self.body_error([wall, ball], acoustics=sg.Acoustics("ideal", specular=True))
+        assert share > 1e-3 and error < self.LIMIT
+
+    def test_a_body_that_becomes_bright_is_met(self):
+        """Nothing moved, so that no ping was checked any more."""
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(15), "sand")
+        lamp = sg.Body("lamp", trimesh.creation.icosphere(3, 0.05), sg.pose(8, 1, 0.3), 0.001)
+        bright = sg.Scene([wall, sg.Body("lamp", lamp.mesh, lamp.pose, 1.0)])
+        with sg.Simulator(bright, self.SONAR, IDEAL, tolerance=0.005) as simulator:
+            truth = simulator.ping(sg.pose(), labels=True).body_echo[2]
+        with sg.Simulator(sg.Scene([wall, lamp]), self.SONAR, IDEAL, tolerance=0.05) as simulator:
+            simulator.ping(sg.pose())
+            for _ in range(10):
+                ping = simulator.ping(sg.pose(), reflectivity={"lamp": 1.0}, labels=True)
+        assert abs(ping.body_echo[2] / truth - 1) < self.LIMIT
+
+
+@pytest.mark.parametrize(
+    ("mesh", "share"),
+    [
+        (trimesh.creation.box((1, 2, 3)), 1.0),
+        (trimesh.creation.cylinder(0.1, 3.0, sections=64), 0.4),
+        (trimesh.creation.icosphere(4, 0.3), 0.16),
+        (trimesh.creation.torus(1.0, 0.2), 0.16),
+    ],
+    ids=["box", "cylinder", "ball", "torus"],
+)
+def test_a_glint_fills_a_part_of_round_bodies(mesh, share):
+    """4 times a roughness of 0.1 rad, in one direction or in two."""
+    assert glint_share(sg.Body("body", mesh).surface, 0.1) == pytest.approx(share)
