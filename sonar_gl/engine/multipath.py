@@ -99,6 +99,7 @@ class ImageSourceSamples:
     ----------
     halvings : how often samples were halved for them
     direct : BodyCounts of the direct view
+    imaged : BodyCounts of the views of the images, one after the other, as if none was halved
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
     own, image : Stage of the sonar and of its images
     sources : ImageSource of each reflector
@@ -106,6 +107,7 @@ class ImageSourceSamples:
 
     halvings: int
     direct: BodyCounts
+    imaged: BodyCounts
     single_bounce: float
     own: Stage
     image: Stage
@@ -216,8 +218,7 @@ class ImageSources:
         if not self.choice.is_fixed:
             # coarser only where they would stay so: otherwise they flicker
             wanted, kept = (
-                self._halvings_for(f * multipath.total / max(direct.total, 1e-30), images.direct, f)
-                for f in (1, 2)
+                self._halvings_for(f * multipath.total / max(direct.total, 1e-30), images, f) for f in (1, 2)
             )
             self.choice = HalvingChoice(min(max(self.halvings, kept), wanted))
         return images.halvings > self.halvings
@@ -263,9 +264,15 @@ class ImageSources:
             own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
         own_of = dict(zip(numbers, own_views, strict=True))
         drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_finer else (image, 1)
-        image_views = drawing.draw(image_poses, image_states, planes=clip_planes, keep_last=True)
+        image_views = drawing.draw(
+            image_poses, image_states, with_bodies=True, planes=clip_planes, keep_last=True
+        )
+        times_fewer = 1 if is_drawn_finer else columns * rows
         sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
+        imaged: dict[int, list[BodyCounts]] = {number: [] for number in numbers}
         for (number, about), image_view in zip(found, image_views, strict=True):
+            samples, echo = self._count_bodies(drawing, image_view, gains[number])
+            imaged[number].append(BodyCounts(samples * times_fewer, echo))
             views_of_both = (
                 own_of[number],
                 [every_row(one, step) for one in image_view.sectors],
@@ -277,6 +284,7 @@ class ImageSources:
             out[number] = ImageSourceSamples(
                 self.halvings,
                 self._count_bodies(stage, views[number], gains[number]),
+                BodyCounts(*map(np.concatenate, zip(*imaged[number], strict=True))),
                 self._single_bounce,
                 own,
                 image,
@@ -288,27 +296,22 @@ class ImageSources:
         reception = reception_of(stage.beamformer, self._reach_rad, gain)
         return count_bodies(view.sectors, len(self._scene.bodies), reception)
 
-    def _halvings_for(self, share: float, direct: BodyCounts, fewer: int = 1) -> int:
+    def _halvings_for(self, share: float, images: ImageSourceSamples, fewer: int = 1) -> int:
         """Return how often samples may be halved.
 
         share : of multipath, relative to the direct echo
-        direct : of the direct view. A body has about as many samples in the view of an image; all bodies together stand
-            for one that the image alone sees
         fewer : times fewer samples are taken to be there
         """
-        samples, echo = (np.append(one, one.sum()) for one in direct)
-        most = MULTIPATH_GAIN * echo / max(echo[-1], 1e-30)  # of the multipath of each
-        counts = most > SHARES[0]
-        counts[-1] = True
+        # a body that the images missed has about as many samples in the direct view
+        direct = images.direct
+        counts = MULTIPATH_GAIN * direct.echo > SHARES[0] * direct.echo.sum()
+        fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
         at_most = sum(share <= one for one in SHARES)
-        while at_most > 0:
-            left = np.maximum(samples[counts] / (fewer << at_most), 1.0)
-            errors, parts = body_error(left), most[counts]
-            # at the worst, multipath is that of the bodies with the fewest samples
-            order = np.argsort(-errors)
-            parts = np.diff(np.minimum(np.cumsum(parts[order]), share), prepend=0.0)
-            if left.min() >= LEAST_ON_BODY and errors[order] @ parts <= self._tolerance:
-                break
+        while at_most > 0 and not (
+            fewest >= LEAST_ON_BODY * fewer << at_most
+            and max(_error_by_samples(share, one, fewer << at_most) for one in (direct, images.imaged))
+            <= self._tolerance * (1 + share)
+        ):
             at_most -= 1
         return at_most
 
@@ -350,6 +353,29 @@ class ImageSources:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
         z = self._scene.surface_z_m
         return np.zeros(4) if z is None else np.append(pose[2, :3], z - pose[2, 3])
+
+
+def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
+    """Return the error of multipath by the samples on the bodies that return it, relative to the direct echo.
+
+    At the worst it is that of the bodies with the fewest samples.
+
+    share : of multipath, relative to the direct echo
+    counts : of the direct view or of the images'
+    fewer : times fewer samples than there
+    """
+    errors = np.minimum(body_error(np.maximum(counts.samples / fewer, 1.0)), 1.0)
+    order = np.argsort(-errors)
+    most = MULTIPATH_GAIN * share * counts.echo[order] / max(counts.echo.sum(), 1e-30)
+    return float(errors[order] @ np.diff(np.minimum(np.cumsum(most), share), prepend=0.0))
+
+
+def error_of(images: ImageSourceSamples, multipath: BeamEcho, direct: BeamEcho) -> float:
+    """Return the estimated error of multipath, as a share of the whole echo, by the bodies that the images see."""
+    if multipath.total <= 0:
+        return 0.0
+    total = multipath.total + direct.total
+    return _error_by_samples(multipath.total / total, images.imaged, 2**images.halvings)
 
 
 def _are_alike(a, b) -> bool:

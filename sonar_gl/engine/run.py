@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +17,7 @@ from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.engine.multipath import HalvingChoice, ImageSources
+from sonar_gl.engine.multipath import HalvingChoice, ImageSources, error_of
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
@@ -247,6 +248,9 @@ class Run:
         estimate = received.drawn.resolution.error_estimate
         if estimate is None:
             estimate = self.sampler.error_estimate(setup.head_pose)
+        if estimate is not None and received.multipath is not None:
+            by_images = error_of(received.drawn.images, received.multipath, received.direct)
+            estimate = math.hypot(estimate * received.direct.total / max(received.total, 1e-30), by_images)
         return PingReport(self.sample_origin(), estimate, no_echo)
 
     def close(self) -> None:
