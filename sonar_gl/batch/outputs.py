@@ -64,8 +64,8 @@ class Output:
         """Begin a part with these pings."""
         self.part, self.numbers, self.names = part, numbers, []
 
-    def add(self, request: BatchRequest, sonar: str, ping: Ping) -> None:
-        """Take one ping of a sonar; those of one sonar and scene come by rising number."""
+    def add(self, request: BatchRequest, sonar: str, ping: Ping, quiet: Ping) -> None:
+        """Take one ping of a sonar, and the same without noise; those of one sonar and scene come by rising number."""
 
     def end(self) -> list[str]:
         """Write what has not been written yet, and return the names of all files of the part."""
@@ -118,13 +118,13 @@ class ArraysOutput(Output):
                     arrays[spec.name] = np.empty((len(numbers), *spec.shape), spec.dtype)
                 arrays[spec.name][...] = spec.fill
 
-    def add(self, request, sonar, ping):
+    def add(self, request, sonar, ping, quiet):
         row, arrays = request.number - self.numbers[0], self.arrays[sonar]
         class_id, first = self.schema.scene_class_id(request.scene), self.schema.first_body[request.scene]
         for layer in self._layers[sonar]:
             arrays[layer.name][row] = layer.encode(ping, class_id, first)
         if self.schema.body_arrays:
-            boxes = boxes_of(ping, self.job.labels.height)
+            boxes = boxes_of(ping, self.job.labels.height, quiet)
             bodies = first + boxes.body_id.astype(int) - 1
             arrays["body_box"][row, bodies] = np.hstack([boxes.beams, boxes.bins])
             arrays["body_pixels"][row, bodies] = boxes.pixels
@@ -146,7 +146,7 @@ class PicturesOutput(CountsOutput):
         super().__init__(*context)
         self._draw = FanStyle(self.table.height, self.table.colormap, self.table.axes)
 
-    def add(self, request, sonar, ping):
+    def add(self, request, sonar, ping, quiet):
         ping = self.with_counts(sonar, ping)
         if "png" in self.table.formats:
             picture = self._draw(None, ping, request.number)
@@ -206,10 +206,10 @@ class CocoOutput(CountsOutput):
         super().begin(part, numbers)
         self._lines = {sonar: [] for sonar in self.requests.sonars}
 
-    def add(self, request, sonar, ping):
+    def add(self, request, sonar, ping, quiet):
         height, law = self.table.height, self.with_counts(sonar, ping).counts_law()
         picture = law.counts_of(fan_image(ping, height, law))
-        ids = np.where(picture > 0, body_map(ping, height), 0)
+        ids = np.where(picture > 0, body_map(ping, height, quiet), 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
         mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")
@@ -285,7 +285,7 @@ class OpticalOutput(Output):
         super().begin(part, numbers)
         self.frames = {}
 
-    def add(self, request, sonar, ping):
+    def add(self, request, sonar, ping, quiet):
         if sonar != next(iter(self.requests.sonars)):  # one image for all sonars
             return
         if request.scene != self._scene:
@@ -323,7 +323,7 @@ class RosOutput(CountsOutput):
         super().begin(part, numbers)
         self._records = []
 
-    def add(self, request, sonar, ping):
+    def add(self, request, sonar, ping, quiet):
         ping, height = self.with_counts(sonar, ping), self.table.image_height
         law = ping.counts_law()
         picture = law.counts_of(fan_image(ping, height, law)) if height else None

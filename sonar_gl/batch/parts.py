@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from typing import NamedTuple
@@ -349,8 +349,10 @@ class PartMaker:
         table.column(row, ("sampling", sonar))[:] = samples["columns_per_beam"], samples["rows"]
         noise_seed = self._batch.requests.noise_seed(sonar)
         noisy = add_noise(ping, request.noise, noise_seed, request.number)
+        # the gain without noise is found once for all outputs
+        quiet = replace(ping, sonar=replace(ping.sonar, counts=ping.counts_law()))
         for output in self.outputs:
-            output.add(request, sonar, noisy)
+            output.add(request, sonar, noisy, quiet)
 
     def _finish(self, part: int, task: _Part) -> PartRecord:
         """Write what is left of a part's files, and its record."""

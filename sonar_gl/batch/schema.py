@@ -217,7 +217,7 @@ def body_arrays(n_bodies: int, image_height: int) -> list[ArraySpec]:
     n = n_bodies
     return [
         ArraySpec("body_echo", "float32", (n,), ("body",), 0.0, {"long_name": "sum of the body's echo"}),
-        ArraySpec("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins where it is the strongest"}),
+        ArraySpec("body_bins", "int32", (n,), ("body",), 0, {"long_name": "bins of it that its box encloses"}),
         ArraySpec("body_box", "int32", (n, 4), ("body", "box"), -1, {
             "long_name": "first and last beam, first and last bin of these, -1 for none"}),
         ArraySpec("body_pixels", "int32", (n, 4), ("body", "rectangle"), -1, {

@@ -33,7 +33,7 @@ from sonar_gl.core.poses import pose
 from sonar_gl.embed.camera import Camera
 from sonar_gl.embed.sensor import Sensor
 from sonar_gl.embed.textures import metres_ahead
-from sonar_gl.imaging.boxes import boxes_of
+from sonar_gl.imaging.boxes import body_map, boxes_of
 from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.noise.noise import add_noise
@@ -202,8 +202,7 @@ def _work_without_opengl():
         add_noise(replace(ping, acoustics=murky, volume=ping.intensity), Noise.physical(), 0)
     fan_image(ping, 40)
     boxes_of(ping, 40)
-    # a batch leaves out dark cells, in an array of its own, which is not read-only
-    boxes_of(replace(ping, body_id=ping.body_id.copy()), 40)
+    body_map(ping, 40)
     with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
         cli.warm_up_batch.encode_layers(ping)
     _make_levels()

@@ -58,7 +58,13 @@ def pings(small, requests):
     return pings_of(small, requests)
 
 
-def pings_of(folder, requests, label_level_db=None):
+@pytest.fixture(scope="module")
+def quiet(small, requests):
+    """The pings without noise, by which boxes leave out what is faint."""
+    return pings_of(small, requests, with_noise=False)
+
+
+def pings_of(folder, requests, label_level_db=None, with_noise=True):
     """Return the pings that a simulator makes of the requests of a batch in `folder`, by sonar."""
     out = {}
     for name, sonar in requests.sonars.items():
@@ -71,7 +77,7 @@ def pings_of(folder, requests, label_level_db=None):
                     if samplings[request.number] == sampling:
                         pings[request.number] = simulator.ping(
                             request.vehicle_pose @ requests.mounts[name],
-                            request.noise,
+                            request.noise if with_noise else None,
                             requests.noise_seed(name),
                             labels=True,
                             ping_number=request.number,
@@ -120,7 +126,7 @@ def test_water_that_no_simulator_may_vary_is_refused_before_any_ping(tmp_path, c
 
 
 @pytest.mark.parametrize("sonar", ["level", "upright"])
-def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, sonar):
+def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, quiet, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
     assert data.intensity.dims == ("ping", "beam", "range")
     assert dict(data.sizes) | {"ping": N} == dict(data.sizes)
@@ -148,10 +154,11 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
         assert np.array_equal(stored.shadow, ping.shadow)
         n_shadowed += int(ping.shadow.sum())
         assert np.allclose(stored.body_echo, ping.body_echo[1:], rtol=1e-6)
-        boxes = boxes_of(ping, 512)
+        boxes = boxes_of(ping, 512, quiet[sonar][number])
         visible = boxes.body_id.astype(int) - 1
         assert np.array_equal(np.flatnonzero(stored.body_bins), visible)
         assert np.array_equal(stored.body_pixels[visible], boxes.pixels)
+        assert np.array_equal(stored.body_bins[visible], boxes.n_bins)
         assert np.array_equal(stored.body_box[visible], np.hstack([boxes.beams, boxes.bins]))
     assert n_shadowed > 0 or sonar == "upright"
     assert (data.status == 1).all()
@@ -520,7 +527,7 @@ def test_a_film_that_failed_is_made_by_the_next_try(small, tmp_path, monkeypatch
     assert files_of(out) == before
 
 
-def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
+def test_coco_finds_bodies_where_the_labels_are_but_for_what_boxes_leave_out(small, requests, pings, quiet):
     for sonar in requests.sonars:
         folder = small / "out" / "coco" / sonar
         coco = COCO(str(folder / "instances.json"))
@@ -530,7 +537,7 @@ def test_coco_finds_bodies_where_the_labels_are(small, requests, pings):
             (image,) = coco.loadImgs(number)
             picture = cv2.imread(str(folder / "images" / image["file_name"]), cv2.IMREAD_UNCHANGED)
             mask = cv2.imread(str(folder / "masks" / image["file_name"]), cv2.IMREAD_UNCHANGED)
-            bodies = body_map(ping, 100)
+            bodies = body_map(ping, 100, quiet[sonar][number])
             assert np.array_equal(mask, np.where(picture > 0, bodies, 0))
             law = sg.Counts(**image["counts"])
             assert law == ping.counts_law() and np.array_equal(
@@ -598,16 +605,19 @@ def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):
         tmp_path, 2, LABELS.replace("[labels]", f"[labels]\nlevel_db = {level_db}") + "[coco]\nheight = 100"
     )
     make_all(path, tmp_path / "out")
-    for sonar, made in pings_of(tmp_path, BatchRequests(read_job(path)), level_db).items():
+    requests = BatchRequests(read_job(path))
+    made, quiet = (pings_of(tmp_path, requests, level_db, with_noise) for with_noise in (True, False))
+    for sonar in made:
         data = xr.open_dataset(tmp_path / "out" / "pings.zarr", group=sonar)
-        for number, ping in enumerate(made):
-            stored, boxes = data.isel(ping=number), boxes_of(ping, 512)
+        for number, (ping, without) in enumerate(zip(made[sonar], quiet[sonar], strict=True)):
+            stored, boxes = data.isel(ping=number), boxes_of(ping, 512, without)
             assert np.array_equal(stored.body_id, ping.body_id)
             assert 0 < (ping.body_id > 0).sum() < (pings[sonar][number].body_id > 0).sum()
             assert np.array_equal(stored.body_bins[boxes.body_id - 1], boxes.n_bins)
             mask = tmp_path / "out" / "coco" / sonar / "masks" / "00000" / f"{number:08d}.png"
             mask = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
-            assert (mask[mask > 0] == body_map(ping, 100)[mask > 0]).all() and (mask > 0).any()
+            bodies = body_map(ping, 100, without)
+            assert (mask[mask > 0] == bodies[mask > 0]).all() and (mask > 0).any()
 
 
 def test_pictures_and_npz_files_are_those_of_a_simulator(small, pings):

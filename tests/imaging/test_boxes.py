@@ -115,6 +115,124 @@ def test_boxes_of_a_simulated_ping():
     assert ping.azimuth_rad[boxes.beams[0, 0]] < middle < ping.azimuth_rad[boxes.beams[0, 1]]
 
 
+def test_faint_bins_at_the_ends_of_a_body_do_not_decide_its_box():
+    """They keep their labels; a display shows each of them, at 12 to 31 counts of 255."""
+    ping = bright_ping(np.ones((60, 80)), 60.0)
+    body_id, intensity = np.zeros((60, 80), np.uint16), np.zeros((60, 80), np.float32)
+    body_id[20:30, 30:45] = 1
+    intensity[20:30, 30:45] = 0.5  # 213 counts
+    for b, k in ((3, 40), (55, 33), (25, 2), (22, 70)):  # 31 counts: 0.1 % of all
+        body_id[b, k], intensity[b, k] = 1, 3e-4
+    ping = replace(ping, body_id=body_id, intensity=intensity)
+    boxes, bodies = boxes_of(ping, 300), body_map(ping, 300)
+    assert boxes.beams.tolist() == [[20, 29]] and boxes.bins.tolist() == [[30, 44]]
+    assert boxes.n_bins.tolist() == [150]
+    rows, columns = np.nonzero(bodies)
+    size = np.ptp(columns) + 1, np.ptp(rows) + 1
+    assert boxes.pixels.tolist() == [[columns.min(), rows.min(), *size]]
+    inside = replace(ping, body_id=np.where(intensity > 0.1, body_id, 0).astype(np.uint16))
+    np.testing.assert_array_equal(bodies, body_map(inside, 300))
+    # a glint of 99.9 % of the echo changes nothing: it is as bright as 255 counts
+    intensity[25, 37] = 1e5
+    assert boxes_of(replace(ping, intensity=intensity), 300).n_bins.tolist() == [150]
+    # what holds more than 0.5 %, in all at one end, stays
+    body_id[3, 40:46], intensity[3, 40:46] = 1, 3e-4
+    assert boxes_of(ping, 300).beams.tolist() == [[3, 29]]
+
+
+def bright_ping(body_id, fov_deg):
+    """Return a labelled ping of a sonar with a fixed gain."""
+    ping = labelled(np.asarray(body_id, np.uint16), fov_deg)
+    counts = sg.Counts("power", exponent=0.26)
+    sonar = sg.Sonar("test", 900e3, *ping.intensity.shape, fov_deg, 20.0, 1.5, 2.0, 10.0, counts=counts)
+    return replace(ping, sonar=sonar)
+
+
+def ends_of(profile):
+    """Return the first and the last place of a profile (n,) without what holds 0.5 % of it at either end."""
+    first = next(i for i in range(len(profile)) if 200 * profile[: i + 1].sum() > profile.sum())
+    last = next(i for i in reversed(range(len(profile))) if 200 * profile[i:].sum() > profile.sum())
+    return first, last
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_boxes_are_those_of_a_plain_sum_of_counts(seed):
+    """Of clouds of bins, whose echoes differ by 60 dB."""
+    rng, body_id = np.random.default_rng(seed), np.zeros((50, 70), np.uint16)
+    for body in range(1, 5):
+        b, k = rng.normal(rng.uniform(10, (40, 60)), (5, 8), (150, 2)).astype(int).T
+        body_id[b.clip(0, 49), k.clip(0, 69)] = body
+    ping = bright_ping(body_id, 60.0)
+    ping = replace(ping, intensity=(10 ** rng.uniform(-6, 0, body_id.shape)).astype(np.float32))
+    boxes, bodies, kept = boxes_of(ping, 300), body_map(ping, 300), np.zeros_like(ping.body_id)
+    counts = ping.counts(replace(ping.sonar.counts, bits=16)).astype(np.int64)
+    for n, body in enumerate(boxes.body_id):
+        own = np.where(body_id == body, counts, 0)
+        (b0, b1), (k0, k1) = ends_of(own.sum(axis=1)), ends_of(own.sum(axis=0))
+        at = np.zeros(body_id.shape, bool)
+        at[b0 : b1 + 1, k0 : k1 + 1] = body_id[b0 : b1 + 1, k0 : k1 + 1] == body
+        kept[at] = body
+        b, k = np.nonzero(at)
+        assert boxes.n_bins[n] == len(b)
+        assert boxes.beams[n].tolist() == [b.min(), b.max()]
+        assert boxes.bins[n].tolist() == [k.min(), k.max()]
+    assert boxes.n_bins.sum() < (body_id > 0).sum()
+    even = replace(ping, body_id=kept, sonar=None)  # of few bins: each of a body has more than 0.5 %
+    np.testing.assert_array_equal(bodies, body_map(even, 300))
+    np.testing.assert_array_equal(boxes.pixels, boxes_of(even, 300).pixels)
+
+
+def test_a_box_may_lie_across_the_seam_of_a_full_circle():
+    """Its ends are those of the widest gap, wherever the first beam points."""
+    body_id, intensity = np.zeros((90, 60), np.uint16), np.zeros((90, 60), np.float32)
+    body_id[20:30, 30:40], intensity[20:30, 30:40] = 1, 0.5
+    body_id[70, 35], intensity[70, 35] = 1, 1e-4
+    ping = bright_ping(np.ones((90, 60)), 360.0)
+    for turn in (0, 65, 67, 45):
+        at = {"body_id": np.roll(body_id, turn, axis=0), "intensity": np.roll(intensity, turn, axis=0)}
+        turned = replace(ping, **at)
+        boxes, bodies = boxes_of(turned, 400), body_map(turned, 400)
+        assert boxes.beams.tolist() == [[(20 + turn) % 90, (29 + turn) % 90]]
+        assert boxes.bins.tolist() == [[30, 39]] and boxes.n_bins.tolist() == [100]
+        rows, columns = np.nonzero(bodies)
+        size = [np.ptp(columns) + 1, np.ptp(rows) + 1]
+        assert boxes.pixels.tolist() == [[columns.min(), rows.min(), *size]] and max(size) < 150
+    around = replace(ping, intensity=np.ones((90, 60), np.float32))  # without a gap there is no end
+    assert boxes_of(around, 400).beams.tolist() == [[0, 89]]
+
+
+def test_a_body_between_pixels_across_the_seam_has_the_nearest_one():
+    body_id = np.zeros((3000, 800), np.uint16)
+    body_id[[0, -1], 333] = 1
+    ping = labelled(body_id, 360.0)
+    boxes = boxes_of(ping, 40)
+    assert boxes.beams.tolist() == [[2999, 0]] and not body_map(ping, 40).any()
+    column, row = fan_geometry(ping, 40).pixel(math.pi, ping.range_m[333])
+    assert boxes.pixels.tolist() == [[round(float(column)), round(float(row)), 1, 1]]
+
+
+def test_bodies_that_a_display_does_not_show_have_all_their_bins():
+    """As where `label_level_db` labels what is black."""
+    ping = bright_ping(np.ones((40, 30)), 60.0)
+    boxes = boxes_of(ping, 100)
+    assert boxes.beams.tolist() == [[0, 39]] and boxes.bins.tolist() == [[0, 29]]
+    assert boxes.n_bins.tolist() == [1200]
+
+
+def test_noise_does_not_change_boxes_if_the_quiet_ping_is_given():
+    scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45").with_range(20.0)
+    noise = sg.Noise(speckle=True)  # hides no label
+    with sg.Simulator(scene, sonar, tolerance=0.05) as simulator:
+        quiet = simulator.ping(scene.sonar_pose, labels=True)
+        noisy = simulator.ping(scene.sonar_pose, noise, labels=True)
+    expected, found = boxes_of(quiet, 300), boxes_of(noisy, 300, quiet)
+    for name in ("body_id", "n_bins", "beams", "bins", "pixels", "energy"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    np.testing.assert_array_equal(body_map(noisy, 300, quiet), body_map(quiet, 300))
+    with pytest.raises(sg.Error, match=r"must have the shape of the noisy one, \(256, \d+\) \(got \(2, 3\)"):
+        boxes_of(noisy, 300, replace(quiet, intensity=np.zeros((2, 3))))
+
+
 @pytest.mark.parametrize("function", [boxes_of, body_map])
 def test_wrong_arguments(function):
     with pytest.raises(sg.Error, match="a ping must have labels to find bodies in it"):
