@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
+from pycocotools.coco import COCO
 
 import sonar_gl as sg
 from sonar_gl.analysis import terms
@@ -270,14 +272,18 @@ def test_sonars_load(text):
     assert sg.load_sonar("mine.toml").name == "mine"
 
 
+SETS = "pylons", "validation"
+
+
 @pytest.mark.slow
 def test_the_page_of_batches_runs(folder):
     job, rig = (block.values[0] for block in blocks("toml", [BATCHES]))
     Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
+    Path("validation.toml").write_text(Path("pylons.toml").read_text().replace("seed = 1", "seed = 2"))
     before = set(os.listdir())
     told = [p.values[0] for p in shell_lines() if p.values[0][:2] == ["sonar-gl", "batch"]]
     told = list(dict.fromkeys(map(tuple, told)))  # README has some of them, too
-    assert [words[-1] for words in told] == ["--dry-run", "pylons", "--resume", "pylons"]
+    assert [words[-1] for words in told] == ["--dry-run", "pylons", "--resume", "pylons", "validation"]
     for words in told:
         result = run(*words[1:])
         assert result.exit_code == 0, result.output
@@ -295,16 +301,36 @@ def test_the_page_of_batches_runs(folder):
             )
             assert re.search(r"^time: .* in one process, .* at best in \d+, if each", result.stdout, re.M)
             assert set(os.listdir()) == before
+        if "--check" in words:
+            assert result.stdout == "pylons: all files are as they were written\n"
     found = sum(path.stat().st_size for path in Path("pylons").rglob("*") if path.is_file())
     assert 0.8 < found / 9e3 / size_kb < 1.3  # the rest is what a whole batch has once
-    assert result.stdout == "pylons: all files are as they were written\n"
     shown = Path("rig.toml")
     text = re.sub(r"n_pings = \d+", "n_pings = 1", job)
     shown.write_text(text[: text.index("[[sonars]]")] + rig + text[text.index("[[poses]]") :])
     assert run("batch", "rig.toml", "--out", "rig").exit_code == 0
+    names = {"__name__": "__main__"}
     for block in blocks("python", [BATCHES]):
-        exec(compile(block.values[0], "example", "exec"), {"__name__": "__main__"})
+        exec(compile(block.values[0], "example", "exec"), names)
     assert Path("ping.png").stat().st_size > 10_000
+    # sets of several jobs keep what a ping needs to be made again, and their images have numbers of their own
+    both, sets = names["both"], [xr.open_dataset(f"{name}/pings.zarr") for name in SETS]
+    for n, one in enumerate(sets):
+        part = both.isel(ping=slice(9 * n, 9 * n + 9))
+        assert part.number.values.tolist() == list(range(9))
+        for key in ("seed", "noise_seed"):
+            assert set(part[key].values.tolist()) == {one.attrs[key]} and key not in both.attrs
+        assert part.intensity.equals(one.intensity) and part.azimuth_rad.equals(one.azimuth_rad)
+    assert sets[0].attrs["noise_seed"] != sets[1].attrs["noise_seed"] and not sets[0].pose.equals(
+        sets[1].pose
+    )
+    joined, ones = COCO("joined.json"), [COCO(f"{name}/coco/p900_45/instances.json") for name in SETS]
+    assert len(joined.imgs) == 18 and len(joined.anns) == sum(len(one.anns) for one in ones)
+    for image in joined.imgs.values():
+        assert Path(image["file_name"]).is_file()
+        one = ones[image["id"] // 9]
+        ids = joined.getAnnIds(image["id"]), one.getAnnIds(image["id"] % 9)
+        assert [a["bbox"] for a in joined.loadAnns(ids[0])] == [a["bbox"] for a in one.loadAnns(ids[1])]
     requests = BatchRequests(read_job(shown))
     assert np.allclose(requests.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
     # the page's tables know every key, and no other
