@@ -32,6 +32,7 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar, too_short_step_s
 VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+WHOLE_NOISE = "looks"  # the field of the noise that is a whole number, and may vary
 VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
 
 
@@ -182,9 +183,10 @@ class BatchRequests(Sequence):
         random = np.random.Generator(np.random.SFC64(key))
         vary = self.job.vary  # the order of the draws below decides the bytes of data sets
         water = {key: _draw(random, value) for key, value in sorted(vary.water.items())}
-        noise = {key: _draw(random, value) for key, value in sorted(vary.noise.items())}
-        if "looks" in noise:
-            noise["looks"] = int(noise["looks"])
+        noise = {
+            key: (_draw_whole if key == WHOLE_NOISE else _draw)(random, value)
+            for key, value in sorted(vary.noise.items())
+        }
         bodies, reflectivity = self._draw_bodies(run.scene, random) if vary.bodies else ({}, {})
         return BatchRequest(
             number,
@@ -336,6 +338,12 @@ def _draw(random, value) -> float:
     return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
 
 
+def _draw_whole(random, value) -> int:
+    """Return a varied whole number: each one from the lower to the upper bound is equally probable."""
+    low, high = (int(bound) for bound in np.ravel(value)[[0, -1]])
+    return min(int(_draw(random, [low, high + 1])), high)  # rounding may give the upper bound of the draw
+
+
 def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[TrajectoryRun]:
     """Return the runs of a job. Each begins GAP_S after the one before has ended."""
     runs, first, delay_s, last_s = [], 0, 0.0, None
@@ -414,8 +422,10 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     for end in (0, -1):
         for base, table, name in ((acoustics.water, vary.water, "water"), (noise, vary.noise, "noise")):
             values = {key: np.ravel(value)[end].item() for key, value in table.items()}
-            if "looks" in values:
-                values["looks"] = int(values["looks"])
+            if name == "noise" and (value := values.get(WHOLE_NOISE)) is not None:
+                if value != int(value):
+                    raise Error(f"{where}: vary.noise.{WHOLE_NOISE} must be whole numbers (got {value:g})")
+                values[WHOLE_NOISE] = int(value)
             build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(

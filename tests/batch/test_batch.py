@@ -331,10 +331,28 @@ def test_random_views_differ_from_table_to_table_and_are_the_same_in_every_scene
     assert np.array_equal(stated[0], alone[0]) and np.array_equal(stated[1], alone[0])
 
 
-def test_varied_looks_are_whole_numbers_within_their_bounds(small):
-    vary = read_job(small / "job.toml").vary.model_copy(update={"noise": {"looks": [2, 5]}})
-    requests = BatchRequests(read_job(small / "job.toml").model_copy(update={"vary": vary}))
-    assert {request.noise.looks for request in requests} <= {2, 3, 4, 5}
+@pytest.mark.parametrize(("low", "high"), [(2, 5), (1, 2), (3, 3)])
+def test_varied_looks_are_whole_numbers_each_equally_probable(small, low, high):
+    """Of 600 draws each of n numbers has 600 / n, but for four standard deviations."""
+    job = read_job(small / "job.toml")
+    poses = [job.poses[0] | {"n_pings": 600}]
+    vary = job.vary.model_copy(update={"noise": {"looks": [low, high]}})
+    requests = BatchRequests(job.model_copy(update={"vary": vary, "poses": poses}))
+    drawn = [request.noise.looks for request in requests]
+    share = 1 / (high - low + 1)
+    assert {type(looks) for looks in drawn} == {int} and set(drawn) == set(range(low, high + 1))
+    for looks in range(low, high + 1):
+        assert abs(drawn.count(looks) - 600 * share) <= 4 * math.sqrt(600 * share * (1 - share))
+    again = [request.noise.looks for request in reversed(requests)]
+    assert again == drawn[::-1]
+
+
+def test_looks_that_are_no_whole_numbers_are_refused(small):
+    job = read_job(small / "job.toml")
+    for looks in ([1.5, 3], [1, 2.5], 1.5):
+        vary = job.vary.model_copy(update={"noise": {"looks": looks}})
+        with pytest.raises(sg.Error, match=r"job.toml: vary.noise.looks must be whole numbers .got \d.5.$"):
+            BatchRequests(job.model_copy(update={"vary": vary}))
 
 
 def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
