@@ -9,7 +9,6 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from fnmatch import fnmatchcase
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,6 +25,7 @@ from pydantic import (
 
 from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
@@ -59,6 +59,13 @@ def _check_varied(value, low: float = -math.inf, high: float = math.inf):
         raise ValueError("should be a number, or [low, high]")
     if not low <= bounds[0] <= bounds[1] <= high:
         raise ValueError(f"should lie in {low:g}..{high:g}")
+    return value
+
+
+def _check_no_layer_twice(value: list[str]) -> list[str]:
+    for layer in value:
+        if value.count(layer) > 1:
+            raise ValueError(f"should name each layer once (got {layer!r} {value.count(layer)} times)")
     return value
 
 
@@ -184,7 +191,9 @@ class LabelsTable(Table):
         above the noise
     """
 
-    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1)] = Field(list(LAYERS[:3]))
+    layers: Annotated[list[Literal[LAYERS]], Field(min_length=1), AfterValidator(_check_no_layer_twice)] = (
+        Field(list(LAYERS[:3]))
+    )
     classes: dict[str, Names] = Field({})
     background: Names = None
     height: Annotated[int, Field(ge=16, le=8192)] = 512
@@ -452,11 +461,6 @@ def build(kind: type, table: Mapping, where: str):
             return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in table.items()})
     except TypeError as why:
         raise Error(f"{where}: must hold what {kind.__name__} takes ({why})") from None
-
-
-def matching_names(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Return the names that match any of the patterns, in the order of the names."""
-    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 def check_patterns(patterns: Iterable[str], names: Iterable[str], where: str) -> None:

@@ -12,11 +12,12 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, matching_names, split_sonar
+from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
+from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db

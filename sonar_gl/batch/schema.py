@@ -18,11 +18,12 @@ import numpy as np
 
 from sonar_gl._version import __version__
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.batch.job import check_patterns, matching_names
+from sonar_gl.batch.job import check_patterns
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
+from sonar_gl.core.names import matching_names
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, frozen_array
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import check_pose
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
@@ -297,7 +297,7 @@ class Scene:
         names, found = [thing.name for thing in (*self.bodies, *self.plumes)], set()
         for pattern in patterns:
             check_kind("a name of bodies", pattern, str, 'such as "boat*"')
-            matching = fnmatch.filter(names, pattern)
+            matching = matching_names([pattern], names)
             if not matching:
                 hint = nearest_names(pattern, names) if names else "there are none"
                 raise Error(f"names must be those of bodies of the scene (got {pattern!r}; {hint})")

@@ -846,6 +846,30 @@ def test_names_of_bodies_need_not_be_in_every_scene(tmp_path):
             BatchRequests(job)
 
 
+def test_names_may_have_brackets(tmp_path):
+    """As those of copies of an object have."""
+    path = write_job(tmp_path, 1)
+    scene = (tmp_path / "tank.sdf").read_text().replace('name="box_1"', 'name="box[1]"')
+    (tmp_path / "tank.sdf").write_text(scene)
+    text = path.read_text().replace('["box_*"]', '["box[1]"]').replace('["box*"]', '["box[?]"]')
+    path.write_text(text.replace("seed = 5", 'seed = 5\nwithout = ["floor"]').replace(', "floor"]', "]"))
+    requests = BatchRequests(read_job(path))
+    assert Schema(requests).class_id.tolist() == [0, 1, 2]
+    assert requests.moved_names(0, 0) == ["box[1]"]
+    assert [body.name for body in requests.scene(0).only("box[1]").bodies] == ["box[1]"]
+
+
+def test_a_job_elsewhere_gives_the_same_bytes_but_for_its_path(tmp_path):
+    made = []
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        make_all(write_job(tmp_path / name, 2, LABELS + MORE), tmp_path / name / "out")
+        made.append(files_of(tmp_path / name / "out"))
+        path = str(tmp_path / name / "job.toml")
+        assert json.loads(made[-1]["batch.json"])["job"]["where"] == path
+    assert {name for name in made[0] | made[1] if made[0].get(name) != made[1].get(name)} == {"batch.json"}
+
+
 def test_a_changed_mesh_changes_the_digest(tmp_path):
     path = write_job(tmp_path, 2, "")
     wall = "<box><size>1 20 20</size></box>"
@@ -1113,6 +1137,11 @@ BAD = [
         'target = ["box*"]',
         'target = ["bax*"]',
         "labels.classes.target must name bodies",
+    ),
+    (
+        '"share", "shadow"',
+        '"share", "share"',
+        "labels.layers: should name each layer once (got 'share' 2 times)",
     ),
     ('"share", "shadow"', '"share", "shade"', "labels.layers[6]: should be 'body', 'class'"),
     (
