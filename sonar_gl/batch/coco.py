@@ -24,6 +24,8 @@ def coco_records(
 ) -> tuple[dict, list[dict]]:
     """Return COCO's records of one fan image and of the bodies in it.
 
+    Bodies that are one instance have the number of the first one.
+
     Parameters
     ----------
     ids : (H, W) uint16, number of the body at each pixel, 0 for none

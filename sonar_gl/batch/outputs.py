@@ -194,13 +194,13 @@ class PicturesOutput(CountsOutput):
 
 
 class CocoOutput(CountsOutput):
-    """Gray fan images, masks of the bodies in them, and COCO's records of both."""
+    """Gray fan images, masks of the instances in them, and COCO's records of both."""
 
     table_name = "coco"
 
     def __init__(self, *context):
         super().__init__(*context)
-        self._lines = {}
+        self._lines, self._instances = {}, {}
 
     def begin(self, part, numbers):
         super().begin(part, numbers)
@@ -209,6 +209,12 @@ class CocoOutput(CountsOutput):
     def add(self, request, sonar, ping, quiet):
         height, law = self.table.height, self.with_counts(sonar, ping).counts_law()
         picture = law.counts_of(fan_image(ping, height, law))
+        if request.scene not in self._instances:
+            self._instances[request.scene] = self.schema.instances(request.scene)
+        instances = self._instances[request.scene]
+        if not instances.are_bodies:
+            echo = np.bincount(instances.number_of, ping.body_echo, len(ping.body_echo))
+            ping = replace(ping, body_id=instances.number_of[ping.body_id], body_echo=echo)
         ids = np.where(picture > 0, body_map(ping, height, quiet), 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
@@ -219,7 +225,7 @@ class CocoOutput(CountsOutput):
             self.schema.scene_class_id(request.scene),
             request.number,
             name.removeprefix(f"coco/{sonar}/images/"),
-            names=["", *(body.name for body in self.requests.scene(request.scene).bodies)],
+            names=instances.names,
             echo=ping.body_echo,
             ping=request.number,
             scene=self.job.scenes[request.scene],

@@ -242,6 +242,25 @@ def _add_scene(digest, scene: Scene) -> None:
         digest.update(repr(settings).encode() + plume.pose.tobytes())
 
 
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """The instances of COCO in a scene, each with the number of its first body.
+
+    Attributes
+    ----------
+    number_of : (bodies + 1,) uint16, the instance of each body, by number
+    names : of each instance, by number: that of its body, or what the names of its bodies have before `::`
+    """
+
+    number_of: np.ndarray
+    names: list[str]
+
+    @cached_property
+    def are_bodies(self) -> bool:
+        """Whether each body is an instance of its own."""
+        return bool((self.number_of == np.arange(len(self.number_of))).all())
+
+
 # ---- the schema of a job ----------------------------------------------------------------------------
 
 
@@ -330,6 +349,23 @@ class Schema:
         """Return the class of each body of a scene by its number in that scene, (bodies + 1,) or longer."""
         first = self.first_body[scene]
         return np.concatenate([self.class_id[:1], self.class_id[1 + first :]])
+
+    def instances(self, scene: int) -> Instances:
+        """Return the instances of COCO in a scene: bodies of one model that are of one class are one."""
+        names, class_id = self._names_by_scene[scene], self.scene_class_id(scene)
+        number_of, members = [0], {}
+        for number, name in enumerate(names, 1):
+            model = name.partition("::")[0]
+            key = (
+                (model, class_id[number]) if class_id[number] else number
+            )  # bodies of no class stay themselves
+            members.setdefault(key, []).append(number)
+            number_of.append(members[key][0])
+        shown = ["", *names]
+        for numbers in members.values():
+            if len(numbers) > 1:
+                shown[numbers[0]] = names[numbers[0] - 1].partition("::")[0]
+        return Instances(np.array(number_of, np.uint16), shown)
 
     def layers(self, sonar: str) -> list[Layer]:
         """Return the arrays of a sonar with a value for each bin."""

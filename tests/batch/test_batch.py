@@ -34,7 +34,16 @@ from sonar_gl.engine.run import Run
 from sonar_gl.imaging.boxes import body_map, boxes_of
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.sonar.sampling import ToleranceWarning
-from tests.support.batches import LABELS, MORE, files_of, make_all, open_batch, write_job, write_plain_job
+from tests.support.batches import (
+    BOX,
+    LABELS,
+    MORE,
+    files_of,
+    make_all,
+    open_batch,
+    write_job,
+    write_plain_job,
+)
 from tests.support.command_line import run
 
 N = 10
@@ -585,6 +594,48 @@ def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tm
                 name = folder / kind / image["file_name"]
                 assert (tmp_path / "out" / name).read_bytes() == (small / "out" / name).read_bytes()
     assert 0 < left_out < len(of_all)
+
+
+RIG = """<model name="rig"><pose>3 0.2 -0.3 0 0 0</pose>{}</model>
+<model name="rig2"><static>true</static><pose>4 -0.6 -0.3 0 0 0</pose>{}</model>
+"""
+LINK = """<link name="{}"><pose>{} 0 0 0 0 0</pose><collision name="c">
+<geometry><box><size>0.2 0.2 0.2</size></box></geometry><laser_retro>120</laser_retro></collision></link>
+"""
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_bodies_of_one_model_and_class_are_one_instance_of_coco(tmp_path, together):
+    path, links = write_plain_job(tmp_path, 2, 2, ""), LINK.format("a", 0) + LINK.format("b", 0.5)
+    scene = (tmp_path / "tank.sdf").read_text().replace(BOX, RIG.format(links, LINK.format("a", 0)))
+    (tmp_path / "tank.sdf").write_text(scene)
+    classes = 'rigs = ["rig*"]' if together else 'rigs = ["rig::a", "rig2"]\nother = ["rig::b"]'
+    with path.open("a") as job:
+        job.write(
+            f"[labels]\nlayers = ['body', 'boxes']\n[labels.classes]\n{classes}\n[coco]\nheight = 200\n"
+        )
+    make_all(path, tmp_path / "out")
+    data = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    assert data.attrs["bodies"] == ["wall", "rig::a", "rig::b", "rig2", "floor"]
+    folder = tmp_path / "out" / "coco" / "level"
+    coco = COCO(str(folder / "instances.json"))
+    for number in range(2):
+        stored = data.isel(ping=number)
+        assert {2, 3, 4} < set(np.unique(stored.body_id))  # the arrays have each body
+        mask = cv2.imread(str(folder / "masks" / "00000" / f"{number:08d}.png"), cv2.IMREAD_UNCHANGED)
+        assert set(np.unique(mask)) == ({0, 1, 2, 4, 5} if together else {0, 1, 2, 3, 4, 5})
+        found = coco.loadAnns(coco.getAnnIds(number))
+        told = [
+            (one["id"] - 65536 * number, one["body_id"], one["body"], one["category_id"]) for one in found
+        ]
+        names = ["rig", "rig2"] if together else ["rig::a", "rig::b", "rig2"]
+        classes = [1, 1] if together else [1, 2, 1]
+        numbers = [2, 4] if together else [2, 3, 4]
+        assert told == list(zip(numbers, numbers, names, classes, strict=True))
+        for one in found:
+            assert np.array_equal(coco.annToMask(one), mask == one["body_id"])
+            bodies = [1, 2] if together and one["body_id"] == 2 else [one["body_id"] - 1]
+            assert one["echo"] == pytest.approx(float(stored.body_echo[bodies].sum()), rel=1e-5)
 
 
 def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
