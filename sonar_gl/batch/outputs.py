@@ -263,6 +263,7 @@ class CocoOutput(CountsOutput):
 class OpticalFrame:
     """An image of the camera on the vehicle: world_from_camera (4, 4), RGB (H, W, 3), depth (H, W) metres."""
 
+    request: BatchRequest
     pose: np.ndarray
     rgb: np.ndarray
     depth_m: np.ndarray
@@ -307,7 +308,7 @@ class OpticalOutput(Output):
         self.put(ping_file("optical/rgb", request.number, "png"), png_bytes(rgb))
         self.put(ping_file("optical/depth", request.number, "png"), png_bytes(millimetres))
         if self.job.ros is not None:
-            self.frames[request.number] = OpticalFrame(pose, rgb, depth_m)
+            self.frames[request.number] = OpticalFrame(request, pose, rgb, depth_m)
 
 
 class RosOutput(CountsOutput):
@@ -338,7 +339,7 @@ class RosOutput(CountsOutput):
 
     def end(self):
         for number, frame in self._optical.frames.items() if self._optical else ():
-            request, intrinsics = self.requests[number], self._optical.camera.intrinsics
+            request, intrinsics = frame.request, self._optical.camera.intrinsics
             record = CameraRecord(
                 request.time_s, "camera", frame.pose, intrinsics, frame.rgb, frame.depth_m,
                 request.vehicle_pose,

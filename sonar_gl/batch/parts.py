@@ -17,6 +17,7 @@ import numpy as np
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import (
+    CHUNK_PINGS,
     DoneRecord,
     Manifest,
     PartRecord,
@@ -145,20 +146,34 @@ def make_part(
 
 @dataclass(frozen=True)
 class Cost:
-    """Time and size of a ping."""
+    """Time and size of a ping, the mean over those of these numbers, rising."""
 
     seconds_per_ping: float
     bytes_per_ping: float
+    numbers: tuple[int, ...]
 
 
 def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
-    """Make the first part twice, since only the second time is typical, and return what a ping costs."""
-    make_part(batch, 0, report=report)
-    begin_s = time.perf_counter()
-    record = make_part(batch, 0, report=report)
-    taken_s, folder = time.perf_counter() - begin_s, batch.folder
-    sizes = [folder.fs.size(folder.path(name)) for name in record.files]
-    return Cost(taken_s / record.pings, sum(sizes) / record.pings)
+    """Return what a ping costs: of about as many as a part has, spread over the job.
+
+    The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
+    opens the scene, and compiles.
+    """
+    requests, folder = batch.requests, batch.folder
+    n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
+    # of each scene a chunk at least, since few pings have more than their share of what a part needs once
+    n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // n_scenes)))
+    seconds, sizes, numbers = [], [], []
+    for scene in range(n_scenes):
+        picked = _spread_numbers(requests, scene, n_each)
+        batch.maker.make_sample(picked, report)
+        begin_s = time.perf_counter()
+        record = batch.maker.make_sample(picked, report)
+        seconds.append((time.perf_counter() - begin_s) / len(picked))
+        sizes.append(sum(folder.fs.size(folder.path(name)) for name in record.files) / len(picked))
+        numbers += picked
+    # scenes have equally many pings
+    return Cost(sum(seconds) / n_scenes, sum(sizes) / n_scenes, tuple(sorted(numbers)))
 
 
 class HardView(NamedTuple):
@@ -185,7 +200,7 @@ class HardView(NamedTuple):
 def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardView]:
     """Choose the samples of SURVEYED pings spread over those of a scene, and return what they need."""
     requests, found = batch.requests, []
-    spread = [requests[number] for number in _spread_numbers(requests, scene)]
+    spread = [requests[number] for number in _spread_numbers(requests, scene, SURVEYED)]
     bodies = ["", *(body.name for body in requests.scene(scene).bodies)]
     with ExitStack() as stack, collected_warnings(ToleranceWarning):  # the estimates say so
         for name, simulator in _open_simulators(batch, scene, stack).items():
@@ -224,11 +239,11 @@ STEPS = {
 }
 
 
-def _spread_numbers(requests: BatchRequests, scene: int) -> list[int]:
-    """Return numbers of pings spread evenly over those of a scene."""
+def _spread_numbers(requests: BatchRequests, scene: int, count: int) -> list[int]:
+    """Return the numbers of so many pings, or of all, spread evenly over those of a scene."""
     ranges = [run.numbers for run in requests.runs if run.scene == scene]
     starts = np.cumsum([0, *map(len, ranges)]).tolist()
-    picked = np.unique(np.linspace(0, starts[-1] - 1, SURVEYED).round().astype(int)).tolist()
+    picked = np.unique(np.linspace(0, starts[-1] - 1, count).round().astype(int)).tolist()
     runs = [bisect_right(starts, index) - 1 for index in picked]
     return [ranges[run][index - starts[run]] for run, index in zip(runs, picked, strict=True)]
 
@@ -322,19 +337,38 @@ class PartMaker:
         OSError
             if a file cannot be written.
         """
-        batch, numbers = self._batch, self._batch.manifest.numbers(part)
-        requests = [batch.requests[number] for number in numbers]
-        rows = np.array([batch.table.row(request) for request in requests])
-        task = _Part(numbers, requests, rows, dict(set_aside or {}), one_by_one, report)
+        numbers = self._batch.manifest.numbers(part)
+        requests = [self._batch.requests[number] for number in numbers]
+        return self._make(part, self._task(requests, dict(set_aside or {}), one_by_one, report))
+
+    def make_sample(self, numbers: list[int], report: Report = no_report) -> PartRecord:
+        """Make these pings, no more than a part has, as if they were the first part, whose files they replace.
+
+        They are numbered anew, so that the files are no data set, but as large as those of one.
+        """
+        requests = [replace(self._batch.requests[number], number=k) for k, number in enumerate(numbers)]
+        return self._make(0, self._task(requests, {}, False, report))
+
+    def _task(
+        self, requests: list[BatchRequest], failed: dict[int, str], one_by_one: bool, report: Report
+    ) -> _Part:
+        """Return the part that has these requests, whose numbers follow one another."""
+        numbers = range(requests[0].number, requests[-1].number + 1)
+        rows = np.array([self._batch.table.row(request) for request in requests])
+        return _Part(numbers, requests, rows, failed, one_by_one, report)
+
+    def _make(self, part: int, task: _Part) -> PartRecord:
+        """Make a part and write its files, the record last."""
+        batch, numbers, any_left_out = self._batch, task.numbers, bool(task.failed)
         for output in self.outputs:
             output.begin(part, numbers)
-        for scene, run in groupby(requests, lambda request: request.scene):
+        for scene, run in groupby(task.requests, lambda request: request.scene):
             run = list(run)
             for sonar in batch.requests.sonars:
                 for request, ping in self._pings(task, scene, sonar, run):
                     self._store(task, request, sonar, ping)
         reasons = set(task.failed.values())
-        if len(task.failed) == len(numbers) > 1 and not set_aside and len(reasons) == 1:
+        if len(task.failed) == len(numbers) > 1 and not any_left_out and len(reasons) == 1:
             raise Error(f"no ping of part {part} could be made ({reasons.pop()})")
         return self._finish(part, task)
 

@@ -253,7 +253,7 @@ def _stop_on_signals(pool: Pool, report: Callable[[str], None]):
 
 
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
-    """Make the first part of a job in a temporary folder, and return a text on the job's size and time."""
+    """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
     for text in requests.rate_warnings():
         report(text)
@@ -284,14 +284,26 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     best_s = _busiest_pings(manifest, processes) * cost.seconds_per_ping
     lines.append(
         f"speed: {1 / cost.seconds_per_ping:.3g} pings a second in one process ({1e3 * cost.seconds_per_ping:.1f} ms a "
-        f"ping, on {manifest.system.gl_renderer}; measured on this machine by pings 0..{len(manifest.numbers(0)) - 1}, "
-        "after all was compiled)"
+        f"ping, on {manifest.system.gl_renderer}; measured on this machine by "
+        f"{_numbers_text(cost.numbers)}, after all was compiled)"
     )
     lines.append(
         f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "
         "has as many cores"
     )
     return "\n".join(lines)
+
+
+def _numbers_text(numbers: tuple[int, ...]) -> str:
+    """Return a text that names pings spread over a job.
+
+    >>> _numbers_text((0, 9)), _numbers_text((0, 3, 5, 8, 11))
+    ('pings 0, 9', '5 pings spread over the job: 0, 3, 5, .., 11')
+    """
+    if len(numbers) < 5:
+        return f"{'pings' if len(numbers) > 1 else 'ping'} {', '.join(map(str, numbers))}"
+    first = ", ".join(map(str, numbers[:3]))
+    return f"{len(numbers)} pings spread over the job: {first}, .., {numbers[-1]}"
 
 
 def _busiest_pings(manifest: Manifest, processes: int) -> float:

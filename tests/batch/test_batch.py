@@ -18,12 +18,12 @@ from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
 
 import sonar_gl as sg
-from sonar_gl.batch import outputs
+from sonar_gl.batch import outputs, parts
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part
+from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, measure_cost
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
@@ -452,7 +452,7 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     assert " samples for body 'rod', estimated error 0.0" in lines[at + 1]
     assert lines[at + 4].startswith("8 pings in 4 parts")
     rate, ms = re.fullmatch(
-        r"speed: (\S+) pings a second in one process \((\S+) ms a ping, on .*; measured on this machine by pings 0..1, "
+        r"speed: (\S+) pings a second in one process \((\S+) ms a ping, on .*; measured on this machine by pings 0, 7, "
         r"after all was compiled\)",
         lines[at + 6],
     ).groups()
@@ -460,6 +460,38 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     one_s = re.match(r"time: (\S+) seconds for all pings in one process, ", lines[at + 7])[1]
     assert float(one_s) == pytest.approx(8e-3 * float(ms), rel=0.02)
     assert lines[at + 7].endswith(" at best in 4, if each has as many cores")  # no more processes than parts
+
+
+@pytest.mark.parametrize("n_scenes", [1, 2])
+def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes):
+    """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time."""
+    path, now_s, made = write_job(tmp_path, 40, LABELS + MORE), [0.0], []
+    shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
+    text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 16")
+    path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
+    batch = open_batch(path, tmp_path / "out")
+    number_at = {request.time_s: request.number for request in batch.requests}
+    begin(batch).save(batch.folder)
+    create_store(batch)
+
+    def timed(run, requests):
+        requests = list(requests)
+        for number in (number_at[request.time_s] for request in requests):
+            now_s[0] += number * (1e-3 if made.count(number) >= 2 else 1.0) / 2  # two sonars
+            made.append(number)
+        return sequence.make_pings(run, iter(requests))
+
+    monkeypatch.setattr(parts, "make_pings", timed)
+    monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
+    cost = measure_cost(batch)
+    if n_scenes == 1:
+        expected = np.linspace(0, 39, 16).round().astype(int)
+    else:
+        expected = np.linspace([0, 40], [39, 79], 8).round().astype(int).T.ravel()
+    assert cost.numbers == tuple(expected.tolist())
+    assert all(made.count(number) == 4 for number in expected) and len(made) == 4 * len(expected)
+    assert cost.seconds_per_ping == pytest.approx(1e-3 * np.mean(expected), rel=1e-9)
+    batch.close()
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
