@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, unknown_body_error
+from sonar_gl.core.checks import check_kind, check_number, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import Camera
@@ -47,6 +47,7 @@ class OpticalCamera:
         self.context = None
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("camera", camera, Camera, "such as sonar_gl.Camera.of_fov(640, 480, fov_x_rad=1.2)")
+        check_number("far_m of optical images", far_m, 0)
         projection = camera.projection(near_m, far_m)
         pyrender = import_pyrender()
 

@@ -334,7 +334,11 @@ def test_messages(optical):
         ),
         (
             lambda: OpticalCamera(SCENE, CAMERA, near_m=0),
-            "near_m and far_m must be finite metres, the former above 0",
+            "near_m must be metres above 0, and far_m above that (got 0 and 100.0)",
+        ),
+        (
+            lambda: OpticalCamera(SCENE, CAMERA, far_m=np.inf),
+            "far_m of optical images must be finite and 0 or more (got inf)",
         ),
         (
             lambda: OpticalCamera(sg.Scene([]), camera),
