@@ -80,7 +80,7 @@ class DrawnSector:
                 host.leave()
             except BaseException:  # an interrupt
                 if host.is_in_reach():
-                    host.guard.end_blocks(self._n_outer_blocks)
+                    host.end_blocks(self._n_outer_blocks)
                 raise
 
 

@@ -172,13 +172,20 @@ class HostContext:
     def __enter__(self):
         pause = CollectorPause()
         self.check()
+        n_blocks = len(self._pauses)
         self._pauses.append(pause)  # before the guard is entered: `leave` may follow at once
         try:
             self.guard.__enter__()
             return self
-        except BaseException:  # the guard has put back the state
-            self._pauses.pop().end()
+        except BaseException:
+            self.end_blocks(n_blocks)
             raise
+
+    def end_blocks(self, n_left: int) -> None:
+        """End the innermost blocks, so that `n_left` remain, after an interrupt; the context must be in reach."""
+        self.guard.end_blocks(n_left)
+        while len(self._pauses) > n_left:
+            self._pauses.pop().end()
 
     def leave(self) -> bool:
         """End the block; return whether the context was still there, so that its state was restored."""

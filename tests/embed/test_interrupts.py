@@ -1,5 +1,6 @@
 """An interrupt (Ctrl-C) at a line of an embedded sonar: the host's OpenGL state is as it was."""
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,7 @@ def test_an_interrupt_as_a_block_begins_or_ends_leaves_the_state_of_the_host(con
             if changed := changes(before, snapshot(gl)):
                 faults[place] = changed
             draw()
+            assert gc.isenabled(), place
         assert faults == {}
         assert n_interrupts == len(places) > 60
         with pytest.warns(UserWarning, match="no echo"):  # nothing was drawn
