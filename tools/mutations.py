@@ -620,7 +620,7 @@ MUTATIONS = (
         "normal = self.normal @ pose[:3, :3]",
         MULTIPATH,
     ),
-    Mutation("multipath/small bodies", "left.min() >= LEAST_ON_BODY", "True", ("test_multipath",)),
+    Mutation("multipath/small bodies", "fewest >= LEAST_ON_BODY * times_fewer", "True", ("test_multipath",)),
     Mutation(
         "multipath/parallel planes",
         "(np.abs(offsets - offset) < tolerance_m)",

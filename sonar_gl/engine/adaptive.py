@@ -8,7 +8,7 @@ error that the coarser ones had.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 from typing import NamedTuple, Protocol
@@ -216,7 +216,7 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._guess = min(typical_level(self.tolerance), self._model.finest)
         self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
-        self._trigger, self._has_warned = ReplanTrigger(self._sonar), False
+        self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self._resolution_at(self._guess), self._guess), PingHistory()
 
     @property
@@ -437,9 +437,16 @@ class AdaptiveSampling:
 
 
 class ReplanTrigger:
-    """Decides when to estimate the error again: sonar or bodies have moved, or bodies changed, since the last check."""
+    """Decides when to estimate the error again: sonar or bodies have moved, or bodies changed, since the last check.
 
-    def __init__(self, sonar: Sonar):
+    Parameters
+    ----------
+    sonar : Sonar
+    backscatter : function of a state to the most that each body returns in it
+    """
+
+    def __init__(self, sonar: Sonar, backscatter: Callable[[SceneState], np.ndarray]):
+        self._backscatter = backscatter
         self._far_m = CHECK_MOVE * sonar.range_max_m
         turn_deg = min(CHECK_TURN_DEG, sonar.azimuth_fov_deg / 4, sonar.elevation_fov_deg / 2)
         self._far_rad = math.radians(turn_deg)
@@ -447,7 +454,7 @@ class ReplanTrigger:
     def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
         """Return whether sonar or bodies have changed much since the last check, or a little for `n_pings`, long."""
         moved, turned = self._change_since(last, pose, state)
-        brighter = 1.0 if math.isinf(moved) else _brighter(last.state, state)
+        brighter = 1.0 if math.isinf(moved) else self._brighter(last.state, state)
         if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
             return False
         is_much = moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
@@ -457,6 +464,14 @@ class ReplanTrigger:
         """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
         moved, turned = self._change_since(last, pose, state)
         return moved > self._far_m or turned > self._far_rad
+
+    def _brighter(self, before: SceneState, after: SceneState) -> float:
+        """Return by how many times at most a body returns more, or less, than in another state with the same bodies."""
+        if after.reflectivity is before.reflectivity:
+            return 1.0
+        own, other = (self._backscatter(state)[after.present] for state in (before, after))
+        high, low = np.maximum(own, other), np.minimum(own, other)
+        return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
     def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, float]:
         """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
@@ -468,17 +483,6 @@ class ReplanTrigger:
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
         return moved, turned
-
-
-def _brighter(before: SceneState, after: SceneState) -> float:
-    """Return by how many times at most a body reflects more, or less, than in another state with the same bodies."""
-    mu, before_mu = after.reflectivity, before.reflectivity
-    if mu is before_mu:
-        return 1.0
-    if mu is None or before_mu is None:  # the bodies' own are not known here
-        return math.inf
-    high, low = np.maximum(mu, before_mu), np.minimum(mu, before_mu)
-    return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -196,11 +196,10 @@ class ErrorModel:
 
     def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
         """Return a view that was drawn and summed already, with what was met of each body."""
-        if self._extents.n_bodies < len(self.bodies):  # some were added
-            self._extents = BodyExtents(self.bodies, self._specular)
+        extents = self._current_extents()
         samples, echoes = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
         # most of the echo of a round smooth body is that of few samples, and none of it may have met the glint
-        counts = BodyCounts(samples * self._extents.glint_shares, echoes)
+        counts = BodyCounts(samples * extents.glint_shares, echoes)
         return TriedView(stage, view, echo, counts)
 
     def judge(
@@ -273,6 +272,15 @@ class ErrorModel:
             one = bodies[body - 1], state.poses[body - 1]
             counts[body] = is_unobstructed(sectors, body, *one, pose, reception, setup.surface_z_m)
         return counts
+
+    def greatest_backscatter(self, state: SceneState) -> np.ndarray:
+        """Return (bodies,) the most that each body may return per steradian in a state."""
+        return self._current_extents().greatest_backscatter(state)
+
+    def _current_extents(self) -> BodyExtents:
+        if self._extents.n_bodies < len(self.bodies):  # some were added
+            self._extents = BodyExtents(self.bodies, self._specular)
+        return self._extents
 
     def _reception(self, stage: Stage) -> Reception:
         return reception_of(stage.beamformer, self._reach_rad, self._gain)

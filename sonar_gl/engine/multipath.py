@@ -25,6 +25,7 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.sampling import WORST_BODY
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
@@ -133,7 +134,7 @@ class Thinning(NamedTuple):
 # After so many halvings. Rows are whole numbers, so that some of drawn ones serve.
 THINNINGS = (
     Thinning(1, 1, True),
-    Thinning(1, 2, True),
+    Thinning(2, 1, True),
     Thinning(2, 2, True),
     Thinning(4, 2, True),
     Thinning(4, 4, False),
@@ -307,11 +308,11 @@ class ImageSources:
         counts = MULTIPATH_GAIN * direct.echo > SHARES[0] * direct.echo.sum()
         fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
         at_most = sum(share <= one for one in SHARES)
-        while at_most > 0 and not (
-            fewest >= LEAST_ON_BODY * fewer << at_most
-            and max(_error_by_samples(share, one, fewer << at_most) for one in (direct, images.imaged))
-            <= self._tolerance * (1 + share)
-        ):
+        while at_most > 0:
+            times_fewer = fewer * 2**at_most
+            errors = [_error_by_samples(share, one, times_fewer) for one in (direct, images.imaged)]
+            if fewest >= LEAST_ON_BODY * times_fewer and max(errors) <= self._tolerance * (1 + share):
+                break
             at_most -= 1
         return at_most
 
@@ -356,11 +357,11 @@ class ImageSources:
 
 
 def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
-    """Return the error of multipath by the samples on the bodies that return it, relative to the direct echo.
+    """Return the error of multipath by the samples on the bodies that return it, relative to what `share` is.
 
     At the worst it is that of the bodies with the fewest samples.
 
-    share : of multipath, relative to the direct echo
+    share : of multipath
     counts : of the direct view or of the images'
     fewer : times fewer samples than there
     """
@@ -371,11 +372,14 @@ def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
 
 
 def error_of(images: ImageSourceSamples, multipath: BeamEcho, direct: BeamEcho) -> float:
-    """Return the estimated error of multipath, as a share of the whole echo, by the bodies that the images see."""
+    """Return the estimated error of multipath, as a share of the whole echo, by the bodies that the images see.
+
+    It is comparable with `Plan.bound`: a body's own echo may err by WORST_BODY times the tolerance.
+    """
     if multipath.total <= 0:
         return 0.0
-    total = multipath.total + direct.total
-    return _error_by_samples(multipath.total / total, images.imaged, 2**images.halvings)
+    share = multipath.total / (multipath.total + direct.total)
+    return _error_by_samples(share, images.imaged, 2**images.halvings) / WORST_BODY
 
 
 def _are_alike(a, b) -> bool:

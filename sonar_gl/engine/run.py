@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -249,8 +248,7 @@ class Run:
         if estimate is None:
             estimate = self.sampler.error_estimate(setup.head_pose)
         if estimate is not None and received.multipath is not None:
-            by_images = error_of(received.drawn.images, received.multipath, received.direct)
-            estimate = math.hypot(estimate * received.direct.total / max(received.total, 1e-30), by_images)
+            estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
         return PingReport(self.sample_origin(), estimate, no_echo)
 
     def close(self) -> None:

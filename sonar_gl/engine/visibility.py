@@ -19,6 +19,7 @@ from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
 POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
+GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
@@ -317,10 +318,11 @@ def _area_m2(surface) -> float:
 
 
 def glint_share(surface, roughness_rad: float) -> float:
-    """Return the share of a smooth body's outline that returns most of its echo, 1 where its faces are flat.
+    """Return the share of a smooth body's outline that returns nearly all of its echo, 1 where its faces are flat.
 
-    Facets within twice the roughness of the direction of the sonar do: of a round body, a part as wide as twice that in
-    sines, on each side; of a cylinder, which is round in one direction alone, a strip.
+    Facets within GLINT_REACH times the roughness of the direction of the sonar do, all but 10⁻⁴ of the lobe: of a round
+    body, a part of its outline as wide as that share in both directions; of a cylinder, which is round in one direction
+    alone, a strip.
     """
     faces = np.asarray(surface.faces)
     a, b, c = np.asarray(surface.vertices, np.float64)[faces[:: 1 + len(faces) // MAX_CLIPPED_FACES].T]
@@ -332,7 +334,7 @@ def glint_share(surface, roughness_rad: float) -> float:
     _, axes = np.linalg.eigh(normals.T @ (areas[:, None] * normals))
     is_beside = np.abs(normals @ axes[:, 0]) < 0.1  # the axis that the fewest normals follow
     is_round_once = areas[is_beside].sum() > 0.7 * areas.sum()
-    return min(1.0, 4 * roughness_rad) ** (1 if is_round_once else 2)
+    return min(1.0, GLINT_REACH * roughness_rad) ** (1 if is_round_once else 2)
 
 
 class BodyExtents:

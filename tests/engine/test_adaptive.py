@@ -338,12 +338,12 @@ class TestMoving:
 def test_the_trigger_s_angle_is_that_of_the_rotation():
     """A quarter of the field of view, 11.25 degrees, and half the aperture, 10: the smaller counts, about any axis."""
     state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
+    trigger = ReplanTrigger(SONAR, lambda state: np.ones(len(state.poses)))
     for axis in ("roll", "pitch", "yaw"):
         for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
             turned = sg.pose(**{axis: math.radians(angle_deg)})
-            assert (
-                ReplanTrigger(SONAR).is_due(LastCheck(np.eye(4), state, 1.0, 0), turned, state, 1) == is_due
-            )
+            check = LastCheck(np.eye(4), state, 1.0, 0)
+            assert trigger.is_due(check, turned, state, 1) == is_due
 
 
 def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
@@ -666,6 +666,21 @@ class TestBodiesThatSamplesMiss:
             for _ in range(10):
                 ping = simulator.ping(sg.pose(), reflectivity={"lamp": 1.0}, labels=True)
         assert abs(ping.body_echo[2] / truth - 1) < self.LIMIT
+
+
+def test_reflectivity_that_is_the_bodies_own_asks_for_no_check(monkeypatch):
+    """Given in every other ping it did so in nearly all."""
+    checks, judge = [], error_model.ErrorModel.judge
+    monkeypatch.setattr(
+        error_model.ErrorModel, "judge", lambda self, *of: checks.append(of) or judge(self, *of)
+    )
+    body = sg.Body("b", trimesh.creation.box((1, 2, 2)), sg.pose(6), 0.5)
+    with sg.Simulator(sg.Scene([body]), SONAR, IDEAL) as simulator:
+        simulator.ping(sg.pose())
+        checks.clear()
+        for k in range(20):
+            simulator.ping(sg.pose(), reflectivity={"b": 0.5} if k % 2 else None)
+    assert checks == []
 
 
 @pytest.mark.parametrize(
