@@ -485,9 +485,8 @@ class Acoustics:
         gaussian = self.beam_pattern == "gaussian"
         sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
         support = math.asin(min(1.0, sine))
-        if (
-            sonar.steered == "straight"
-        ):  # on either side; a beam further aside than its 4th null has none there
+        if sonar.steered == "straight":
+            # on either side; a beam further aside than its 4th null has none there
             steer = np.abs(sonar.azimuth_rad)
             away = np.arcsin(np.minimum(1.0, np.sin(steer) + sine)) - steer
             inward = steer - np.arcsin(np.maximum(-1.0, np.sin(steer) - sine))

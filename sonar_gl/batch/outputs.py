@@ -215,7 +215,7 @@ class CocoOutput(CountsOutput):
         if not instances.are_bodies:
             echo = np.bincount(instances.number_of, ping.body_echo, len(ping.body_echo))
             ping = replace(ping, body_id=instances.number_of[ping.body_id], body_echo=echo)
-        ids = np.where(picture > 0, body_map(ping, height, quiet), 0)
+        ids = np.where(picture > 0, body_map(ping, height, self.with_counts(sonar, quiet)), 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
         mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")

@@ -356,9 +356,8 @@ class Schema:
         number_of, members = [0], {}
         for number, name in enumerate(names, 1):
             model = name.partition("::")[0]
-            key = (
-                (model, class_id[number]) if class_id[number] else number
-            )  # bodies of no class stay themselves
+            # bodies of no class stay themselves
+            key = (model, class_id[number]) if class_id[number] else number
             members.setdefault(key, []).append(number)
             number_of.append(members[key][0])
         shown = ["", *names]

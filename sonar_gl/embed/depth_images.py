@@ -176,7 +176,7 @@ def z_buffer_suspicion(images, sonar: Sonar) -> str | None:
     # An image full of metres between 0.9 and 1 shows a wall across the view; one of centimetres is what no camera sees.
     is_ordinary = len(drawn) == len(depth) and np.mean(drawn >= FAR_DEPTH) >= MOST
     is_reversed = np.mean(drawn <= 1 - FAR_DEPTH) >= MOST
-    if drawn.max() == 1 or (sonar.range_max_m >= MANY_M and (is_ordinary or is_reversed)):
+    if depth.max() == 1 or (sonar.range_max_m >= MANY_M and (is_ordinary or is_reversed)):
         return "depth lies in 0..1, as a z-buffer does (embed.metres_ahead makes metres of that)"
     return None
 

@@ -76,7 +76,7 @@ def boxes_of(ping: Ping, height: int = 800, quiet: Ping | None = None) -> Boxes:
     n_beams = len(ping.azimuth_rad)
     for body in np.flatnonzero(pixels[:, 0] > pixels[:, 1]):  # its bins lie between pixels: the nearest pixel
         azimuth, range_m = ping.azimuth_rad[beams[body] % n_beams].mean(), ping.range_m[bins[body]].mean()
-        if beams[body, 1] >= n_beams:
+        if beams[body, 0] < n_beams <= beams[body, 1]:
             azimuth += np.pi  # the middle of two beams on either side of the seam
         column, row = (round(float(x)) for x in geometry.pixel(azimuth, range_m))
         column, row = min(max(column, 0), geometry.width - 1), min(max(row, 0), geometry.height - 1)
