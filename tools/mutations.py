@@ -620,6 +620,7 @@ MUTATIONS = (
         "normal = self.normal @ pose[:3, :3]",
         MULTIPATH,
     ),
+    Mutation("multipath/estimate", "max(estimate, error_of(", "min(estimate, error_of(", MULTIPATH),
     Mutation("multipath/small bodies", "fewest >= LEAST_ON_BODY * times_fewer", "True", ("test_multipath",)),
     Mutation(
         "multipath/parallel planes",
@@ -740,10 +741,13 @@ MUTATIONS = (
             ),
         ),
     ),
+    Mutation("planner/plane of a grazing floor", "q > plane * IN_FRONT", "q > there * IN_FRONT", ADAPTIVE),
+    Mutation("planner/glints", "samples * extents.glint_shares", "samples", ADAPTIVE),
+    Mutation("planner/brighter bodies", "or brighter > CHECK_BRIGHTER", "", ADAPTIVE),
     Mutation(
         "planner/reviews by number",
-        "n_pings >= CHECK_EVERY or moved > self._far_m",
-        "moved > self._far_m",
+        "is_much or n_pings >= CHECK_EVERY",
+        "is_much",
         ADAPTIVE,
         (("self.since >= CHECK_EVERY or moved > self.far_m", "moved > self.far_m"),),
     ),
@@ -1331,7 +1335,7 @@ MUTATIONS = (
     ),
     Mutation(
         "ros/port of a closed server",
-        "if not wait_until_free(self._host, port, CLOSE_S):",
+        "if not wait_until_free(self._host, port, end_s - time.monotonic()):",
         "if False:",
         ("test_foxglove",),
     ),
