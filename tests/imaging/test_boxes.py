@@ -211,6 +211,19 @@ def test_a_body_between_pixels_across_the_seam_has_the_nearest_one():
     assert boxes.pixels.tolist() == [[round(float(column)), round(float(row)), 1, 1]]
 
 
+def test_a_body_behind_the_seam_is_not_shown_ahead():
+    """Of its first beam, before the seam, both bins are left out at the ends of the range."""
+    body_id = np.zeros((3000, 800), np.uint16)
+    body_id[0:15, 322:342] = 1
+    body_id[-1, [100, 700]] = 1
+    ping = replace(labelled(body_id, 360.0), sonar=None)  # all bins count alike
+    boxes = boxes_of(ping, 40)
+    assert boxes.beams.tolist() == [[0, 14]] and boxes.bins.tolist() == [[322, 341]]
+    assert not body_map(ping, 40).any()  # between pixels
+    column, row = fan_geometry(ping, 40).pixel(ping.azimuth_rad[:15].mean(), ping.range_m[322:342].mean())
+    assert boxes.pixels.tolist() == [[round(float(column)), round(float(row)), 1, 1]]
+
+
 def test_bodies_that_a_display_does_not_show_have_all_their_bins():
     """As where `label_level_db` labels what is black."""
     ping = bright_ping(np.ones((40, 30)), 60.0)

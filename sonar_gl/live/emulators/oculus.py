@@ -232,7 +232,8 @@ class OculusServer:
 
     def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a program that connects, in a task of this server's own: that of asyncio ends with a traceback."""
-        self._start(self._serve(reader, writer))
+        task = self._start(self._serve(reader, writer))
+        task.add_done_callback(lambda _: writer.close())  # also if it is cancelled before it begins
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Read the messages of a program until it goes, or sends what is none."""
