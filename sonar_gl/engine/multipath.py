@@ -41,6 +41,9 @@ MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its wa
 # A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
 # be weak, and the samples to suffice.
 LEAST_ON_BODY = 16
+# Samples of a view, about, on which bodies are counted: where a tolerance asks for ten times as many, it asks for so many
+# on each body that no body lies between the rows that are counted.
+COUNTED = 1 << 16
 
 
 class ImagePose(NamedTuple):
@@ -294,8 +297,12 @@ class ImageSources:
         return out
 
     def _count_bodies(self, stage: Stage, view: ViewSamples, gain) -> BodyCounts:
+        """Count the samples on each body, by every so-manieth row where there are many."""
         reception = reception_of(stage.beamformer, self._reach_rad, gain)
-        return count_bodies(view.sectors, len(self._scene.bodies), reception)
+        step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
+        sectors = [every_row(one, step) for one in view.sectors]
+        samples, echo = count_bodies(sectors, len(self._scene.bodies), reception)
+        return BodyCounts(samples * step, echo)  # rows of a step are as many times as high
 
     def _halvings_for(self, share: float, images: ImageSourceSamples, fewer: int = 1) -> int:
         """Return how often samples may be halved.
