@@ -41,8 +41,8 @@ MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its wa
 # A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
 # be weak, and the samples to suffice.
 LEAST_ON_BODY = 16
-# Samples of a view, about, on which bodies are counted: where a tolerance asks for ten times as many, it asks for so many
-# on each body that no body lies between the rows that are counted.
+# Samples of a view, about, on which bodies are counted: where a tolerance asks for ten times as many, it asks for so
+# many on each body that none lies between the rows that are counted.
 COUNTED = 1 << 16
 
 
