@@ -638,10 +638,15 @@ class TestBodiesThatSamplesMiss:
         error, share = self.body_error([floor, ball], sg.pose(0, 0, 0, 0, 0.15, 0))
         assert share > 0.01 and error < self.LIMIT
 
-    def test_a_pebble_below_a_sonar_that_looks_down_is_seen(self):
-        """It is a hundredth of the range high."""
-        floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -12.5), "mud")
-        ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.06), sg.pose(0.5, 1.0, -11.94), 0.8)
+    @pytest.mark.parametrize(
+        ("depth_m", "x", "y", "radius_m"), [(7.85, 0.04, 0.89, 0.028), (9.33, 0.89, 3.51, 0.029)]
+    )
+    def test_a_pebble_below_a_sonar_that_looks_down_is_seen(self, depth_m, x, y, radius_m):
+        """It is less than a hundredth of the range high, and was taken for the floor."""
+        floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -depth_m - 0.5), "mud")
+        ball = sg.Body(
+            "ball", trimesh.creation.icosphere(3, radius_m), sg.pose(x, y, radius_m - depth_m), 0.8
+        )
         error, share = self.body_error([floor, ball], sg.pose(pitch=np.pi / 2))
         assert share > 1e-3 and error < self.LIMIT
 
