@@ -52,7 +52,7 @@ def test_boxes_are_boxes():
 
 
 @pytest.mark.parametrize(("taper", "edge"), [("uniform", UNIFORM_EDGE), ("hamming", HAMMING_EDGE)])
-@pytest.mark.parametrize("beam", [30, 2])
+@pytest.mark.parametrize("beam", [30, pytest.param(2, marks=pytest.mark.slow)])
 def test_upright_beams(taper, edge, beam):
     """The sum over the sphere of B(ψ) times the pattern in elevation: one way all around, two ways over the fan."""
     sonar, acoustics = sonar_and_acoustics(
@@ -73,6 +73,7 @@ def test_upright_beams(taper, edge, beam):
     assert found.echo_sr == pytest.approx(echo_sr, rel=5e-4)  # the fan ends within a cell of 0.01 degrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beam", [30, 2])
 def test_cones_of_a_straight_array(beam):
     sonar, acoustics = sonar_and_acoustics(steered="straight", element_error_db=-35.0)

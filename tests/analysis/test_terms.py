@@ -185,6 +185,7 @@ def test_the_pricing_asks_before_each_ping_and_ends_where_that_raises(monkeypatc
     assert events.count("ping") == 3
 
 
+@pytest.mark.slow
 def test_the_transmit_beam_of_a_sonar_that_has_one_is_priced():
     """The two-way beam of a fan of 40 degrees is down by 12 dB and more at its edges."""
     narrow = replace(SONAR, transmit_width_deg=20.0)
@@ -224,6 +225,7 @@ def test_what_sonar_and_noise_state_is_priced_by_itself():
     assert found["receiver noise"].changes > together  # which are parts of it
 
 
+@pytest.mark.slow
 def test_what_is_stated_changes_no_other_price():
     scene, noise = room(), replace(sg.Noise.physical(), dropped_beams=0.3)
     plain = price(scene, SONAR, 0.05)

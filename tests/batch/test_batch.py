@@ -187,6 +187,7 @@ def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
         assert {**root.attrs, **group.attrs} == {**group.attrs, "sonars": root.attrs["sonars"]}
 
 
+@pytest.mark.slow
 def test_a_set_from_before_its_root_named_the_groups_is_checked_and_resumed(small, tmp_path):
     copy = shutil.copytree(small / "out", tmp_path / "copy")
     root, folder = copy / "pings.zarr" / "zarr.json", Folder(copy)
@@ -462,6 +463,7 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     assert lines[at + 7].endswith(" at best in 4, if each has as many cores")  # no more processes than parts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_scenes", [1, 2])
 def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes):
     """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time."""
@@ -555,6 +557,7 @@ def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
     assert check(batch.folder, nullcontext) == []
 
 
+@pytest.mark.slow
 def test_a_film_that_cannot_be_made_is_refused_before_the_first_ping(tmp_path):
     """Video of MPEG-4 part 2 has no 8192 rows; a batch with all pings made could not be completed without its film."""
     more = '[pictures]\nformats = ["mp4"]\nheight = 8192'
@@ -566,6 +569,7 @@ def test_a_film_that_cannot_be_made_is_refused_before_the_first_ping(tmp_path):
     assert re.fullmatch(pattern, str(caught.value))
 
 
+@pytest.mark.slow
 def test_a_film_that_failed_is_made_by_the_next_try(small, tmp_path, monkeypatch):
     """As on a full disk: the batch is complete once there is room."""
     out = shutil.copytree(small / "out", tmp_path / "out")
@@ -775,6 +779,7 @@ def test_optical_images_are_rendered_on_the_device_of_the_process(tmp_path, monk
     assert devices == [0]  # None is the default
 
 
+@pytest.mark.slow
 def test_a_batch_may_be_written_to_a_url(tmp_path):
     write_job(tmp_path, 4, "[pictures]\nheight = 40\n")
     make_all(tmp_path / "job.toml", "memory://batch")
@@ -942,6 +947,7 @@ def test_names_may_have_brackets(tmp_path):
     assert [body.name for body in requests.scene(0).only("box[1]").bodies] == ["box[1]"]
 
 
+@pytest.mark.slow
 def test_a_job_elsewhere_gives_the_same_bytes_but_for_its_path(tmp_path):
     made = []
     for name in ("here", "there"):
@@ -1323,6 +1329,7 @@ def test_damage_is_found_and_mended(small, tmp_path):
     assert status == 2 and "must be the folder of a batch" in err and not (tmp_path / "nowhere").exists()
 
 
+@pytest.mark.slow
 def test_partial_files_are_removed_from_a_store(small, tmp_path):
     """A process that is killed leaves them, while the store is created or the batch is finalized."""
     out = shutil.copytree(small / "out", tmp_path / "out")

@@ -260,6 +260,7 @@ def test_a_warning_of_a_scene_is_shown_once_whichever_processes_load_it(tmp_path
     assert "UserWarning" not in err
 
 
+@pytest.mark.slow
 def test_the_error_of_a_process_without_memory_is_one_sentence(tmp_path):
     """Its pings take more than it is allowed: of 1024 beams and 8192 bins, 34 MB for each array."""
     job = write_plain_job(tmp_path, 4, 4, LABELS)

@@ -171,6 +171,7 @@ print(*before)
 """
 
 
+@pytest.mark.slow
 def test_lapack_has_one_thread_and_is_looked_for_once():
     """To look through the libraries of the process takes longer than the rest of a small sonar's weights.
 

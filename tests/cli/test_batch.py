@@ -74,6 +74,7 @@ def test_an_interrupted_batch_tells_of_its_files_if_there_are_any(name, tmp_path
 POSE_ROWS = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,50,0,0,0\n2,0,0,0,0,0,3\n"
 
 
+@pytest.mark.slow
 def test_a_dry_run_tells_of_pings_without_an_echo(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}</world></sdf>')
@@ -109,6 +110,7 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
     assert line.removeprefix("warning: tank.sdf: ") in run("doctor", "--scene", "tank.sdf")[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("--dry-run",), ("--out", "made")])
 def test_processes_leave_warnings_of_scenes_to_the_command_which_shows_them_once(
     tmp_path, monkeypatch, capfd, words

@@ -1037,6 +1037,7 @@ def test_process_without_egl():
     assert done.stderr == f"error: {NO_EGL.format('requested device index 0, but found 0 devices')}\n"
 
 
+@pytest.mark.slow
 def test_process_with_too_old_an_opengl():
     """Mesa can be told to be old; other drivers do not listen."""
     with gl.create_context() as context:

@@ -42,6 +42,7 @@ def test_a_table_of_known_shape_lies_in_the_memory_of_its_array():
     np.testing.assert_array_equal(array.ravel()[12:], np.arange(12.0, 20.0))
 
 
+@pytest.mark.slow
 def test_a_table_keeps_its_array_alive_and_no_longer():
     """The first form of it counted no reference, so that the array was released while it was in use."""
 

@@ -36,6 +36,7 @@ def set_state(gl):
     gl.BindFramebuffer(enum("FRAMEBUFFER"), 0)
 
 
+@pytest.mark.slow
 def test_an_interrupt_as_a_block_begins_or_ends_leaves_the_state_of_the_host(context):
     """Early versions left blending, viewport, or framebuffer of the sonar in three of 150 interrupted blocks."""
     gl = GL()

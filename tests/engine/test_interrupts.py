@@ -61,6 +61,7 @@ def test_a_ping_is_interrupted_at_its_lines(every):
     assert found.faults == []
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60, method="thread")
 def test_the_first_labels_are_interrupted_where_weights_are_found_and_kept():
     """Other stages use the weights and the response of columns that an interrupted ping has left."""

@@ -224,6 +224,7 @@ def choose(tab, label, option):
     tab.get_by_role("option", name=option, exact=True).click()
 
 
+@pytest.mark.slow
 def test_noise_water_and_engine_are_those_of_the_next_pings(viewer):
     session, tab = viewer.session, viewer.tab
     before = session.settings
@@ -252,6 +253,7 @@ def test_noise_water_and_engine_are_those_of_the_next_pings(viewer):
     wait_for(lambda: control(tab, "engine").input_value() == "cpu")
 
 
+@pytest.mark.slow
 def test_a_sonar_of_ones_own_is_offered_beside_the_presets(viewer, tmp_path):
     session, tab, given = viewer.session, viewer.tab, viewer.session.settings.sonar
     dropdown = control(tab, "sonar")
@@ -343,6 +345,7 @@ def gizmo_length_m(viewer, point):
     return GIZMO_PIXELS * depth_m * 2 * math.tan(camera.fov / 2) / height
 
 
+@pytest.mark.slow
 def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     session, mouse, tab = viewer.session, viewer.tab.mouse, viewer.tab
     home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
@@ -396,6 +399,7 @@ def test_the_gizmo_drags_the_sonar(viewer, axis):
     assert moved - (moved @ along) * along == pytest.approx(np.zeros(3), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_files_are_written_into_the_folder(viewer):
     tab, folder = viewer.tab, viewer.folder
     tab.get_by_role("button", name="Record", exact=True).click()
@@ -423,6 +427,7 @@ def test_the_command_line_can_be_copied(viewer):
     wait_for(lambda: not field.is_visible())
 
 
+@pytest.mark.slow
 def test_what_fails_is_told_and_the_page_goes_on(viewer):
     job = viewer.folder / "poses.toml"
     job.parent.mkdir(exist_ok=True)

@@ -191,6 +191,7 @@ def test_the_fan_and_its_picture_tilt_with_the_head(session, browser):
     assert browser.counts["/sonar/outline"] > outlines
 
 
+@pytest.mark.slow
 def test_a_browser_that_is_slow_slows_the_scene_alone_and_no_longer_than_a_bound(
     session, page, browser, monkeypatch
 ):
@@ -238,6 +239,7 @@ def test_clicks_before_a_connection_that_was_lost_are_not_done_again(session, pa
 # ---- what the page reads ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_pointer_is_read_once_and_no_more_once_its_browser_is_gone(session, page, monkeypatch):
     reads = []
     at = session.at
@@ -433,6 +435,7 @@ def test_the_log_is_silent_when_the_last_browser_goes_and_nothing_is_recorded(se
     assert not caplog.messages
 
 
+@pytest.mark.slow
 def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypatch):
     wait_until(lambda: session.frame.number > 0)
 
@@ -445,6 +448,7 @@ def test_pings_that_fail_are_reported_without_a_frame(session, browser, monkeypa
     wait_until(lambda: "the ping must succeed (got none)" not in numbers(browser))
 
 
+@pytest.mark.slow
 def test_the_page_says_that_the_picture_is_of_the_settings_before(session, browser, monkeypatch):
     wait_until(lambda: "Hz" in words(browser, "ping rate"))
     may_go_on = threading.Event()
@@ -478,6 +482,7 @@ def test_the_first_ping_has_no_rate(scene):
 # ---- trajectories -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_trajectory_starts_with_the_first_browser_and_ends(scene):
     with LiveSession(scene, SETTINGS, track=STRAIGHT) as session, ViewerPage(session, port=0) as page:
         time.sleep(2 * STRAIGHT.duration_s)
@@ -572,6 +577,7 @@ def test_the_range_ends_where_the_sonar_does_and_stays_where_the_next_sonar_allo
     assert session.settings.device.range_max_m == 8.0 and len(browser.notes) == 1
 
 
+@pytest.mark.slow
 def test_a_program_that_changes_the_sonar_again_and_again_fills_no_list(session, browser):
     dropdown = browser.values[browser.uuid("sonar")]
     first, own = dropdown["value"], session.settings.sonar

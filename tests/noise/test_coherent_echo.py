@@ -84,6 +84,7 @@ def test_the_noisy_ping_has_no_such_part():
     assert add_noise(replace(ping, coherent=ping.intensity), FRESH, 1).coherent is None
 
 
+@pytest.mark.slow
 def test_a_steel_plate_face_on_is_steady():
     """30 dB above the receiver's noise, the level of steel varies by less than half a decibel.
 

@@ -72,6 +72,7 @@ def test_moments_of_a_box_are_those_of_campbells_theorem(bandwidth_hz):
     check_mean(found**2, 2 + excess)
 
 
+@pytest.mark.slow
 def test_a_pattern_in_elevation_makes_echoes_unlike():
     """η holds the mean square of the two-way power, over the square of its mean."""
     ping = ping_of_water(elevation_pattern="line_array")

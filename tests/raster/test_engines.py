@@ -333,6 +333,7 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_threaded", [False, True])
 @pytest.mark.parametrize("name", ["pylon", "diver", "ocean_floor"])
 def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, monkeypatch):

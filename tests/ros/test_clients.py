@@ -129,6 +129,7 @@ def check_picture(path):
 # ---- topics of ROS 2 ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_subscriber_prints_pings_and_paints_one(scene, tmp_path):
     pytest.importorskip("cyclonedds")
     domain = "--domain", str(100 + os.getpid() % 100)  # programs that run beside tests may use domain 0
@@ -150,6 +151,7 @@ def test_the_subscriber_prints_pings_and_paints_one(scene, tmp_path):
     check_picture(tmp_path / "ros2_subscriber.png")
 
 
+@pytest.mark.slow
 def test_poses_of_the_example_move_the_sonar_over_zenoh(scene, tmp_path):
     """The sonar sways across its boresight: the ball stays 6 m ahead, at range 6 m / cos(bearing) less its radius."""
     pytest.importorskip("zenoh")
@@ -231,6 +233,7 @@ def test_the_node_of_the_page_reads_a_message_by_names_that_it_has(monkeypatch, 
 # ---- emulated devices ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_client_of_an_oculus_prints_results_and_paints_one(scene, tmp_path):
     port = str(free_port())
     read = "examples/oculus_client.py", "--port", port, "--range", "12", "--pings", "3", "--out", tmp_path

@@ -417,6 +417,7 @@ def test_late_subscribers_receive_the_last_latched_message(open_transport, parti
     ]
 
 
+@pytest.mark.slow
 def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_transport, name):
     """As of /tf_static, which each node with fixed frames writes."""
     topic, arrived = topic_of(name, latched=True, depth=100), []
@@ -434,6 +435,7 @@ def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_tra
     assert sorted(arrived) == [received(header_bytes(number)) for number in range(4)]
 
 
+@pytest.mark.slow
 def test_late_nodes_of_another_vendor_receive_the_last_latched_message(
     open_transport, domain, name, fast_dds_peer, tmp_path
 ):
@@ -449,6 +451,7 @@ def test_late_nodes_of_another_vendor_receive_the_last_latched_message(
 # ---- programs that come, go, stall and err ----------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_reader_that_is_killed_and_returns_receives_again(open_transport, domain, name):
     topic, transport = topic_of(name), open_transport()
     with published_meanwhile(transport, topic):
@@ -470,6 +473,7 @@ def test_a_transport_that_disappears_and_returns_is_found_again(open_transport, 
         Domain(domain, dds_entities.LOOPBACK_URI)  # is free for other code again
 
 
+@pytest.mark.slow
 def test_a_writer_that_dies_and_returns_is_read_again(open_transport, domain, name, fast_dds_peer, tmp_path):
     path, arrived = tmp_path / "messages", []
     write_messages(path, [header_bytes(1), header_bytes(2)])
@@ -769,6 +773,7 @@ def test_missing_packages_are_an_extra(monkeypatch, domain, module):
     assert f"got no module {module}" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_program_that_does_not_close_ends_all_the_same(domain):
     program = f"""if True:
         from sonar_gl.ros.dds_transport import DdsTransport

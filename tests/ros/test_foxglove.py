@@ -220,6 +220,7 @@ def test_random_messages_stall_nothing(transport, viewers, count):
     assert fresh.next_message() == (7, 5, b"still here")
 
 
+@pytest.mark.slow
 def test_wrong_requests_do_not_fill_the_log(transport, viewers, caplog):
     viewer = viewers()
     for _ in range(20):
@@ -257,6 +258,7 @@ def test_it_listens_at_127_0_0_1_without_a_warning():
     assert listening_ports() <= before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_viewer", [False, True])
 def test_a_closed_port_can_be_opened_at_once(has_viewer):
     """The server's own end of listening comes late in one of some ten cases: forty leave no doubt."""
@@ -309,6 +311,7 @@ def stops():
     return [one for one in threading.enumerate() if one.name == "foxglove stop"]
 
 
+@pytest.mark.slow
 def test_a_viewer_that_does_not_read_holds_up_no_end(viewers, transport, monkeypatch, caplog):
     monkeypatch.setattr(foxglove_transport, "CLOSE_S", 0.2)
     port, viewer = transport.port, viewers()
@@ -326,6 +329,7 @@ def test_a_viewer_that_does_not_read_holds_up_no_end(viewers, transport, monkeyp
     wait_until(lambda: not stops())
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_wait_for_a_viewer_that_does_not_read(viewers, transport, monkeypatch):
     monkeypatch.setattr(foxglove_transport, "CLOSE_S", WAIT_S)
     viewer, received = viewers(), []
@@ -345,6 +349,7 @@ def test_ctrl_c_ends_the_wait_for_a_viewer_that_does_not_read(viewers, transport
     wait_until(lambda: not stops())
 
 
+@pytest.mark.slow
 def test_a_program_ends_while_a_viewer_does_not_read():
     program = (
         "from tests.ros.test_foxglove import *\n"

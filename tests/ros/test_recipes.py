@@ -190,6 +190,7 @@ def test_stonefish(tmp_path, monkeypatch):
     assert began_ns < sightings[-1].stamp_ns < time.time_ns()  # the system's time
 
 
+@pytest.mark.slow
 def test_a_bag(tmp_path, monkeypatch):
     """`ros2 bag play --clock` sends recorded odometry and its time; a bag that begins again is followed again."""
     command = command_of("With a bag", tmp_path, monkeypatch)

@@ -95,6 +95,7 @@ def broken(message):
     return message[:-1] + bytes([message[-1] ^ 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("deliver", "lost", "damaged", "disordered"),
     [

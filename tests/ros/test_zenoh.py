@@ -454,6 +454,7 @@ def test_a_router_that_disappears_and_returns(port, transports, host):
     assert fixed == [b"old", b"new"]
 
 
+@pytest.mark.slow
 def test_without_a_router_at_the_start_it_warns_and_waits(port, transports):
     topic, received = image_topic(), []
     with pytest.warns(UserWarning, match=f"no zenoh router answers at tcp/127.0.0.1:{port}") as noticed:

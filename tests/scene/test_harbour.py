@@ -109,6 +109,7 @@ def test_the_wall_is_a_slanted_line(scene, ping):
     assert np.abs(off_m).max() < 0.5
 
 
+@pytest.mark.slow
 def test_silt_speckles_more_than_a_floor_without_texture(scene, simulator, ping):
     """The contrast is sqrt(1 + 2/2) where nothing but silt echoes, and 1 without texture."""
     silt = bins_of(scene, ping, "floor") & (ping.range_m < 7.0)
