@@ -255,10 +255,10 @@ class ImageSources:
             columns_per_beam=stage.sampling.columns_per_beam / columns,
             rows=math.ceil(stage.sampling.rows / rows),
         )
-        if sampling.rows < self._rows:
+        if stage.sampling.rows < self._rows:  # halved ones may be for this ping alone, or for a first look at it
             self._own_stages.drop_large()
             self._image_stages.drop_large()
-        self._rows = sampling.rows
+        self._rows = stage.sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
         must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
         if must_draw or rows > MARGIN:  # else the outermost row that is left of a window might meet a surface
