@@ -38,6 +38,9 @@ FIRST_SAMPLES = 1 << 14
 # Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
 # on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
+# Of pings by themselves, one of so many times fewer samples gives back the memory of those before. To give it back, and
+# to take it anew, takes up to a tenth of a ping that needs it.
+MUCH_FEWER = 4
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
@@ -218,6 +221,7 @@ class AdaptiveSampling:
         self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self._resolution_at(self._guess), self._guess), PingHistory()
+        self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
 
     @property
     def resolution(self) -> Resolution:
@@ -381,8 +385,11 @@ class AdaptiveSampling:
             if judged.steps <= 0 or level == model.finest:
                 break
             level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
-        if level > self._first:  # other pings need fewer samples
+        n_samples = judged.plan.n_samples
+        if MUCH_FEWER * n_samples < self._room:
             self._stages.drop_large()
+            self._room = n_samples
+        self._room = max(self._room, n_samples)
         self._warn_if_unmet(judged.plan)
         return ChosenView(tried, judged.plan)
 

@@ -13,7 +13,7 @@ from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
-from sonar_gl.engine.stage import Stage
+from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.sampling import ToleranceWarning
 
@@ -170,3 +170,16 @@ def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
 
     assert rows_of(near, far) == rows_of(far, near)[::-1]
     assert rows_of(near) < rows_of(far)
+
+
+def test_memory_is_given_back_after_a_ping_of_many_samples_and_not_while_pings_need_as_many(monkeypatch):
+    given_back = []
+    monkeypatch.setattr(StageCache, "drop_large", lambda _: given_back.append(len(n_samples)))
+    wall, rods, n_samples = POSES[0], POSES[2], []
+    with sg.Simulator(SCENE, SONAR, tolerance=0.03) as simulator:
+        for pose in (rods, rods, rods, wall, wall, rods):
+            ping = make_ping(simulator.run, PingRequest(pose, alone=True))
+            stage = simulator.run.stages.stage(sg.Sampling(**ping.meta["sampling"]))
+            n_samples.append(stage.fan.n_samples)
+    assert n_samples[0] > 4 * n_samples[3]  # else there is nothing to give back
+    assert given_back == [3]  # as the first ping of the wall has been chosen
