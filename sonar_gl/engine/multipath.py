@@ -16,7 +16,7 @@ import numpy as np
 
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import BodyCounts, body_error, count_bodies, reception_of
 from sonar_gl.raster.cull import MARGIN
@@ -174,6 +174,7 @@ class ImageSources:
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
+        self._thread = thread
         self._reach_rad = acoustics.receive_support_rad(sonar)
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
         widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
@@ -228,11 +229,20 @@ class ImageSources:
         return images.halvings > self.halvings
 
     def draw(
-        self, stage: Stage, views: Sequence[ViewSamples], poses, states: Sequence[SceneState], gains: Sequence
+        self,
+        stage: Stage,
+        views: Sequence[ViewSamples],
+        poses,
+        states: Sequence[SceneState],
+        gains: Sequence,
+        coarser: ImageSourceSamples | None = None,
     ) -> list[ImageSourceSamples | None]:
         """Draw the image sources of pings whose direct views `stage` has just drawn; None where there are none.
 
+        Parameters
+        ----------
         gains : of the bins, of each ping
+        coarser : of the one ping, where these are drawn in place of them
         """
         # bubbles would have to attenuate each leg by itself
         states = [state.without_bubbles() for state in states]
@@ -255,7 +265,9 @@ class ImageSources:
             columns_per_beam=stage.sampling.columns_per_beam / columns,
             rows=math.ceil(stage.sampling.rows / rows),
         )
-        if stage.sampling.rows < self._rows:  # halved ones may be for this ping alone, or for a first look at it
+        if (
+            stage.sampling.rows < self._rows
+        ):  # halved ones may be for this ping alone, or for a first look at it
             self._own_stages.drop_large()
             self._image_stages.drop_large()
         self._rows = stage.sampling.rows
@@ -274,8 +286,14 @@ class ImageSources:
         times_fewer = 1 if is_drawn_finer else columns * rows
         sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
         imaged: dict[int, list[BodyCounts]] = {number: [] for number in numbers}
-        for (number, about), image_view in zip(found, image_views, strict=True):
-            samples, echo = self._count_bodies(drawing, image_view, gains[number])
+        counted = [
+            (drawing, view, gains[number]) for (number, _), view in zip(found, image_views, strict=True)
+        ]
+        if coarser is None:
+            counted += [(stage, views[number], gains[number]) for number in numbers]
+        counts = self._count_bodies(counted)
+        direct = [coarser.direct] if coarser is not None else counts[len(found) :]
+        for (number, about), image_view, (samples, echo) in zip(found, image_views, counts, strict=False):
             imaged[number].append(BodyCounts(samples * times_fewer, echo))
             views_of_both = (
                 own_of[number],
@@ -284,10 +302,10 @@ class ImageSources:
                 kernels.view_index(image_view),
             )
             sources[number].append(ImageSource(*about, *views_of_both))
-        for number in numbers:
+        for number, of_direct in zip(numbers, direct, strict=True):
             out[number] = ImageSourceSamples(
                 self.halvings,
-                self._count_bodies(stage, views[number], gains[number]),
+                of_direct,
                 BodyCounts(*map(np.concatenate, zip(*imaged[number], strict=True))),
                 self._single_bounce,
                 own,
@@ -296,13 +314,23 @@ class ImageSources:
             )
         return out
 
-    def _count_bodies(self, stage: Stage, view: ViewSamples, gain) -> BodyCounts:
-        """Count the samples on each body, by every so-manieth row where there are many."""
-        reception = reception_of(stage.beamformer, self._reach_rad, gain)
-        step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
-        sectors = [every_row(one, step) for one in view.sectors]
-        samples, echo = count_bodies(sectors, len(self._scene.bodies), reception)
-        return BodyCounts(samples * step, echo)  # rows of a step are as many times as high
+    def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodyCounts]:
+        """Count the samples on each body, by every so-manieth row where there are many.
+
+        views : each with its stage and the gain of the bins
+        """
+
+        def count(stage, view, gain):
+            reception = reception_of(stage.beamformer, self._reach_rad, gain)
+            step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
+            sectors = [every_row(one, step) for one in view.sectors]
+            samples, echo = count_bodies(sectors, len(self._scene.bodies), reception)
+            return BodyCounts(samples * step, echo)  # rows of a step are as many times as high
+
+        counts: list = [None] * len(views)
+        halves = run_halves(self._thread, lambda half: [count(*one) for one in views[half::2]])
+        counts[::2], counts[1::2] = halves
+        return counts
 
     def _halvings_for(self, share: float, images: ImageSourceSamples, fewer: int = 1) -> int:
         """Return how often samples may be halved.

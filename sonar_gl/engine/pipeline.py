@@ -49,7 +49,8 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     while resolution is not None:
         if resolution.finer_images and received is not None:
             sources = run.image_sources_for(resolution, [setup])
-            (images,) = draw_images(sources, resolution, [received.drawn.view], [setup])
+            coarser = received.drawn.images
+            (images,) = draw_images(sources, resolution, [received.drawn.view], [setup], coarser)
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
@@ -103,12 +104,17 @@ def draw_images(
     resolution: Resolution,
     views: Sequence[ViewSamples],
     setups: Sequence[PingSetup],
+    coarser: ImageSourceSamples | None = None,
 ) -> list[ImageSourceSamples | None]:
-    """Draw the image sources of pings whose views were just drawn; None for each without multipath."""
+    """Draw the image sources of pings whose views were just drawn; None for each without multipath.
+
+    coarser : of the one ping, where these are drawn in place of them
+    """
     if sources is None:
         return [None] * len(setups)
     poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-    return sources.draw(resolution.stage, views, poses, states, [setup.gain for setup in setups])
+    gains = [setup.gain for setup in setups]
+    return sources.draw(resolution.stage, views, poses, states, gains, coarser)
 
 
 def further_states(setup: PingSetup) -> FurtherViews:
