@@ -135,33 +135,47 @@ def png(image: np.ndarray) -> bytes:
 
 
 def cost(name: str) -> str:
-    """Return one line: what multipath costs over a ping without it of the same samples."""
+    """Return one line: what multipath costs over a ping without it of the same samples.
+
+    By itself a ping first finds how many samples its multipath needs. In a sequence those of the ping before do.
+    """
     scene, sonar = setting(name)
     pose = scene.sonar_pose
     acoustics, _ = everything_on(sg.Acoustics.physical(), sg.Noise.physical())
     with sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE) as simulator:
         simulator.plan([pose])
         sampling = simulator.sampling
-        direct = replace(acoustics, multipath="none")
+        none = replace(acoustics, multipath="none")
         with (
             sg.Simulator(simulator, sonar, acoustics, sampling, TOLERANCE) as with_multipath,
-            sg.Simulator(simulator, sonar, direct, sampling, TOLERANCE) as without_it,
+            sg.Simulator(simulator, sonar, none, sampling, TOLERANCE) as without_it,
         ):
 
             def contender(one):  # untimed first: the pings before it leave cold caches
                 return Contender(lambda _: one.ping(pose), before=lambda _: one.ping(pose))
 
             times = harness.take_turns(
-                {"both": contender(with_multipath), "direct": contender(without_it)}, ROUNDS, warm_up=1
+                {
+                    "alone": contender(with_multipath),
+                    "in sequence": contender(simulator),
+                    "direct": contender(without_it),
+                },
+                ROUNDS,
+                warm_up=1,
             )
             sources = internals.count_image_sources(with_multipath, pose)
+    direct = times["direct"]
     # below 0 it is the variation of the times
-    more = max(harness.ratio(times["both"] - times["direct"], times["direct"]), 0.0)
+    alone, following = (
+        max(harness.ratio(times[way] - direct, direct), 0.0) for way in ("alone", "in sequence")
+    )
     reflectors = planar_reflectors(scene, 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed())
-    each = f", {more / sources:.2f} per reflector" if sources else ""
+    each = (
+        f", {alone / sources:.2f} per reflector; in a sequence {following / sources:.2f}" if sources else ""
+    )
     return (
         f"{name:14} {len(reflectors):3} planar reflectors, {sources} simulated; "
-        f"a ping {np.median(times['direct']):6.2f} ms, multipath {more:5.2f} of it{each}"
+        f"a ping {np.median(direct):6.2f} ms, multipath {alone:5.2f} of it{each}"
     )
 
 
