@@ -116,7 +116,7 @@ class _Axes:
         """Return the picture with a margin, lines and labels, and with a bar, if there is one."""
         canvas = cv2.copyMakeBorder(picture, *[self.margin] * 4, cv2.BORDER_CONSTANT)
         self._blacken_outside(canvas)
-        canvas = self._draw_lines(canvas)
+        self._draw_lines(canvas)
         self._draw_labels(canvas)
         if bar is not None:
             canvas = np.hstack([canvas, self._strip(len(canvas), bar)])
@@ -176,25 +176,26 @@ class _Axes:
         (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
         outline = np.concatenate([self._position(arc, outer_m), self._position(arc[::-1], inner_m)])
         inside = cv2.fillPoly(np.zeros(canvas.shape[:2], np.uint8), [np.rint(outline).astype(np.int32)], 255)
-        canvas[inside == 0] = 0
+        canvas[:] = cv2.bitwise_and(canvas, canvas, mask=inside)
 
     def _fan_arc(self) -> np.ndarray:
         """Return azimuths from edge to edge, for polygons that follow an arc."""
         return np.linspace(*self.fan.azimuth_edges_rad, 361)
 
-    def _draw_lines(self, canvas: np.ndarray) -> np.ndarray:
+    def _draw_lines(self, canvas: np.ndarray) -> None:
         (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
         lines = [self._position(arc, range_m) for range_m in (*self.arcs_m, outer_m)]
         edges = () if self.fan.full_circle else self.fan.azimuth_edges_rad
         azimuths = *np.radians(self.spokes_deg), *edges
         lines += [self._position(azimuth, [inner_m, outer_m]) for azimuth in azimuths]
         lines = [np.rint(points * 16).astype(np.int32) for points in lines]  # in sixteenths of a pixel
+        pixels = canvas.reshape(-1, 3)
         for level, width, opacity in STROKES:
             empty = np.zeros(canvas.shape[:2], np.uint8)
             mask = cv2.polylines(empty, lines, False, 255, width, cv2.LINE_AA, 4)
-            weight = mask[..., None] * np.float32(opacity / 255)
-            canvas = np.rint(canvas * (1 - weight) + level * weight).astype(np.uint8)
-        return canvas
+            crossed = np.flatnonzero(mask)  # few pixels of all
+            weight = mask.ravel()[crossed, None] * np.float32(opacity / 255)
+            pixels[crossed] = np.rint(pixels[crossed] * (1 - weight) + level * weight).astype(np.uint8)
 
     def _draw_labels(self, canvas: np.ndarray) -> None:
         """Label arcs beside the starboard edge, and spokes beyond the outer arc where they have room."""
