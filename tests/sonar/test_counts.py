@@ -128,8 +128,8 @@ def test_a_ping_has_the_counts_of_its_sonar():
 def test_presets_use_the_whole_range_of_8_bits():
     for name, sonar in presets().items():
         law = "db" if name.startswith(("aris", "didson")) else "power"
-        assert (sonar.counts.law, sonar.counts.bits) == (law, 8) and sonar.counts.gain_percentile
-        assert name.startswith(("aris", "didson")) or sonar.counts.exponent == 0.26
+        assert (sonar.counts.law, sonar.counts.bits) == (law, 8) and sonar.counts.gain_percentile, name
+        assert name.startswith(("aris", "didson")) or sonar.counts.exponent == 0.26, name
 
 
 @pytest.mark.parametrize("inline", [True, False])
