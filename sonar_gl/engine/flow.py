@@ -34,7 +34,7 @@ class PingSetup:
     n_bodies : the highest number of a body
     background : (n_bodies + 1,) bool by number, for shadows; or None
     surface_z_m : height of the water's surface, metres; None = out of reach
-    lobes : the specular lobes are received by themselves, too: speckle spares them
+    needs_lobes : the specular lobes are received by themselves, too: speckle spares them
     texture : (n,) reflectivity of bodies in a view that returns the deviation of their texture; None without texture
     """
 
@@ -47,7 +47,7 @@ class PingSetup:
     n_bodies: int
     background: np.ndarray | None = None
     surface_z_m: float | None = None
-    lobes: bool = False
+    needs_lobes: bool = False
     texture: np.ndarray | None = None
 
 

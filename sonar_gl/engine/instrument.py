@@ -38,9 +38,9 @@ class Instrument:
         n_bodies: int,
         background=None,
         surface_z_m: float | None = None,
-        lobes: bool = False,
+        needs_lobes: bool = False,
     ) -> PingSetup:
-        """Return a request with what it takes to receive it; `background`, `surface_z_m` and `lobes` as in `PingSetup`.
+        """Return a request with what it takes to receive it; from `background` on as in `PingSetup`.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class Instrument:
             gain, pulse = self._receiver_in(acoustics)
         head_pose = self.sonar.head_pose(request.pose)
         return PingSetup(
-            request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m, lobes
+            request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m, needs_lobes
         )
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:

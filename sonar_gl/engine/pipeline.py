@@ -122,7 +122,7 @@ def further_states(setup: PingSetup) -> FurtherViews:
     state = setup.state
     return FurtherViews(
         background=None if setup.background is None else state.only(setup.background[1:]),
-        lobes=state.without_diffuse_echo() if setup.lobes else None,
+        lobes=state.without_diffuse_echo() if setup.needs_lobes else None,
         texture=None if setup.texture is None else state.with_reflectivity(setup.texture),
     )
 
@@ -228,8 +228,8 @@ def assemble(
         received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
     )
     request, labels, label_level_db = setup.request, {}, None
-    few = None if setup.acoustics.scatterer_density_m3 is None else received.volume
-    parts = echo, received.lobes, received.texture, few
+    single_scatterers = None if setup.acoustics.scatterer_density_m3 is None else received.volume
+    parts = echo, received.lobes, received.texture, single_scatterers
     intensity, coherent, texture, volume = (
         one if one is None or setup.pulse is None else matched_filter(one, setup.pulse, thread)
         for one in (part and part.intensity for part in parts)

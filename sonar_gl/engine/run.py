@@ -133,10 +133,10 @@ class Run:
         self._warn_of_air(request.pose)
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
         background = None if request.background is None else world.mask_of(request.background)
-        lobes = request.needs_noise_parts and self._returns_lobes(state)
+        needs_lobes = request.needs_noise_parts and self._returns_lobes(state)
         texture = self._texture_of(state) if request.needs_noise_parts else None
         n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-        setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, lobes)
+        setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, needs_lobes)
         return setup if texture is None else replace(setup, texture=texture)
 
     def _returns_lobes(self, state: SceneState) -> bool:
