@@ -12,8 +12,8 @@ from PIL import Image
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core import atomic_file
-from sonar_gl.imaging.files import load_npz, output_folder, save_animation, save_npz, save_png
-from sonar_gl.ping import Ping
+from sonar_gl.imaging.files import NPZ_FIELDS, load_npz, output_folder, save_animation, save_npz, save_png
+from sonar_gl.ping import BIN_LABELS, Ping
 from sonar_gl.sonar.sonar import Sonar
 from tests.support.errors import error_of
 
@@ -108,6 +108,19 @@ def test_npz_reads_back(tmp_path, labels):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
         assert {"intensity", "azimuth_rad", "range_m", "pose", "meta"} <= set(file.files)
+
+
+def test_npz_with_every_field_reads_back(tmp_path):
+    """`load_npz` knows the shape of each field: one that it does not know would be written, and not read."""
+    labels = {name: np.full((5, 7), empty) for name, empty in BIN_LABELS.items()}
+    ping = make_ping(**labels, body_echo=np.array([1.0, 2.0]), error_estimate=0.01)
+    assert [
+        name for name in NPZ_FIELDS if getattr(ping, name) is None
+    ] == []  # a new field is to be added here
+    save_npz(tmp_path / "a.npz", ping)
+    read = load_npz(tmp_path / "a.npz")
+    for name in NPZ_FIELDS:
+        np.testing.assert_array_equal(getattr(read, name), getattr(ping, name))
 
 
 def plain(value):
