@@ -91,6 +91,7 @@ SPECKLE = Term(
     off={"speckle": False, "looks": 1, "follow_motion": False},
     of_noise=True,
 )
+# all are on in the profile "physical" and in `Noise.physical`, but multipath, which no profile has
 TERMS = (
     # without absorption the TVG remains as it is, so one that assumes the right absorption assumes none
     Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}, of_water=True),
