@@ -236,6 +236,21 @@ def test_every_command_is_told_in_the_readme():
     assert told == set(cli.main.commands)
 
 
+@pytest.mark.parametrize("settings", [sg.Acoustics, sg.Noise, sg.Water])
+def test_every_setting_is_told_on_the_page_of_acoustics(settings):
+    told = set(re.findall(r"\w+", text_of(ROOT / "docs" / "acoustics.md")))
+    assert {field.name for field in dataclasses.fields(settings)} - told == set()
+
+
+def test_every_term_has_its_row_in_each_table_of_the_ablation():
+    page = text_of(ROOT / "docs" / "ablation.md")
+    tables = dict(re.findall(r"<!-- table (\w+) -->(.*?)<!-- end -->", page, re.DOTALL))
+    assert set(tables) == {*ablation.SCENES, "cost"}
+    for name in ablation.SCENES:
+        rows = re.findall(r"^\| ([\w -]+) \|", tables[name], re.MULTILINE)
+        assert rows == ["without", *(term.name for term in terms.TERMS)], name
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_names_of_the_package_exist(page):
     for name in re.findall(r"`(sonar_gl\.[\w.]+)", text_of(page)):
