@@ -276,9 +276,15 @@ def colormaps() -> tuple[str, ...]:
     return (*ANCHORS, *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
 
 
-@lru_cache(maxsize=32)
 def colours(name: str) -> np.ndarray:
-    """Return a colour map's table, (256, 1, 3) uint8 RGB."""
+    """Return a colour map's table, (256, 1, 3) uint8 RGB; raise an `Error` if the name is unknown."""
+    if not isinstance(name, str):  # a cache cannot look up a list
+        check_choice("colour map", name, colormaps())
+    return _colours(name)
+
+
+@lru_cache(maxsize=32)
+def _colours(name: str) -> np.ndarray:
     check_choice("colour map", name, colormaps())
     if name not in ANCHORS:
         ramp = np.arange(256, dtype=np.uint8)[:, None]
@@ -297,7 +303,9 @@ def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
     Raises Error if the name is unknown or the image has another shape or type.
     """
     table, image = colours(name), np.asarray(image)
-    if image.ndim != 2 or image.dtype.kind != "f":
+    if (
+        image.ndim != 2 or image.dtype.kind != "f" or not image.size
+    ):  # cv2 ends the process if there is no pixel
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
     levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32, copy=False), alpha=255)
     return cv2.applyColorMap(levels, table)

@@ -345,12 +345,22 @@ def test_colours():
             "jet",
             "colorize needs an image of shape (H, W), float 0..1 (got (2, 2, 3), float64)",
         ),
+        (
+            np.zeros((0, 5)),  # by cv2, without a check, a floating point exception that ends the process
+            "jet",
+            "colorize needs an image of shape (H, W), float 0..1 (got (0, 5), float64)",
+        ),
     ],
 )
 def test_wrong_colours(image, name, message):
     with pytest.raises(Error) as caught:
         colorize(image, name)
     assert str(caught.value) == message
+
+
+def test_a_colour_map_that_is_no_name():
+    with pytest.raises(Error, match="^unknown colour map \\(got \\['jet'\\]; known are amber, "):
+        colorize(np.zeros((2, 2)), ["jet"])
 
 
 def test_geometry_is_plain_and_comparable():
