@@ -493,6 +493,19 @@ NAN[0, 3] = np.nan
             "seed must be a whole number, 0 or more (got 1.5)",
         ),
         (
+            lambda: simulator().ping(np.eye(4), ping_number="1"),  # although no noise needs it
+            "ping_number must be a whole number, 0 or more (got '1')",
+        ),
+        (lambda: simulator().ping(np.eye(4), labels="no"), "labels must be True or False (got 'no')"),
+        (
+            lambda: simulator().ping(np.eye(4), labels=np.array([1, 2])),
+            "labels must be True or False (got array([1, 2]))",
+        ),
+        (
+            lambda: simulator().place(None),
+            'bodies must be a dict (got NoneType; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")',
+        ),
+        (
             lambda: simulator(sampling=None, tolerance=2.0),
             "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
         ),
