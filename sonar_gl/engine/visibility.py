@@ -200,7 +200,7 @@ def is_unobstructed(
             plane = np.where(there > 0, there + along_u * (u - at[0]) + along_v * (v - at[1]), 0.0)
             is_own = body_id[at_j, at_i] == number
             if is_own.any():
-                is_own &= _in_a_beam(sector, *at, there, sonar, received)
+                is_own &= _in_a_beam(sector, *at, there, sonar, ())  # of beams without gaps
             in_front = (q > plane * IN_FRONT) | is_own
             u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         if len(q):
