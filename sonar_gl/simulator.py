@@ -137,8 +137,8 @@ class Simulator:
         ----------
         pose : (4, 4) world_from_sonar, metres, of the housing; `sonar_gl.pose` makes one from x y z roll pitch yaw
         noise : Noise, or None for none
-        seed, ping_number : of the noise; the same two give the same bytes
-        labels : find the body with the strongest echo in each bin, and what `Ping` has of that echo
+        seed, ping_number : of the noise; the same two give the same bytes, so count ping_number in a loop of your own
+        labels : True or False: find the body with the strongest echo in each bin, and what `Ping` has of that echo
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent; the name of
             a model of several links, of `Scene.models`, stands for all of them
         time_s : seconds, at which plumes of bubbles are seen; None = 0

@@ -269,11 +269,12 @@ class Water:
         return replace(self, **values)
 
     def absorption(self, frequency_hz: float) -> float:
-        """Return the absorption α at a frequency, hertz: dB per metre, one way.
+        """Return the absorption α at a frequency, hertz, 1..1e9: dB per metre, one way.
 
         >>> round(Water(temperature_c=4.0, salinity_psu=8.0, ph=7.9).absorption(900e3), 3)
         0.334
         """
+        check_number("frequency_hz", frequency_hz, 1.0, 1e9, "give hertz, 900e3 for 900 kHz")
         if self.absorption_db_m is not None:
             return float(self.absorption_db_m)
         properties = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)

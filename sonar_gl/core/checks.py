@@ -24,15 +24,23 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     Raises
     ------
     Error
-        if the shape differs, or a value is not a finite number.
+        if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
     """
     try:
-        out = np.array(array, dtype=dtype, order="C")
+        out = np.array(array, order="C")
+        if out.dtype.kind in "SUc":  # NumPy would read numbers from text, and drop imaginary parts
+            got = "complex numbers" if out.dtype.kind == "c" else "text"
+            raise Error(f"{what} must be an array of numbers (got {got}: {shown(array)})")
+        out = out.astype(dtype, order="C", copy=False)
+    except Error:
+        raise
     except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
         raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
     if out.shape != shape and not _fits(out.shape, shape):
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise Error(f"{what} must have shape {wanted} (got {out.shape}{hint and f'; {hint}'})")
+    if np.ma.is_masked(array):
+        raise Error(f"{what} must be an array of numbers (got masked ones; fill them in, or leave them out)")
     if not np.isfinite(out).all():
         count = int(out.size - np.isfinite(out).sum())
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")

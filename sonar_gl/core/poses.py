@@ -19,8 +19,7 @@ from sonar_gl.core.warn import warn_caller
 TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
 POSE_HINT = "sonar_gl.pose makes one from x y z roll pitch yaw"
 MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
-
-
+ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and hardly a scale
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
 
 
@@ -32,10 +31,12 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
     angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
     turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if max(map(abs, lengths + angles)) > 1e-5 or turn < 0:
+    if (deviation := max(map(abs, lengths + angles))) > 1e-5 or turn < 0:
+        advice = "scale the mesh instead"
+        if deviation < ROUNDED and turn > 0:
+            advice = "if it is a product of many poses, or float32, rounding adds up: make it anew by sonar_gl.pose"
         raise Error(
-            f"{what} must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
-            "scale the mesh instead)"
+            f"{what} must be a rotation and a translation (its 3x3 part scales, shears or reflects; {advice})"
         )
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise Error(f"{what} must have the last row 0 0 0 1 (got {last})")
@@ -79,7 +80,14 @@ def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
     >>> (pose(1, 2, 3, yaw=np.pi / 2) @ [1, 0, 0, 1]).round(6).tolist()
     [1.0, 3.0, 3.0, 1.0]
     """
-    numbers = frozen_array([x, y, z, roll, pitch, yaw], np.float64, (6,), "pose x y z roll pitch yaw")
+    given = [x, y, z, roll, pitch, yaw]
+    if not all(np.ndim(number) == 0 for number in given):
+        name, several = next((n, v) for n, v in zip(COLUMNS[1:], given, strict=True) if np.ndim(v))
+        raise Error(
+            f"pose takes six numbers, x y z roll pitch yaw (got {name} = {shown(several)}; of an array of six numbers "
+            "write sonar_gl.pose(*numbers))"
+        )
+    numbers = frozen_array(given, np.float64, (6,), "pose x y z roll pitch yaw")
     if np.abs(numbers[3:]).max() > TURN_RAD:
         raise Error(
             f"pose angles must be radians, within ±2π (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; "

@@ -73,10 +73,13 @@ class PingRequest:
 
     def __post_init__(self):
         check_kind("noise", self.noise, Noise | None, "such as sonar_gl.Noise.physical()")
+        if not isinstance(self.labels, (bool, np.bool_)):
+            raise Error(f"labels must be True or False (got {shown(self.labels)})")
         checked = {
             "pose": check_pose(self.pose),
             "seed": check_seed(self.seed),
             "velocity": check_velocity(self.velocity),
+            "number": check_seed(self.number, "ping_number"),
             "labels": bool(self.labels),
             "background": _names(self.background),
         }

@@ -156,9 +156,10 @@ def is_unobstructed(
 
     Points on the edges of its faces are tested, within each sector and the range: the vertices of a long body may all
     lie beside the fan. A point must lie in front of the planes that all nine met, but for samples of the body itself in
-    a beam: the corners of a body in the place of another lie beside samples of that. The samples themselves are nearer
+    the fan: the corners of a body in the place of another lie beside samples of that. The samples themselves are nearer
     than what lies on a floor that they meet at a grazing angle. Samples of the body beside the fan show that only an
-    edge of it reaches in. What lies above the water's surface is not drawn for a sonar in the water.
+    edge of it reaches in; those in a gap between box beams do not. What lies above the water's surface is not drawn for
+    a sonar in the water.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def is_unobstructed(
             plane = np.where(there > 0, there + along_u * (u - at[0]) + along_v * (v - at[1]), 0.0)
             is_own = body_id[at_j, at_i] == number
             if is_own.any():
-                is_own &= _in_a_beam(sector, *at, there, sonar, received)
+                is_own &= _in_a_beam(sector, *at, there, sonar, ())  # of beams without gaps
             in_front = (q > plane * IN_FRONT) | is_own
             u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         if len(q):

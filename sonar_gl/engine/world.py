@@ -25,6 +25,8 @@ IN_USE = (
     "(got a call from a signal handler or another callback; have it set a flag, and act after the ping)"
 )
 
+BODIES_CURE = 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"'  # for messages
+
 
 class World:
     """A scene's bodies in a raster engine, used by one simulator or several, one at a time.
@@ -127,6 +129,7 @@ class World:
 
     def place(self, bodies) -> None:
         """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
+        check_kind("bodies", bodies, dict, BODIES_CURE)
         before, plumes = self.engine.meshes.state, self._plume_poses
         self.engine.meshes.state, self._plume_poses = self._moved(bodies)
         state = self.engine.meshes.state
@@ -153,7 +156,7 @@ class World:
         state = self.engine.meshes.state
         if bodies is None:
             return state, self._plume_poses
-        check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"')
+        check_kind("bodies", bodies, dict, BODIES_CURE)
         if not bodies:
             return state, self._plume_poses
         poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)

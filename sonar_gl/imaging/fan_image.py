@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_kind, check_whole_number
+from sonar_gl.core.checks import check_choice, check_kind, check_whole_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
@@ -123,12 +123,20 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
     """
     check_kind("ping", ping, Ping, "sonar_gl.Ping(intensity, azimuth_rad, range_m) makes one of arrays")
     height = check_whole_number("height of a fan image", height, 1, MAX_HEIGHT, "give pixels")
+    for name in ("intensity", "azimuth_rad", "range_m"):
+        array = getattr(ping, name)
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+            raise Error(
+                f"a ping's {name} must be an array of numbers (got {shown(array)}; numpy.array makes one)"
+            )
     azimuth, bins = np.asarray(ping.azimuth_rad, float), np.asarray(ping.range_m, float)
     if ping.intensity.shape != (azimuth.size, bins.size) or not ping.intensity.size:
         raise Error(
             "a ping's intensity must be (beams, bins), at least one of each "
             f"(got {ping.intensity.shape} with {azimuth.size} azimuths and {bins.size} ranges)"
         )
+    _check_rising("azimuth_rad", azimuth, -2 * math.pi, 2 * math.pi, "radians, starboard first")
+    _check_rising("range_m", bins, 0.0, math.inf, "metres")
     if azimuth.size > 1:
         edges = [1.5 * azimuth[0] - 0.5 * azimuth[1], 1.5 * azimuth[-1] - 0.5 * azimuth[-2]]
     else:
@@ -154,6 +162,16 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
         azimuth_edges_rad=edges,
         range_edges_m=(max(0.0, float(bins[0] - half_bin_m)), outer_m),
     )
+
+
+def _check_rising(name: str, values: np.ndarray, low: float, high: float, hint: str) -> None:
+    """Raise an `Error` unless values of a ping rise, within bounds; NaN does not."""
+    if not (
+        low <= values[0] and values[-1] <= high and (np.diff(values) > 0).all() and math.isfinite(values[-1])
+    ):
+        got = f"{values[0]:g} to {values[-1]:g}"
+        bounds = f"from {low:g} on" if high == math.inf else f"within {low:.4g}..{high:.4g}"
+        raise Error(f"a ping's {name} must rise, {bounds} (got {got}; give {hint})")
 
 
 def fan_image(ping: Ping, height: int = 800, counts: Counts | None = None) -> np.ndarray:
@@ -276,9 +294,15 @@ def colormaps() -> tuple[str, ...]:
     return (*ANCHORS, *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
 
 
-@lru_cache(maxsize=32)
 def colours(name: str) -> np.ndarray:
-    """Return a colour map's table, (256, 1, 3) uint8 RGB."""
+    """Return a colour map's table, (256, 1, 3) uint8 RGB; raise an `Error` if the name is unknown."""
+    if not isinstance(name, str):  # a cache cannot look up a list
+        check_choice("colour map", name, colormaps())
+    return _colours(name)
+
+
+@lru_cache(maxsize=32)
+def _colours(name: str) -> np.ndarray:
     check_choice("colour map", name, colormaps())
     if name not in ANCHORS:
         ramp = np.arange(256, dtype=np.uint8)[:, None]
@@ -297,7 +321,9 @@ def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
     Raises Error if the name is unknown or the image has another shape or type.
     """
     table, image = colours(name), np.asarray(image)
-    if image.ndim != 2 or image.dtype.kind != "f":
+    if (
+        image.ndim != 2 or image.dtype.kind != "f" or not image.size
+    ):  # cv2 ends the process if there is no pixel
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
     levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32, copy=False), alpha=255)
     return cv2.applyColorMap(levels, table)

@@ -15,8 +15,8 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
-from sonar_gl.core.checks import check_kind, check_number
-from sonar_gl.core.errors import Error
+from sonar_gl.core.checks import check_kind, check_number, shown
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.npz import read_npz
 from sonar_gl.core.warn import warn_caller
@@ -99,7 +99,8 @@ def save_npz(path, ping: Ping) -> None:
     Raises
     ------
     Error
-        if the path has another suffix, `meta` holds values that JSON cannot, or the file cannot be written.
+        if the path has another suffix, the arrays do not fit one another, `meta` holds values that JSON cannot, or the
+        file cannot be written.
     """
     path = _checked(path, (".npz",))
     check_kind("ping", ping, Ping, "as Simulator.ping returns it")
@@ -114,7 +115,14 @@ def save_npz(path, ping: Ping) -> None:
 def npz_bytes(ping: Ping) -> bytes:
     """Return the content of an NPZ file of a ping, see `save_npz`."""
     arrays = {name: getattr(ping, name) for name in NPZ_FIELDS if name != "meta"}
-    arrays = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
+    needed = "intensity", "azimuth_rad", "range_m"
+    arrays = {
+        name: np.asarray(array) for name, array in arrays.items() if array is not None or name in needed
+    }
+    for name, array in arrays.items():
+        if array.dtype.kind not in "biuf":
+            raise Error(f"{name} of the ping must be numbers (got {shown(getattr(ping, name))})")
+    _check_shapes(arrays)  # as `load_npz` does: what is written can be read
     known = {name: getattr(ping, name) for name in DESCRIBED if getattr(ping, name) is not None}
     try:
         meta = json.dumps({**ping.meta, **known}, default=_plain, ensure_ascii=False)
@@ -145,19 +153,11 @@ def load_npz(path) -> Ping:
     if missing:
         got = ", ".join(names[:20])
         raise Error(f"{str(path)!r} holds no ping: it lacks {', '.join(missing)} (got {got})")
-    shape = (arrays["azimuth_rad"].size, arrays["range_m"].size)
-    if arrays["intensity"].shape != shape:
-        raise Error(
-            f"{str(path)!r}: intensity must be (beams, bins) = {shape} (got {arrays['intensity'].shape})"
-        )
-    meta = _parse_meta(path, arrays.pop("meta", np.array("{}")))
-    shapes = dict.fromkeys(("intensity", *BIN_LABELS), shape)
-    shapes |= {"azimuth_rad": shape[:1], "range_m": shape[1:]}
-    shapes |= {"pose": (4, 4), "error_estimate": (), "body_echo": None}
-    for name, array in arrays.items():
-        if array.shape != shapes[name] and (shapes[name] is not None or array.ndim != 1):
-            wanted = "one number for each body" if shapes[name] is None else f"of shape {shapes[name]}"
-            raise Error(f"{str(path)!r}: {name} must be {wanted} (got shape {array.shape})")
+    meta = arrays.pop("meta", np.array("{}"))
+    with errors_at(repr(str(path))):
+        _check_shapes(arrays)
+    meta = _parse_meta(path, meta)
+    for array in arrays.values():
         array.setflags(write=False)
     if "error_estimate" in arrays:
         arrays["error_estimate"] = float(arrays["error_estimate"])
@@ -171,6 +171,20 @@ def load_npz(path) -> Ping:
             what = f"meta describes no {kind.__name__}, so the ping has none"
             warn_caller(f"{str(path)!r}: {what} ({why})")
     return Ping(**{name: arrays[name] for name in NPZ_FIELDS if name in arrays}, meta=meta, **described)
+
+
+def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
+    """Raise an `Error` unless arrays, by the names of the fields of a `Ping`, have shapes that fit one another."""
+    shape = (arrays["azimuth_rad"].size, arrays["range_m"].size)
+    if arrays["intensity"].shape != shape:
+        raise Error(f"intensity must be (beams, bins) = {shape} (got {arrays['intensity'].shape})")
+    shapes = dict.fromkeys(("intensity", *BIN_LABELS), shape)
+    shapes |= {"azimuth_rad": shape[:1], "range_m": shape[1:]}
+    shapes |= {"pose": (4, 4), "error_estimate": (), "body_echo": None}
+    for name, array in arrays.items():
+        if array.shape != shapes[name] and (shapes[name] is not None or array.ndim != 1):
+            wanted = "one number for each body" if shapes[name] is None else f"of shape {shapes[name]}"
+            raise Error(f"{name} must be {wanted} (got shape {array.shape})")
 
 
 def _parse_meta(path: Path, text: np.ndarray) -> dict:
@@ -209,6 +223,7 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     """
     path = _checked(path, (".gif", ".mp4"))
     fps = check_number("fps of an animation", fps, 0.01, 120)
+    check_kind("frames", frames, Iterable, "give several pictures, also of a generator")
     frames = _checked_frames(frames)
     try:
         first = next(frames)

@@ -90,6 +90,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
             "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo "
             f"(got {type(what).__name__})"
         )
+    if not os.fspath(what):
+        raise Error("a scene must be a bundled name or a path (got an empty text)")
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
@@ -115,10 +117,10 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         raise Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
-    raise Error(
-        f"there is no bundled scene {str(what)!r} ({nearest_names(str(what), bundled)}; "
-        f"a file must end in one of {endings})"
-    )
+    hint = nearest_names(str(what), bundled)
+    if str(what) in bundled:
+        hint = "a Path is that of a file: name a bundled scene by text"
+    raise Error(f"there is no bundled scene {str(what)!r} ({hint}; a file must end in one of {endings})")
 
 
 def _read_mesh_scene(path: Path) -> Scene:

@@ -127,7 +127,7 @@ class Body:
                 f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__}; sonar_gl.load_scene "
                 "makes bodies of a file or of a trimesh.Scene)"
             )
-        if len(faces) == 0:
+        if np.shape(faces)[:1] == (0,):
             raise Error(
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
             )
@@ -220,11 +220,15 @@ class Scene:
         self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
         self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
+        check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
+        check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
+        models = {} if models is None else models
+        check_kind("models of a scene", models, dict, "those of another scene are `scene.models`")
+        for model in models:
+            check_kind("the name of a model", model, str, 'such as "boat"')
         self.name, self.sensors = name, tuple(sensors)
-        check_kind("models of a scene", models or {}, dict, "those of another scene are `scene.models`")
         self.models = {
-            model: check_pose(where, f"the pose of model {model!r}")
-            for model, where in (models or {}).items()
+            model: check_pose(where, f"the pose of model {model!r}") for model, where in models.items()
         }
         for sensor in self.sensors:
             check_kind(
@@ -247,6 +251,7 @@ class Scene:
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
+        check_kind("bodies to add", bodies, Iterable, "give several, as in scene.with_more([body])")
         return self._with([*self.bodies, *self.plumes, *bodies])
 
     def without(self, *patterns: str) -> Scene:
@@ -271,7 +276,7 @@ class Scene:
 
     def parts_of(self, model: str) -> dict[str, np.ndarray]:
         """Return (4, 4) model_from_body of each body and plume of a model, by name; none of other names."""
-        if model not in self.models:
+        if not isinstance(model, str) or model not in self.models:
             return {}
         home = self.models[model]
         model_from_world = np.linalg.inv(home)

@@ -134,14 +134,22 @@ class Counts:
         Parameters
         ----------
         intensity : (B, K) linear; without any echo the gain is 0 dB
+
+        Raises
+        ------
+        Error
+            if there is something else than numbers, or an infinite one.
         """
         if self.gain_percentile is None:
             return self
+        intensity = _numbers(intensity)
         flat, step = intensity.ravel(), max(1, intensity.size // PERCENTILE_BINS)
         while math.gcd(step, intensity.shape[-1]) > 1:  # else the same bins of all beams, and no others
             step += 1
         sample = flat[::step]
         sample = sample[sample > 0]
+        if sample.size and sample.max() == math.inf:
+            raise Error("automatic gain needs finite intensities (got infinity)")
         level_db = 10 * math.log10(np.percentile(sample, self.gain_percentile)) if sample.size else 0.0
         gain_db = (self.high_db if self.law == "db" else 0.0) - level_db if sample.size else 0.0
         gain_db = min(max(gain_db, -LEVEL_BOUND_DB), LEVEL_BOUND_DB)
@@ -150,10 +158,11 @@ class Counts:
     def share(self, intensity: np.ndarray) -> np.ndarray:
         """Return the share of full scale, float32 0..1 and not rounded, of intensities, (N, M) or (N,).
 
-        Automatic gain is that of these intensities.
+        Automatic gain is that of these intensities. Raises Error if they are no array of numbers.
         """
         import cv2  # its functions take a tenth of NumPy's time; what only lists sonars need not wait for it
 
+        intensity = _numbers(intensity)
         law, intensity = self.settle(intensity), np.asarray(intensity, np.float32)
         if law.law == "power":
             full = 10 ** (-law.gain_db / 10)  # intensity of full scale
@@ -202,12 +211,23 @@ class Counts:
                 f"intensity_of needs a fixed gain (got gain_percentile = {self.gain_percentile:g}; "
                 "Ping.counts_law finds the gain of a ping)"
             )
-        share = np.asarray(counts, np.float64) / self.full_scale
+        share = np.asarray(_numbers(counts, "counts"), np.float64) / self.full_scale
         if self.law == "power":
             intensity = share ** (1 / self.exponent)
         else:
             intensity = 10 ** ((self.low_db + share * (self.high_db - self.low_db)) / 10)
         return (intensity / 10 ** (self.gain_db / 10)).astype(np.float32)
+
+
+def _numbers(values, what: str = "intensity") -> np.ndarray:
+    """Return an array of floats, those that are given where they are some; raise an `Error` if they are no numbers."""
+    out = np.asarray(values)
+    if out.dtype.kind in "biu":
+        out = out.astype(np.float64)
+    if out.dtype.kind != "f" or (out.ndim == 0 and what == "intensity"):
+        wanted = "an array of real numbers" if what == "intensity" else "real numbers"
+        raise Error(f"{what} must be {wanted} (got {shown(values)})")
+    return out
 
 
 DEFAULT_COUNTS = Counts()  # of a sonar that states none

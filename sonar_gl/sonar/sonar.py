@@ -23,6 +23,7 @@ from sonar_gl.core.checks import (
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.poses import check_pose
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.core.warn import warn_caller
@@ -342,7 +343,14 @@ class Sonar:
         Returns
         -------
         (4, 4) world_from_head, read-only; the pose itself if the head is not tilted
+
+        Raises
+        ------
+        Error
+            if it is not a (4, 4) pose.
         """
+        if not isinstance(world_from_sonar, np.ndarray) or world_from_sonar.shape != (4, 4):
+            world_from_sonar = check_pose(world_from_sonar)
         if self.tilt_deg == 0:
             return world_from_sonar
         out = np.asarray(world_from_sonar) @ self.sonar_from_head
@@ -455,7 +463,14 @@ def load_sonar(what: str | Path) -> Sonar:
             elif path.suffix:
                 hint += "; a sonar's file must end in .toml"
             raise Error(f"unknown sonar (got {text!r}; {hint})")
-        raise Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()})")
+        if path.is_dir():
+            raise Error(
+                f"{path}: the sonar's file must be a file (got a folder; such as {path / 'mine.toml'})"
+            )
+        hint = "; a Path is that of a file: name a preset by text" if text.casefold() in known else ""
+        raise Error(
+            f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()}{hint})"
+        )
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
         if table not in tables:

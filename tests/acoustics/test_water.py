@@ -50,6 +50,18 @@ def test_absorption_in_nine_waters(water):
         assert formula(720e3, *water) == pytest.approx(at_720_khz, rel=0, abs=FOUR_DIGITS)
 
 
+@pytest.mark.parametrize("absorption_db_m", [None, 0.3])
+@pytest.mark.parametrize("frequency_hz", [0, -9e5, np.nan, np.inf])
+def test_absorption_at_no_frequency(absorption_db_m, frequency_hz):
+    water = sg.Water(absorption_db_m=absorption_db_m)
+    with pytest.raises(
+        sg.Error, match=r"^frequency_hz must lie in 1\.\.1e\+09 .* give hertz, 900e3 for 900 kHz\)$"
+    ):
+        water.absorption(frequency_hz)
+    with pytest.raises(sg.Error, match=r"^frequency_hz must be a number \(got '9e5'\)$"):
+        water.absorption("9e5")
+
+
 def test_absorption_of_published_examples():
     # documentation of arlpy: 50 kHz over 1 km in its default water, −10.71 dB
     assert absorption_francois_garrison(50e3, 27, 35, 10, 8.1) * 1000 == pytest.approx(10.710333, abs=5e-7)

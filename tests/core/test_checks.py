@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.core import checks, errors
-from sonar_gl.core.checks import check_choice, check_number, check_whole_number
+from sonar_gl.core.checks import check_choice, check_number, check_whole_number, frozen_array
 from sonar_gl.core.errors import Error
 
 
@@ -17,6 +17,39 @@ from sonar_gl.core.errors import Error
 def test_examples_in_docstrings(module):
     failed, tried = doctest.testmod(module)
     assert not failed and tried
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (["1", "2"], "x must be an array of numbers (got text: ['1', '2'])"),
+        (np.array([1, 2j]), "x must be an array of numbers (got complex numbers: array([1.+0.j, 0.+2.j]))"),
+        (
+            np.ma.masked_array([1.0, 2.0], [False, True]),
+            "x must be an array of numbers (got masked ones; fill them in, or leave them out)",
+        ),
+    ],
+)
+def test_arrays_whose_numbers_would_be_guessed(array, message):
+    """NumPy reads text, drops imaginary parts, and shows what a mask hides."""
+    with pytest.raises(Error) as why:
+        frozen_array(array, np.float64, (2,), "x")
+    assert str(why.value) == message
+
+
+@pytest.mark.parametrize("dtype", [bool, np.int8, np.uint64, np.float16, np.float32, ">f8", object])
+def test_arrays_of_any_type_of_numbers(dtype):
+    given = np.array([[1, 0], [0, 1]], dtype)
+    for same in (
+        given,
+        np.asfortranarray(given),
+        given[::-1][::-1],
+        given.tolist(),
+        np.ma.masked_array(given),
+    ):
+        out = frozen_array(same, np.float64, (2, None), "x")
+        assert out.tolist() == [[1.0, 0.0], [0.0, 1.0]] and out.dtype == np.float64
+        assert out.flags.c_contiguous and not out.flags.writeable and not np.shares_memory(out, given)
 
 
 @pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.5), np.int64(1), np.uint8(0), np.float16(0.25)])

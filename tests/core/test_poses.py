@@ -7,7 +7,7 @@ import pytest
 
 from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
-from sonar_gl.core.poses import pose, read_poses
+from sonar_gl.core.poses import check_pose, pose, read_poses
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
 
@@ -62,6 +62,48 @@ def test_numbers_are_those_of_the_file(read, monkeypatch, cell, ending):
     times_s, poses = read(*lines, ending=ending)
     np.testing.assert_array_equal(times_s, rows[:, 0])
     np.testing.assert_array_equal(poses, [pose(*row[1:]) for row in rows])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        (
+            [np.array([1, 2, 3])],
+            "pose takes six numbers, x y z roll pitch yaw (got x = array([1, 2, 3]); of an array of six numbers write "
+            "sonar_gl.pose(*numbers))",
+        ),
+        (
+            [0, 0, 0, 0, 0, [0.5]],
+            "pose takes six numbers, x y z roll pitch yaw (got yaw = [0.5]; of an array of six numbers write "
+            "sonar_gl.pose(*numbers))",
+        ),
+        (
+            ["1", 2],
+            "pose x y z roll pitch yaw must be an array of numbers (got text: ['1', 2, 0.0, 0.0, 0.0, 0.0])",
+        ),
+        (
+            [1j],
+            "pose x y z roll pitch yaw must be an array of numbers "
+            "(got complex numbers: [1j, 0.0, 0.0, 0.0, 0.0, 0.0])",
+        ),
+    ],
+)
+def test_pose_of_what_is_not_six_numbers(numbers, message):
+    with pytest.raises(Error) as caught:
+        pose(*numbers)
+    assert str(caught.value) == message
+
+
+def test_a_pose_that_rounding_has_bent():
+    turned = pose(yaw=0.3)
+    for factor, advice in (
+        (1 + 2e-5, "if it is a product of many poses, or float32, "),
+        (1.01, "scale the mesh"),
+    ):
+        bent = turned * [[factor, factor, factor, 1]]
+        with pytest.raises(Error) as caught:
+            check_pose(bent)
+        assert f"(its 3x3 part scales, shears or reflects; {advice}" in str(caught.value)
 
 
 def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):

@@ -493,6 +493,19 @@ NAN[0, 3] = np.nan
             "seed must be a whole number, 0 or more (got 1.5)",
         ),
         (
+            lambda: simulator().ping(np.eye(4), ping_number="1"),  # although no noise needs it
+            "ping_number must be a whole number, 0 or more (got '1')",
+        ),
+        (lambda: simulator().ping(np.eye(4), labels="no"), "labels must be True or False (got 'no')"),
+        (
+            lambda: simulator().ping(np.eye(4), labels=np.array([1, 2])),
+            "labels must be True or False (got array([1, 2]))",
+        ),
+        (
+            lambda: simulator().place(None),
+            'bodies must be a dict (got NoneType; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")',
+        ),
+        (
             lambda: simulator(sampling=None, tolerance=2.0),
             "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
         ),
@@ -556,6 +569,31 @@ NAN[0, 3] = np.nan
             "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",
         ),
         (lambda: sg.Scene([BOX, BOX]), "names of bodies must be unique (got 'box' more than once)"),
+        (
+            lambda: sg.Scene([BOX], name=None),
+            'the name of a scene must be a str (got NoneType; the stem of file names, such as "harbour")',
+        ),
+        (
+            lambda: sg.Scene([BOX], sensors=SONAR),
+            "sensors of a scene must be an Iterable (got Sonar; those of another scene are `scene.sensors`)",
+        ),
+        (
+            lambda: sg.Scene([BOX], models=np.eye(4)),
+            "models of a scene must be a dict (got ndarray; those of another scene are `scene.models`)",
+        ),
+        (
+            lambda: sg.Scene([BOX], models={5: np.eye(4)}),
+            'the name of a model must be a str (got int; such as "boat")',
+        ),
+        (
+            lambda: sg.Scene([]).with_more(BOX),
+            "bodies to add must be an Iterable (got Body; give several, as in scene.with_more([body]))",
+        ),
+        (
+            lambda: sg.Body("b", SimpleNamespace(vertices=np.eye(3), faces=5)),
+            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got int; "
+            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
+        ),
     ],
 )
 def test_invalid_arguments_raise_errors(make, message):

@@ -387,6 +387,21 @@ def test_samples_between_boxes_do_not_count_as_a_body_s():
     assert ping.body_echo[2] == pytest.approx(truth.body_echo[2], rel=5 * 0.05)
 
 
+@pytest.mark.parametrize("tolerance", [0.1, 0.01])
+def test_a_body_wider_than_a_gap_between_boxes_is_not_lost(tolerance):
+    """After a wall, for which few samples do: all that meet the body lie in the gap, and its edges in the beams."""
+    sonar = sg.Sonar("gaps", 900e3, 32, 64, 45.0, 20.0, 1.0, 0.5, 30.0)  # a gap of 0.4 degrees straight ahead
+    box = sg.Body("box", trimesh.creation.box((0.1, 0.1, 0.1)), sg.pose(10))  # 0.58 degrees wide
+    behind = sg.Body("wall", trimesh.creation.box((0.2, 4, 4)), sg.pose(-6), 0.8)
+    scene, acoustics = sg.Scene([behind, box]), sg.Acoustics.ideal()
+    with sg.Simulator(scene, sonar, acoustics, sg.Sampling(200, 3000)) as exact:
+        truth = exact.ping(sg.pose()).intensity.sum()
+    with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as it:
+        it.ping(sg.pose(yaw=math.pi))
+        ping = it.ping(sg.pose())
+    assert abs(ping.intensity.sum() / truth - 1) < 5 * tolerance  # as promised of a body's echo
+
+
 def test_a_body_between_boxes_changes_neither_samples_nor_echo():
     """It and its shadow lie in the gap."""
     with warnings.catch_warnings():

@@ -261,6 +261,40 @@ def test_arrays_that_do_not_match():
     )
 
 
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"azimuth_rad": np.array([-20.0, 0.0, 20.0])},
+            "azimuth_rad must rise, within -6.283..6.283 (got -20 to 20; give radians, starboard first)",
+        ),
+        (
+            {"azimuth_rad": np.array([0.2, 0.0, -0.2])},
+            "azimuth_rad must rise, within -6.283..6.283 (got 0.2 to -0.2; give radians, starboard first)",
+        ),
+        (
+            {"azimuth_rad": np.array([-0.2, np.nan, 0.2])},
+            "azimuth_rad must rise, within -6.283..6.283 (got -0.2 to 0.2; give radians, starboard first)",
+        ),
+        ({"range_m": np.array([2.0, 1.0])}, "range_m must rise, from 0 on (got 2 to 1; give metres)"),
+        ({"range_m": np.array([-1.0, 1.0])}, "range_m must rise, from 0 on (got -1 to 1; give metres)"),
+        ({"range_m": np.array([1.0, np.inf])}, "range_m must rise, from 0 on (got 1 to inf; give metres)"),
+        (
+            {"intensity": [[0.0, 0.0]] * 3},
+            "intensity must be an array of numbers (got [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]; numpy.array makes one)",
+        ),
+        ({"range_m": "ab"}, "range_m must be an array of numbers (got 'ab'; numpy.array makes one)"),
+    ],
+)
+def test_arrays_that_make_no_fan(fields, message):
+    """Degrees, for instance, or starboard last: the picture would be wrong, or the error one of OpenCV."""
+    good = Ping(np.zeros((3, 2)), np.array([-0.2, 0.0, 0.2]), np.array([1.0, 2.0]))
+    fan_image(good)
+    with pytest.raises(Error) as caught:
+        fan_image(replace(good, **fields))
+    assert str(caught.value) == f"a ping's {message}"
+
+
 @pytest.mark.parametrize("counts", [Counts(), LINEAR, Counts("power", gain_percentile=50)])
 def test_the_ping_stays_as_it_is(counts):
     """With few beams and bins the law applies to the array itself, without averaging."""
@@ -345,12 +379,22 @@ def test_colours():
             "jet",
             "colorize needs an image of shape (H, W), float 0..1 (got (2, 2, 3), float64)",
         ),
+        (
+            np.zeros((0, 5)),  # by cv2, without a check, a floating point exception that ends the process
+            "jet",
+            "colorize needs an image of shape (H, W), float 0..1 (got (0, 5), float64)",
+        ),
     ],
 )
 def test_wrong_colours(image, name, message):
     with pytest.raises(Error) as caught:
         colorize(image, name)
     assert str(caught.value) == message
+
+
+def test_a_colour_map_that_is_no_name():
+    with pytest.raises(Error, match=r"^unknown colour map \(got \['jet'\]; known are amber, "):
+        colorize(np.zeros((2, 2)), ["jet"])
 
 
 def test_geometry_is_plain_and_comparable():

@@ -184,6 +184,29 @@ def test_npz_takes_numpy_and_paths_in_meta(tmp_path):
     assert load_npz(tmp_path / "a.npz").meta == expected
 
 
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"intensity": np.zeros((4, 7))}, "intensity must be (beams, bins) = (5, 7) (got (4, 7))"),
+        ({"intensity": None}, "intensity of the ping must be numbers (got None)"),
+        ({"range_m": "abc"}, "range_m of the ping must be numbers (got 'abc')"),
+        ({"pose": np.eye(3)}, "pose must be of shape (4, 4) (got shape (3, 3))"),
+        ({"body_id": np.zeros((7, 5), np.uint16)}, "body_id must be of shape (5, 7) (got shape (7, 5))"),
+    ],
+)
+def test_what_could_not_be_read_is_not_written(tmp_path, fields, message):
+    path = tmp_path / "a.npz"
+    assert error_of(save_npz, path, make_ping(**fields)) == f"{str(path)!r}: {message}"
+    assert not os.listdir(tmp_path)
+
+
+def test_frames_of_an_animation_that_are_none(tmp_path):
+    for wrong in (None, 5):
+        got = error_of(save_animation, tmp_path / "a.gif", wrong, 5)
+        kind = type(wrong).__name__
+        assert got == f"frames must be an Iterable (got {kind}; give several pictures, also of a generator)"
+
+
 def test_files_that_are_no_pings(tmp_path):
     path = tmp_path / "a.npz"
     assert error_of(save_npz, path, make_ping(meta={"a": object()})) == (

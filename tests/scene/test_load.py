@@ -95,7 +95,15 @@ def test_bundled_names_and_unknown_ones(two_scenes):
     assert error_message("xyz") == f"there is no bundled scene 'xyz' (known are harbour, pylon; {hint})"
 
 
+def test_a_bundled_name_as_a_path(two_scenes):
+    assert error_message(Path("pylon")) == (
+        "there is no bundled scene 'pylon' (a Path is that of a file: name a bundled scene by text; a file must end in "
+        f"one of {ENDINGS})"
+    )
+
+
 def test_invalid_paths(two_scenes):
+    assert error_message("") == "a scene must be a bundled name or a path (got an empty text)"
     assert error_message("no.sdf") == (
         "no.sdf: there is no such file (bundled scenes are named without an ending)"
     )

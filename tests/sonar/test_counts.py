@@ -113,6 +113,38 @@ def test_an_array_in_any_order():
         assert (law.apply(intensity.T[::-1, ::2]) == law.apply(intensity).T[::-1, ::2]).all()
 
 
+@pytest.mark.parametrize("law", [*LAWS, Counts(gain_percentile=99), Counts("power", gain_percentile=50)])
+def test_intensities_as_a_list_or_of_another_type(law):
+    whole = [[0, 1], [2, 3]]
+    expected = law.apply(np.array(whole, np.float64))
+    for same in (
+        whole,
+        tuple(map(tuple, whole)),
+        np.array(whole),
+        np.array(whole, np.uint8),
+        np.array(whole, "f4"),
+    ):
+        assert (law.apply(same) == expected).all()
+    bits = np.array([True, False])
+    assert (law.apply(bits) == law.apply(bits.astype(float))).all()
+    for wrong, shown in (("x", "'x'"), (None, "None"), (0.5, "0.5"), (np.array([1j]), "array([0.+1.j])")):
+        with pytest.raises(Error) as caught:
+            law.apply(wrong)
+        assert str(caught.value) == f"intensity must be an array of real numbers (got {shown})"
+
+
+def test_infinite_intensities_have_no_automatic_gain():
+    with pytest.raises(Error, match=r"^automatic gain needs finite intensities \(got infinity\)$"):
+        Counts(gain_percentile=99).apply(np.array([[1.0, np.inf]]))
+
+
+def test_counts_that_are_no_numbers_have_no_intensity():
+    assert Counts("power", exponent=1).intensity_of(255) == 1.0
+    for wrong in ("x", None):
+        with pytest.raises(Error, match=r"^counts must be real numbers \(got "):
+            Counts().intensity_of(wrong)
+
+
 def test_a_ping_has_the_counts_of_its_sonar():
     sonar = load_sonar("oculus-m1200d-hf")
     ping = Ping(speckle((8, 50), 1e-4), np.linspace(-0.1, 0.1, 8), np.arange(50) + 0.5)

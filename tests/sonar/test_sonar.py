@@ -433,6 +433,25 @@ def test_beams_of_a_lens_are_those_of_the_makers_tables():
         assert azimuth_deg[-1] == pytest.approx(outermost_deg, abs=0.02)
 
 
+def test_a_preset_as_a_path_and_a_folder_as_a_file(tmp_path):
+    assert error_of(load_sonar, Path("p900-45")) == (
+        f"p900-45: the sonar's file must exist (got none there; paths start at {Path.cwd()}; a Path is that of a file: "
+        "name a preset by text)"
+    )
+    assert error_of(load_sonar, tmp_path) == (
+        f"{tmp_path}: the sonar's file must be a file (got a folder; such as {tmp_path / 'mine.toml'})"
+    )
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 10.0])
+def test_the_pose_of_a_head_is_that_of_a_pose(tilt_deg):
+    sonar, pose = Sonar("s", **KEYS, tilt_deg=tilt_deg), make_pose(1, 2, 3)
+    assert (sonar.head_pose(pose.tolist()) == sonar.head_pose(pose)).all()
+    assert error_of(sonar.head_pose, [1, 2, 3]) == (
+        "pose must have shape (4, 4) (got (3,); sonar_gl.pose makes one from x y z roll pitch yaw)"
+    )
+
+
 def test_the_head_is_tilted_down_within_its_housing():
     pose = make_pose(1.0, 2.0, -3.0, 0.1, -0.2, 0.3)
     level = Sonar("s", **KEYS)
