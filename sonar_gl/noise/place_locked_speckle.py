@@ -348,9 +348,13 @@ class _Layout(NamedTuple):
     repeats: int
 
 
-def _lay_out(shape: FieldShape, heading_rad: float) -> _Layout:
-    """Return the layout of a field for a sonar's heading."""
+def _lay_out(shape: FieldShape, pose) -> _Layout:
+    """Return the layout of a field for a sonar's heading, and for which side of it is up."""
+    heading_rad = np.arctan2(pose[1, 0], pose[0, 0])
+    is_upside_down = pose[0, 0] * pose[1, 1] < pose[0, 1] * pose[1, 0]  # its z axis points below the horizon
     beams, width = np.asarray(shape.correlation.azimuth_rad), shape.correlation.beam_width_rad
+    if is_upside_down:  # port beams look to starboard
+        beams = -beams
     taper_series = shape.correlation.taper_series
     nodes = _nodes(heading_rad, beams, width, taper_series)
     if nodes is None:
@@ -424,7 +428,8 @@ def place_locked_field(
     Parameters
     ----------
     shape : FieldShape
-    pose : (4, 4) world_from_sonar, or its first two rows; its heading and its horizontal position count
+    pose : (4, 4) world_from_sonar, or its first two rows; its heading, its horizontal position and which side is up
+        count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
     thread : does a part of the work, with the same bytes
     beside : other work, which the thread does first; done in any case
@@ -444,7 +449,8 @@ def place_locked_field(
     - Moving along a beam by d moves its pattern by d in range.
 
     The cells of the sea, CELL_M wide, have independent waves and cross-fade, so patterns farther apart than a
-    cell are uncorrelated. Pitch, roll and heave leave the pattern as it is. As an approximation, the bearing
+    cell are uncorrelated. Pitch, roll and heave leave the pattern as it is, but of a sonar that hangs upside down it
+    is the mirror image, as are its beams. As an approximation, the bearing
     of a scatterer does not change as the sonar passes it; near ones would move by d / r.
     """
     cells, *more = product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3]))
@@ -452,7 +458,7 @@ def place_locked_field(
     def begin(half: int) -> tuple[_Layout, np.ndarray, _WaveSums, int] | None:
         if half:
             return beside()
-        layout = _lay_out(shape, np.arctan2(pose[1, 0], pose[0, 0]))
+        layout = _lay_out(shape, pose)
         sums = _wave_sums(shape, layout, cells, waves_of)
         fields = np.zeros((len(layout.azimuth_rad), 2, shape.n_bins), np.float32)
         n_done = 0 if beside is None else int(SHARE_BESIDE * len(fields))

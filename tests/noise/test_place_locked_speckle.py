@@ -106,6 +106,24 @@ def test_turning_moves_the_pattern_by_beams(yaw, beams):
     np.testing.assert_allclose(turned[:-beams], moved(0, yaw=yaw)[beams:], rtol=0, atol=2e-4)  # float32
 
 
+@pytest.mark.parametrize("roll, pitch", [(np.pi, 0.0), (np.pi - 0.3, -0.4), (0.0, np.pi - 0.4)])
+def test_turning_upside_down_moves_the_pattern_the_other_way(roll, pitch):
+    """Places keep their speckle: the beams of a sonar that hangs upside down count from port to starboard."""
+    before, after = (
+        patterns(PLACE_LOCKED, even_ping(pose=pose(0.1, 0.07, 0, roll, pitch, yaw)))[0]
+        for yaw in (0.0, np.radians(0.25) * 3)
+    )
+    np.testing.assert_allclose(after[3:], before[:-3], rtol=0, atol=2e-4)  # float32
+
+
+def test_upside_down_sonar_sees_the_mirror_image():
+    upright, hanging = (
+        patterns(PLACE_LOCKED, even_ping(pose=pose(3.2, 1.2, 0, roll, 0, YAW_RAD)))[0]
+        for roll in (0.0, np.pi)
+    )
+    np.testing.assert_allclose(hanging, upright[::-1], rtol=0, atol=2e-4)  # float32
+
+
 def test_a_slow_turn_never_changes_the_whole_pattern():
     """Steps of a fifth of a beam's spacing: the grid of nodes in the world has one node more at some headings.
 
