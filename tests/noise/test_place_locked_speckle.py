@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sonar_gl import pose
+from sonar_gl.acoustics.pulse import PulseResponse
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
@@ -96,6 +97,30 @@ def test_statistics_are_those_of_speckle():
     half_a_width_apart = np.sinc(UNIFORM_WIDTH / 2) ** 2
     found = correlation(x[:, 2:], x[:, :-2])
     assert found == pytest.approx(half_a_width_apart, abs=SIGMAS * 2 / np.sqrt(n) + 5e-3)
+
+
+@pytest.mark.parametrize("where", [pose(), pose(0.2, 0.2), pose(0.2, -0.15, yaw=0.3), pose(0.25, 0.25)])
+def test_no_beam_is_brighter_than_others(where):
+    """Also those between nodes whose patterns lie apart by a bin and more, off the middle of a cell of the sea."""
+    azimuth_rad = tuple(np.radians(np.linspace(-60, 60, 512)))
+    bin_m, n_bins, n_seeds = 0.004, 400, 12
+    pulse = PulseResponse(SOUND_SPEED_M_S / (2 * bin_m), "uniform", SOUND_SPEED_M_S)
+    shape = FieldShape(
+        FieldCorrelation(azimuth_rad, BEAM_WIDTH_RAD), n_bins, bin_m, SOUND_SPEED_M_S / 720e3, pulse
+    )
+    power = np.zeros(len(azimuth_rad))
+    for seed in range(n_seeds):
+
+        def waves(x, y, chunks, n, seed=seed):
+            generators = (stream(seed, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
+            return Waves(chunks, np.concatenate([standard_normal(one, (CHUNK, 2, n)) for one in generators]))
+
+        power += np.square(place_locked_field(shape, where, waves)).sum(1).mean(1) / n_seeds
+    # a bin off the middle of others may take up to half of its power from the next
+    assert power == pytest.approx(1, abs=SIGMAS * np.sqrt(1.5 / (n_bins * n_seeds)))
+    # beams half a width apart share about half of their variance
+    n = n_bins * n_seeds * 120 * UNIFORM_WIDTH
+    assert power.mean() == pytest.approx(1, abs=SIGMAS * np.sqrt(1.5 / n))
 
 
 @pytest.mark.parametrize("yaw", [0.0, np.pi - YAW_RAD - 0.002])
