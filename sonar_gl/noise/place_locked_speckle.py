@@ -13,7 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.pulse import PulseResponse, amplitude_response, field_weights
+from sonar_gl.acoustics.pulse import (
+    PulseResponse,
+    amplitude_response,
+    coarse_reach,
+    coarse_weights,
+    field_weights,
+    is_coarse,
+)
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import SecondThread, held, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
@@ -23,6 +30,7 @@ from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
 CELL_M = 0.5
 FADE_M = 0.1  # width of the cross-fade between two cells
+FURTHEST_M = (CELL_M + FADE_M) / 2 * math.sqrt(2)  # of a sonar from the middle of a cell whose field it has
 CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
 # of the Kaiser window, and how many for each beam are worth it.
@@ -81,7 +89,7 @@ def _cells_at(position_m: float) -> list[Cell]:
 
 
 def _pulse_reach(shape: FieldShape) -> int:
-    """Return how many bins the pulse reaches to each side."""
+    """Return how many bins the kernel of the pulse reaches to each side."""
     return 0 if shape.pulse is None else len(field_weights(shape.bin_size_m, *shape.pulse)) // 2
 
 
@@ -101,6 +109,10 @@ def _shift_weights(shape: FieldShape, shift_bins: np.ndarray) -> tuple[np.ndarra
     fraction = (shift_bins - first)[:, None]
     if shape.pulse is None:
         weights = np.hstack([1 - fraction, fraction])
+    elif is_coarse(shape.bin_size_m, *shape.pulse):
+        reach = coarse_reach(shape.bin_size_m, *shape.pulse)
+        first -= reach - 1
+        weights = coarse_weights(fraction - np.arange(1 - reach, reach + 1), shape.bin_size_m, *shape.pulse)
     else:
         reach = _pulse_reach(shape) + 1
         first -= reach
@@ -476,7 +488,11 @@ def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], wav
     matrix[:, 0], matrix[:, 1] = weight * np.cos(phase), weight * np.sin(phase)
     np.negative(matrix[:, 1], out=matrix[:, 2])
     weights, shift = _shift_weights(shape, along_m / shape.bin_size_m)
+    # the number of bins is a part of a pattern's bytes, since waves are drawn for all of them at once
     margin = int(np.ceil(CELL_M / shape.bin_size_m)) + _pulse_reach(shape) + (1 if shape.pulse is None else 2)
+    if shape.pulse is not None and is_coarse(shape.bin_size_m, *shape.pulse):
+        furthest = int(np.ceil(FURTHEST_M / shape.bin_size_m)) + coarse_reach(shape.bin_size_m, *shape.pulse)
+        margin = max(margin, furthest)
     chunks = range(int(waves.min()) // CHUNK, int(waves.max()) // CHUNK + 1)
     chunks, coefficients = waves_of(cx, cy, chunks, shape.n_bins + 2 * margin)
     weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
