@@ -339,6 +339,13 @@ def test_pings_before_do_not_change_a_pattern():
     np.testing.assert_array_equal(moved(0, x=0.07, y=0.03), first)
 
 
+@pytest.mark.parametrize("far", [(-1.1e9, 0.0), (0.0, -1e12), (1e300, -1e300)])
+def test_a_sonar_far_from_the_origin_has_speckle(far):
+    """Streams take no negative numbers, and cells have some to the west and the south."""
+    pattern = patterns(PLACE_LOCKED, even_ping(pose=pose(*far)))[0]
+    assert pattern.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(256 * 14))
+
+
 @pytest.mark.parametrize("missing", ["pose", "sonar"])
 def test_it_needs_a_pose_and_a_sonar(missing):
     with pytest.raises(Error) as caught:
