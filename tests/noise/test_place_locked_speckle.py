@@ -99,6 +99,28 @@ def test_statistics_are_those_of_speckle():
     assert found == pytest.approx(half_a_width_apart, abs=SIGMAS * 2 / np.sqrt(n) + 5e-3)
 
 
+def test_beams_between_nodes_are_those_that_are_summed_themselves():
+    """Every fourth of many beams; so few have no nodes. At the middle of a cell the window errs by 58 dB less."""
+    azimuth_rad = np.radians(np.arange(64) / 4)
+
+    def waves(x, y, chunks, n):
+        generators = (stream(5, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
+        return Waves(chunks, np.concatenate([standard_normal(one, (CHUNK, 2, n)) for one in generators]))
+
+    all_beams, few_beams = (
+        place_locked_field(
+            FieldShape(
+                FieldCorrelation(tuple(some), BEAM_WIDTH_RAD), 300, BIN_M, SOUND_SPEED_M_S / FREQUENCY_HZ
+            ),
+            pose(),
+            waves,
+        )
+        for some in (azimuth_rad, azimuth_rad[1::4])
+    )
+    error = np.square(all_beams[1::4] - few_beams).sum(1).mean()
+    assert 0 < error < 2 * 10**-5.8
+
+
 @pytest.mark.parametrize("where", [pose(), pose(0.2, 0.2), pose(0.2, -0.15, yaw=0.3), pose(0.25, 0.25)])
 def test_no_beam_is_brighter_than_others(where):
     """Also those between nodes whose patterns lie apart by a bin and more, off the middle of a cell of the sea."""
