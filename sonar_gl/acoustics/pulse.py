@@ -23,6 +23,9 @@ NEGLECTED_POWER = 1e-4  # share of the power that `field_weights` may leave out
 MAX_FIELD_NULLS = 50  # or the length, in c/2B, at which `field_weights` end
 INTERVALS_PER_NULL = 2  # of integration per c/2B, each with these nodes: accurate to 1e-9
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(8)
+NEGLECTED_COARSE = 0.007  # share of the power that `coarse_weights` may leave out
+MIN_COARSE, MAX_COARSE = 4, 16  # bins to each side
+COARSE_POINTS = 128  # of their table per bin: linear interpolation errs by less than 1e-4
 MAX_HALF_LENGTH = 1 << 16  # bins to each side of a kernel's centre
 SILENCE = uint64(64)  # bins without an echo that a convolution leaves out at a time
 FEW_PRODUCTS = 1_000_000  # of a convolution: 0.1 ms, as a hand-over to another thread may take
@@ -172,6 +175,76 @@ def bin_weights(
     return _read_only_float32(kernel / kernel.sum() * max(1.0, cell_m / bin_size_m))
 
 
+def _aliased_power(f: np.ndarray, ratio: float, series: tuple[float, ...]) -> np.ndarray:
+    """Return the power spectrum of noise at the centres of bins that are `ratio` times c/2B long.
+
+    f : frequencies, in cycles per bin, within half a cycle
+    """
+    power = np.zeros_like(f)
+    for alias in range(-int(min(ratio, 64)), int(min(ratio, 64)) + 1):
+        z = (f + alias) / ratio  # in bandwidths
+        weight = 1 + 2 * sum(share * np.cos(2 * np.pi * m * z) for m, share in enumerate(series, 1))
+        power += np.where(np.abs(z) <= 0.5, weight**2, 0.0)
+    return power
+
+
+@lru_cache(maxsize=16)
+def _coarse_table(ratio: float, taper: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances in bins, 0 or more, and the response of `coarse_weights` at them."""
+    f = (np.arange(512) + 0.5) / 1024  # in cycles per bin
+    root = np.sqrt(_aliased_power(f, ratio, _taper_series(taper)))
+    bins = np.arange(MAX_COARSE * COARSE_POINTS + 1) / COARSE_POINTS
+    return bins, np.cos(2 * np.pi * np.outer(bins, f)) @ root
+
+
+def is_coarse(bin_size_m: float, bandwidth_hz: float, taper: str, sound_speed_m_s: float) -> bool:
+    """Return whether bins are c/2B long or longer, so that they alias the spectrum."""
+    return bin_size_m >= (1 - 1e-9) * _null_m(bandwidth_hz, sound_speed_m_s)
+
+
+@lru_cache(maxsize=16)
+def coarse_reach(
+    bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
+) -> int:
+    """Return how many bins `coarse_weights` count on each side, MIN_COARSE to MAX_COARSE.
+
+    Those beyond have NEGLECTED_COARSE of the power.
+
+    >>> coarse_reach(0.034, 30e3, "hamming"), coarse_reach(0.034, 30e3)
+    (4, 14)
+    """
+    bins, response = _coarse_table(bin_size_m / _null_m(bandwidth_hz, sound_speed_m_s), taper)
+    half = response[(bins % 1) == 0.5] ** 2  # midway between bins, where it reaches furthest
+    beyond = 1 - np.cumsum(half) / half.sum()
+    reach = int(np.argmax(beyond <= NEGLECTED_COARSE)) + 1
+    return max(MIN_COARSE, reach + reach % 2)
+
+
+def coarse_weights(
+    bins, bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
+) -> np.ndarray:
+    """Return weights that move noise by parts of a bin, and correlate it as the pulse does: for bins of c/2B or more.
+
+    The noise is independent from bin to bin. Samples of the amplitude response would not do: they alias amplitudes,
+    whereas in noise powers alias. The response is that of `field_weights`, at any distance.
+
+    Parameters
+    ----------
+    bins : distances in bins, any shape
+    bin_size_m, bandwidth_hz, taper, sound_speed_m_s : as for `bin_weights`
+
+    Returns
+    -------
+    float64, of the shape of `bins`, of any common scale
+
+    >>> w = coarse_weights(np.arange(-2, 3), 0.025, 30e3)
+    >>> np.abs(w / w[2]).round(3).tolist()  # the band of 25 mm is full
+    [0.0, 0.0, 1.0, 0.0, 0.0]
+    """
+    table = _coarse_table(bin_size_m / _null_m(bandwidth_hz, sound_speed_m_s), taper)
+    return np.interp(np.abs(bins), *table)
+
+
 @lru_cache(maxsize=16)
 def field_weights(
     bin_size_m: float, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0
@@ -202,11 +275,7 @@ def field_weights(
         half = amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s)
     else:
         f = (np.arange(4096) + 0.5) / 4096 - 0.5  # in cycles per bin
-        power = np.zeros_like(f)
-        for alias in range(-int(min(ratio, 64)), int(min(ratio, 64)) + 1):
-            z = (f + alias) / ratio  # in bandwidths
-            weight = 1 + 2 * sum(share * np.cos(2 * np.pi * m * z) for m, share in enumerate(series, 1))
-            power += np.where(np.abs(z) <= 0.5, weight**2, 0.0)
+        power = _aliased_power(f, ratio, series)
         half = np.cos(2 * np.pi * np.outer(np.arange(half_length + 1), f)) @ np.sqrt(power)
     half = np.where(np.abs(half) < 1e-9 * half[0], 0.0, half)  # nulls are exactly 0
     total_power = half[0] ** 2 + 2 * (half[1:] ** 2).sum()

@@ -51,7 +51,9 @@ class FieldKey(NamedTuple):
 
         def waves(cell_x, cell_y, chunks, n_wave_bins):
             def generator(chunk):
-                return stream(seed, 0, term, *(n + (1 << 31) for n in (cell_x, cell_y, chunk)), look)
+                return stream(
+                    seed, 0, term, *((n + (1 << 31)) % (1 << 64) for n in (cell_x, cell_y, chunk)), look
+                )
 
             return _WAVES.waves((self.random, cell_x, cell_y), chunks, n_wave_bins, generator)
 

@@ -28,7 +28,8 @@ def add_noise(
     ping : speckle spares its `coherent` echo, texture has its `texture_deviation`, and the scatterers of its `volume`
         show one by one; the beam width of its `sonar` correlates the fields of overlapping beams, and its
         `bandwidth_hz` and `pulse_taper` those of bins if its `acoustics` have a pulse; without them beams or bins are
-        independent
+        independent. A ping of `Simulator.ping` without noise, or of an NPZ, has none of the three parts: all of its
+        echo has fully developed speckle. To a noisy ping, noise is added as to an echo
     noise : amounts; None for no noise
     seed, ping_number : whole numbers, 0 or more; the same two give the same bytes
     thread : does a part of the work beside the caller, with the same bytes

@@ -13,7 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.pulse import PulseResponse, amplitude_response, field_weights
+from sonar_gl.acoustics.pulse import (
+    PulseResponse,
+    amplitude_response,
+    coarse_reach,
+    coarse_weights,
+    field_weights,
+    is_coarse,
+)
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import SecondThread, held, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
@@ -23,6 +30,7 @@ from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
 CELL_M = 0.5
 FADE_M = 0.1  # width of the cross-fade between two cells
+FURTHEST_M = (CELL_M + FADE_M) / 2 * math.sqrt(2)  # of a sonar from the middle of a cell whose field it has
 CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
 # of the Kaiser window, and how many for each beam are worth it.
@@ -81,7 +89,7 @@ def _cells_at(position_m: float) -> list[Cell]:
 
 
 def _pulse_reach(shape: FieldShape) -> int:
-    """Return how many bins the pulse reaches to each side."""
+    """Return how many bins the kernel of the pulse reaches to each side."""
     return 0 if shape.pulse is None else len(field_weights(shape.bin_size_m, *shape.pulse)) // 2
 
 
@@ -101,6 +109,10 @@ def _shift_weights(shape: FieldShape, shift_bins: np.ndarray) -> tuple[np.ndarra
     fraction = (shift_bins - first)[:, None]
     if shape.pulse is None:
         weights = np.hstack([1 - fraction, fraction])
+    elif is_coarse(shape.bin_size_m, *shape.pulse):
+        reach = coarse_reach(shape.bin_size_m, *shape.pulse)
+        first -= reach - 1
+        weights = coarse_weights(fraction - np.arange(1 - reach, reach + 1), shape.bin_size_m, *shape.pulse)
     else:
         reach = _pulse_reach(shape) + 1
         first -= reach
@@ -124,6 +136,23 @@ class Nodes(NamedTuple):
     weights: np.ndarray
     span_rad: float
 
+    def even_weights(self, products: np.ndarray) -> np.ndarray:
+        """Return the weights, (B, TAPS) float32, that give the field of each beam unit variance.
+
+        Off the middle of a cell the patterns of nodes lie apart in range, and their apertures aside. Fields that differ
+        by more than the waves of an aperture do add up to less, or more: by a tenth in power for fine bins.
+
+        Parameters
+        ----------
+        products : (N, TAPS) mean products of the field of each node with its own and those of the next nodes
+        """
+        weights, power = self.weights.astype(np.float64), np.zeros(len(self.weights))
+        for aside in range(TAPS):
+            nodes = self.first[:, None] + np.arange(TAPS - aside)
+            of_pairs = products[nodes, aside] * weights[:, : TAPS - aside] * weights[:, aside:]
+            power += (2 if aside else 1) * of_pairs.sum(1)
+        return (weights / np.sqrt(power)[:, None]).astype(np.float32)
+
 
 def _nodes(
     heading_rad: float, beams_rad: np.ndarray, width_rad: float, taper_series: tuple[float, ...]
@@ -133,7 +162,7 @@ def _nodes(
     Notes
     -----
     An aperture limits the field to one period per width / aperture_width() radians. OVERSAMPLING times as many nodes
-    are interpolated by a sinc in a Kaiser window [1]_, which errs by 58 dB less than the field.
+    are interpolated by a sinc in a Kaiser window [1]_, which errs by 58 dB less than the field of one aperture.
 
     References
     ----------
@@ -171,6 +200,52 @@ def _interpolate(fields, first, weights, out):
                 x = a[5] * u[k] + x
                 x = a[6] * v[k] + x
                 to[k] = a[7] * w[k] + x
+
+
+@compiled
+def _dot(a, b):
+    """Return the sum of the products of a and b, (N,) float32: four sums, which do not wait for one another."""
+    p = q = r = s = float32(0)
+    n = uint64(len(a)) // uint64(4) * uint64(4)
+    for k in range(uint64(0), n, uint64(4)):
+        p += a[k] * b[k]
+        q += a[k + uint64(1)] * b[k + uint64(1)]
+        r += a[k + uint64(2)] * b[k + uint64(2)]
+        s += a[k + uint64(3)] * b[k + uint64(3)]
+    for k in range(n, uint64(len(a))):
+        p += a[k] * b[k]
+    return (p + q) + (r + s)
+
+
+@compiled
+def _add_products(start, matrix, shift, weights, out):
+    """Add to out (N, n) the mean products of the fields of nodes with their own, and with those of the n − 1 next ones.
+
+    Fields are sums over waves and over bins, so that a product is that of two sums; the real part counts.
+
+    Parameters
+    ----------
+    start, matrix, shift, weights : of a `_WaveSums`
+    out : float64
+    """
+    n_nodes, n_waves, n_weights = len(matrix), matrix.shape[2], weights.shape[1]
+    for i in range(n_nodes):
+        for aside in range(min(out.shape[1], n_nodes - i)):
+            j = i + aside
+            further = start[j] - start[i]  # waves that both receive
+            first, last = max(further, 0), n_waves + min(further, 0)
+            waves = float32(0)
+            if first < last:
+                for part in range(2):
+                    waves += _dot(
+                        matrix[i, part, first:last], matrix[j, part, first - further : last - further]
+                    )
+            further = shift[j] - shift[i]
+            first, last = max(further, 0), n_weights + min(further, 0)
+            bins = float32(0)
+            if first < last:
+                bins = _dot(weights[i, first:last], weights[j, first - further : last - further])
+            out[i, aside] += 2.0 * waves * bins
 
 
 @compiled
@@ -348,9 +423,13 @@ class _Layout(NamedTuple):
     repeats: int
 
 
-def _lay_out(shape: FieldShape, heading_rad: float) -> _Layout:
-    """Return the layout of a field for a sonar's heading."""
+def _lay_out(shape: FieldShape, pose) -> _Layout:
+    """Return the layout of a field for a sonar's heading, and for which side of it is up."""
+    heading_rad = np.arctan2(pose[1, 0], pose[0, 0])
+    is_upside_down = pose[0, 0] * pose[1, 1] < pose[0, 1] * pose[1, 0]  # its z axis points below the horizon
     beams, width = np.asarray(shape.correlation.azimuth_rad), shape.correlation.beam_width_rad
+    if is_upside_down:  # port beams look to starboard
+        beams = -beams
     taper_series = shape.correlation.taper_series
     nodes = _nodes(heading_rad, beams, width, taper_series)
     if nodes is None:
@@ -383,6 +462,10 @@ class _WaveSums(NamedTuple):
         arrays = start, self.matrix[rows], self.shift[rows], self.weights[rows], np.concatenate(pairs)
         _sum_waves(self.coefficients, *arrays, fields[rows])
 
+    def add_products_to(self, products: np.ndarray) -> None:
+        """Add the mean products of the fields of nodes near each other, (N, TAPS) float64."""
+        _add_products(self.start, self.matrix, self.shift, self.weights, products)
+
 
 def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], waves_of) -> _WaveSums:
     """Return the sums over the waves of a cell of the sea; `waves_of` as for `place_locked_field`."""
@@ -405,7 +488,11 @@ def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], wav
     matrix[:, 0], matrix[:, 1] = weight * np.cos(phase), weight * np.sin(phase)
     np.negative(matrix[:, 1], out=matrix[:, 2])
     weights, shift = _shift_weights(shape, along_m / shape.bin_size_m)
+    # the number of bins is a part of a pattern's bytes, since waves are drawn for all of them at once
     margin = int(np.ceil(CELL_M / shape.bin_size_m)) + _pulse_reach(shape) + (1 if shape.pulse is None else 2)
+    if shape.pulse is not None and is_coarse(shape.bin_size_m, *shape.pulse):
+        furthest = int(np.ceil(FURTHEST_M / shape.bin_size_m)) + coarse_reach(shape.bin_size_m, *shape.pulse)
+        margin = max(margin, furthest)
     chunks = range(int(waves.min()) // CHUNK, int(waves.max()) // CHUNK + 1)
     chunks, coefficients = waves_of(cx, cy, chunks, shape.n_bins + 2 * margin)
     weights = np.pad(weights, ((0, 0), (0, -weights.shape[1] % 4)))
@@ -424,7 +511,8 @@ def place_locked_field(
     Parameters
     ----------
     shape : FieldShape
-    pose : (4, 4) world_from_sonar, or its first two rows; its heading and its horizontal position count
+    pose : (4, 4) world_from_sonar, or its first two rows; its heading, its horizontal position and which side is up
+        count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
     thread : does a part of the work, with the same bytes
     beside : other work, which the thread does first; done in any case
@@ -444,7 +532,8 @@ def place_locked_field(
     - Moving along a beam by d moves its pattern by d in range.
 
     The cells of the sea, CELL_M wide, have independent waves and cross-fade, so patterns farther apart than a
-    cell are uncorrelated. Pitch, roll and heave leave the pattern as it is. As an approximation, the bearing
+    cell are uncorrelated. Pitch, roll and heave leave the pattern as it is, but of a sonar that hangs upside down it
+    is the mirror image, as are its beams. As an approximation, the bearing
     of a scatterer does not change as the sonar passes it; near ones would move by d / r.
     """
     cells, *more = product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3]))
@@ -452,7 +541,7 @@ def place_locked_field(
     def begin(half: int) -> tuple[_Layout, np.ndarray, _WaveSums, int] | None:
         if half:
             return beside()
-        layout = _lay_out(shape, np.arctan2(pose[1, 0], pose[0, 0]))
+        layout = _lay_out(shape, pose)
         sums = _wave_sums(shape, layout, cells, waves_of)
         fields = np.zeros((len(layout.azimuth_rad), 2, shape.n_bins), np.float32)
         n_done = 0 if beside is None else int(SHARE_BESIDE * len(fields))
@@ -463,16 +552,21 @@ def place_locked_field(
     if fields.size * layout.length < FEW_WAVE_PRODUCTS:
         thread = None
     run_rows(thread, partial(sums.add_to, fields), n_done, len(fields))
+    nodes, products = layout.nodes, np.zeros((len(fields), TAPS))
+    if nodes is not None:
+        sums.add_products_to(products)
     for cells in more:
         sums = _wave_sums(shape, layout, cells, waves_of)
         run_rows(thread, partial(sums.add_to, fields), 0, len(fields))
-    nodes = layout.nodes
+        if nodes is not None:
+            sums.add_products_to(products)
     if nodes is None:
         return fields
+    weights = nodes.even_weights(products)
     out = np.empty((len(nodes.first), 2, shape.n_bins), np.float32)
 
     def interpolate(rows: slice) -> None:
-        _interpolate(fields, nodes.first[rows], nodes.weights[rows], out[rows])
+        _interpolate(fields, nodes.first[rows], weights[rows], out[rows])
 
     run_rows(thread, interpolate, 0, len(out))
     return out
