@@ -16,7 +16,8 @@ from sonar_gl.live.view.outline import SELECTED_COLOR
 
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL_WIDTH = 430  # pixels of the page
-ROW = "display:flex;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
+ROW = "display:flex;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
+FIRST_EM, SECOND_EM = 8, 5  # widths of the names in a row: "roll pitch yaw" is the longest
 NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (
@@ -101,12 +102,12 @@ class PingPanel:
             seen = surface is not None and len(surface.points_m)
             text = f"{reading.body or 'no body'} at {reading.range_m:.2f} m, "
             text += "pink in 3D" if seen else "no surface in the main lobe"
-            content = _rows_html([[("last click", text, 7)]])
+            content = _rows_html([[("last click", text, FIRST_EM)]])
         self._clicked.content = content
 
     def show_selected(self, name: str) -> None:
         """Show which body is selected, and what can be done with it; "" for none."""
-        content = "" if not name else _rows_html([[("selected", name, 7)]]) + _note_html(SELECTED_NOTE)
+        content = "" if not name else _rows_html([[("selected", name, FIRST_EM)]]) + _note_html(SELECTED_NOTE)
         if self._selected.content != content:
             self._selected.content, self._unselect.visible = content, bool(name)
 
@@ -148,15 +149,15 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
     is_pending = state.settings is not frame.settings
     rows = [
-        [("ping rate", PENDING, 7)]
+        [("ping rate", PENDING, FIRST_EM)]
         if is_pending
         else [
-            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, 7),
-            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), 5),
+            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, FIRST_EM),
+            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), SECOND_EM),
         ],
-        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", 7)],
-        [("x y z", f"{x:.2f} {y:.2f} {z:.2f} m", 7)],
-        [("roll pitch yaw", angles, 7)],
+        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", FIRST_EM)],
+        [("x y z", f"{x:.2f} {y:.2f} {z:.2f} m", FIRST_EM)],
+        [("roll pitch yaw", angles, FIRST_EM)],
     ]
     text = state.problem or " ".join(frame.notes)
     problem = _note_html(text, "#ff8a80") if text else ""
@@ -178,8 +179,8 @@ def _reading_html(reading: Reading | None) -> str:
             elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
     return _rows_html(
         [
-            [("under pointer", body, 7)],
-            [("range", range_text, 7), ("azimuth", azimuth, 5)],
-            [("level", level, 7), ("elevation", elevation, 5)],
+            [("under pointer", body, FIRST_EM)],
+            [("range", range_text, FIRST_EM), ("azimuth", azimuth, SECOND_EM)],
+            [("level", level, FIRST_EM), ("elevation", elevation, SECOND_EM)],
         ]
     )
