@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from threading import Thread
 
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
@@ -396,17 +397,20 @@ class ControlPanel:
             job = gui.add_button("Add pose to job")
         connect = self._actions.connect_button
         connect(self._record, self._switch_recording)
-        connect(picture, lambda client: tell(client, "Picture saved", str(output.save_picture())))
+        connect(
+            picture,
+            lambda client: tell(client, "Picture saved", _place_text(output.save_picture(), ", .npz")),
+        )
         connect(line, lambda client: self._show_command_line(client))
-        connect(job, lambda client: tell(client, "Pose added", str(output.add_pose_to_job())))
+        connect(job, lambda client: tell(client, "Pose added", f"to {_place_text(output.add_pose_to_job())}"))
 
     def _switch_recording(self, client) -> None:
         output = self._session.output
         if not output.is_recording:
-            tell(client, "Recording", f"into {output.start_recording()}")
+            tell(client, "Recording", f"into {_place_text(output.start_recording())}")
         elif paths := output.stop_recording():
             missed = f"; {output.n_missed} came too quickly to be written" if output.n_missed else ""
-            tell(client, "Recorded", f"{output.n_recorded} pings into {paths[0].parent}{missed}")
+            tell(client, "Recorded", f"{output.n_recorded} pings into {_place_text(paths[0].parent)}{missed}")
         else:
             tell(client, "Recorded", "no ping")
 
@@ -420,6 +424,11 @@ class ControlPanel:
         @close.on_click
         async def _(_event):
             modal.close()
+
+
+def _place_text(path: Path, also: str = "") -> str:
+    """Return where a file is, its name first: a note cuts off what is too long for a line."""
+    return f"{path.name}{also} in {path.parent}"
 
 
 def _raise(why: Exception) -> None:
