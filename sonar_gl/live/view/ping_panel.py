@@ -130,13 +130,35 @@ class PingPanel:
         )
 
 
+def rounded(number: float, decimals: int) -> str:
+    """Return a number with some decimals, 0 without a sign.
+
+    >>> rounded(-0.04, 1), rounded(-5.0, 2)
+    ('0.0', '-5.00')
+    """
+    return f"{round(number, decimals) + 0.0:.{decimals}f}"
+
+
+def level_text(level_db: float) -> str:
+    """Return the level of a bin; nothing has sent an echo into one of minus infinity.
+
+    >>> level_text(-36.14), level_text(-math.inf)
+    ('-36.1 dB', 'no echo')
+    """
+    return f"{level_db:.1f} dB" if math.isfinite(level_db) else "no echo"
+
+
 def _rows_html(rows) -> str:
-    """Return lines of names and values; a row may have several of them side by side."""
+    """Return lines of names and values; a row may have several of them side by side.
+
+    A value by itself goes on in a second line where it is too long for one, such as the name of a body.
+    """
     lines = []
     for row in rows:
+        value_style = "flex:1" if len(row) == 1 else "flex:1;white-space:nowrap"
         cells = "".join(
             f'<span style="opacity:.6;width:{width}em;flex-shrink:0">{escape(name)}</span>'
-            f'<span style="flex:1;white-space:nowrap">{escape(value)}</span>'
+            f'<span style="{value_style};overflow-wrap:anywhere">{escape(value)}</span>'
             for name, value, width in row
         )
         lines.append(f'<div style="{ROW}">{cells}</div>')
@@ -145,7 +167,8 @@ def _rows_html(rows) -> str:
 
 def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     x, y, z, roll, pitch, yaw = pose_numbers(frame.pose)
-    angles = " ".join(f"{math.degrees(angle):.1f}°" for angle in (roll, pitch, yaw))
+    angles = " ".join(f"{rounded(math.degrees(angle), 1)}°" for angle in (roll, pitch, yaw))
+    place = " ".join(rounded(one, 2) for one in (x, y, z))
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
     is_pending = state.settings is not frame.settings
     rows = [
@@ -156,7 +179,7 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
             ("samples", f"{frame.samples:,}".replace(",", "\u2009"), SECOND_EM),
         ],
         [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", FIRST_EM)],
-        [("x y z", f"{x:.2f} {y:.2f} {z:.2f} m", FIRST_EM)],
+        [("x y z", f"{place} m", FIRST_EM)],
         [("roll pitch yaw", angles, FIRST_EM)],
     ]
     text = state.problem or " ".join(frame.notes)
@@ -174,7 +197,7 @@ def _reading_html(reading: Reading | None) -> str:
         body = reading.body or NOTHING
         range_text = f"{reading.range_m:.2f} m"
         azimuth = f"{math.degrees(reading.azimuth_rad):+.1f}°"
-        level = f"{reading.level_db:.1f} dB, {reading.count} counts"
+        level = f"{level_text(reading.level_db)}, {reading.count} counts"
         if reading.elevation_rad is not None:
             elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
     return _rows_html(
