@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from threading import Condition, RLock, Thread, current_thread
+from threading import Condition, Event, RLock, Thread, current_thread
 
 from sonar_gl.core.errors import closed_error
 from sonar_gl.core.worker import Job
@@ -50,6 +50,7 @@ class PingThread:
         self._listeners: list[Listener] = []
         self._requests: deque[Job] = deque()
         self._is_closing = False
+        self._has_ended = Event()
         self._thread = Thread(target=self._serve, name="sonar_gl live", daemon=True)
         self._thread.start()
 
@@ -98,8 +99,9 @@ class PingThread:
 
     def wait_closed(self, timeout_s: float | None) -> bool:
         """Wait until the thread has ended, or so many seconds; return whether it has."""
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        # not by `join`: where Ctrl-C interrupts that, Python before 3.13 takes the thread for one that has ended, and
+        # `close` would not wait for it
+        return self._has_ended.wait(timeout_s)
 
     def _forget(self, listener: Listener) -> None:
         with self._changed:
@@ -133,3 +135,4 @@ class PingThread:
             with self._changed:
                 self._is_closing = True
                 self._changed.notify_all()
+            self._has_ended.set()

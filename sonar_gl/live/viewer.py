@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +57,9 @@ class LiveView:
         self._listener: Listener | None = None
         with ExitStack() as opened:
             opened.callback(session.close)
+            with suppress(Error):  # then of read-outs, which say so in the page
+                # compiles what only read-outs take, once after an installation: later the page would stand still
+                session.reading(session.frame, 0, 0)
             try:
                 self._page = ViewerPage(session, host, port)
             except OSError as why:

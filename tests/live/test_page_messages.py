@@ -355,11 +355,47 @@ def test_a_failure_of_the_page_itself_keeps_its_traceback(browser, monkeypatch, 
 
 def test_a_speed_that_is_no_number_is_refused(session, browser):
     browser.change("speed, m/s", float("nan"))
-    wait_until(lambda: browser.notes == ["speed must lie in 0..100 (got nan; give m/s)"])
+    wait_until(lambda: browser.notes == ["speed must lie in 0.1..10 (got nan; give m/s)"])
     start = position(session)
     browser.tell(keys=["w"])
     wait_until(lambda: position(session) != start)
     assert browser.shown("speed, m/s") == 1.0
+
+
+def test_numbers_beyond_the_ends_of_a_slider_are_refused_in_its_own_words(session, browser):
+    before = session.settings
+    for label, value, why in (
+        ("tolerance, %", 50.0, "tolerance must lie in 0.5..20 (got 50; give %)"),
+        ("pings per s", 0.0, "pings per s must lie in 1..60 (got 0)"),
+        ("gain, dB", 100.0, "gain must lie in -40..60 (got 100; give dB)"),
+        ("depth, m", -3.0, "depth must lie in 0..1000 (got -3; give m)"),
+    ):
+        browser.change(label, value)
+        wait_until(lambda why=why: browser.notes[-1:] == [why])
+        wait_until(lambda label=label, value=value: browser.shown(label) != value)
+        wait_until(lambda label=label, value=value: browser.shown(label) != value)
+    assert session.settings == before
+
+
+def test_sliders_show_numbers_in_force_beyond_their_ends(session, browser):
+    water = replace(session.settings.water, depth_m=3000.0)
+    session.change(
+        tolerance=0.3,
+        max_rate_hz=0.25,
+        gain_db=80.0,
+        acoustics=replace(session.settings.acoustics, water=water),
+    )
+    for label, value, end in (
+        ("tolerance, %", 30.0, "max"),
+        ("pings per s", 0.25, "min"),
+        ("gain, dB", 80.0, "max"),
+        ("depth, m", 3000.0, "max"),
+    ):
+        wait_until(lambda label=label, value=value: browser.shown(label) == value)
+        assert browser.values[browser.uuid(label)][end] == value
+    assert browser.values[browser.uuid("pings per s")]["precision"] == 2
+    session.change(tolerance=0.05)
+    wait_until(lambda: browser.values[browser.uuid("tolerance, %")]["max"] == 20.0)
 
 
 def test_a_part_of_the_page_that_fails_stops_no_other(session, browser, monkeypatch, caplog):
@@ -396,8 +432,8 @@ def test_a_recording_that_ends_names_its_folder_once(session, browser):
     wait_until(lambda: session.output.n_recorded >= 3)
     browser.press("Record")
     wait_until(lambda: len(browser.notes) == 2)
-    folder = session.output.folder / "pylon_0001"
-    assert browser.notes[1] == f"{session.output.n_recorded} pings into {folder}"
+    # the name first, since a browser cuts off what is too long for a line
+    assert browser.notes[1] == f"{session.output.n_recorded} pings into pylon_0001 in {session.output.folder}"
 
 
 def test_a_recording_goes_on_without_a_browser_and_the_log_says_so(scene, tmp_path, caplog):

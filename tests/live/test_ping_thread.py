@@ -1,5 +1,6 @@
 """The thread of a live session by itself: when it pings, and what it does in between."""
 
+import signal
 import threading
 import time
 
@@ -72,3 +73,29 @@ def test_it_releases_what_it_holds_once_in_the_thread_itself():
     for call in (lambda: thread.do(int), lambda: thread.listen(print, 1), thread.check_open):
         with pytest.raises(sg.Error, match="this LiveSession is closed"):
             call()
+
+
+def test_it_is_waited_for_after_a_wait_that_ctrl_c_has_ended():
+    # else the interpreter ends beside a ping, and the process aborts in OpenCV now and then
+    thread = Pings(True).thread()
+    busy, over = threading.Event(), threading.Event()
+
+    def work():
+        busy.set()
+        over.wait(WAIT_S)
+
+    asking = threading.Thread(target=lambda: thread.do(work))
+    asking.start()
+    assert busy.wait(WAIT_S)
+    interrupt = threading.Timer(0.2, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt):
+        thread.wait_closed(WAIT_S)
+    closing = threading.Thread(target=thread.close)
+    closing.start()
+    closing.join(0.2)
+    assert closing.is_alive()
+    over.set()
+    closing.join(WAIT_S)
+    asking.join(WAIT_S)
+    assert thread.wait_closed(WAIT_S) and not closing.is_alive()

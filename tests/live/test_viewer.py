@@ -14,7 +14,8 @@ from click.testing import CliRunner
 import sonar_gl as sg
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import view as command
-from sonar_gl.live import page, viewer
+from sonar_gl.live import live_sonar, page, viewer
+from sonar_gl.live.session import LiveSession
 from sonar_gl.ping import Ping
 
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,-5,0,0.2,0\n2,1,0,-5,0,0.2,0\n"
@@ -59,6 +60,28 @@ def test_a_script_gets_pings(pages):
         assert came.wait(60)
     assert type(pings[0]) is Ping and pings[0].sonar.range_max_m == 12.0
     assert pages[0].is_closed and opened.session.wait_closed(0)
+
+
+def test_the_kernels_of_read_outs_are_there_before_the_page(pages, monkeypatch):
+    # they compile once after an installation, for half a minute, in which the page would stand still
+    made, make_ping = [], live_sonar.make_ping
+
+    def noted(run, wanted):
+        made.append((wanted.labels, len(pages)))
+        return make_ping(run, wanted)
+
+    monkeypatch.setattr(live_sonar, "make_ping", noted)
+    with sg.view("pylon", "p900-45", block=False, tolerance=0.2, range_m=12.0):
+        assert made == [(False, 0), (True, 0)]
+
+
+def test_a_view_opens_without_read_outs_where_these_fail(pages, monkeypatch):
+    def fail(*_):
+        raise sg.Error("labels need more memory than there is")
+
+    monkeypatch.setattr(LiveSession, "reading", fail)
+    with sg.view("pylon", "p900-45", block=False, tolerance=0.2, range_m=12.0):
+        assert len(pages) == 1
 
 
 def test_a_scene_of_ones_own_and_a_file_of_poses():

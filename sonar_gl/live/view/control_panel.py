@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from threading import Thread
 
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
-from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
+from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.noise.settings import PRESETS
@@ -74,6 +75,7 @@ class ControlPanel:
     ):
         self._gui, self._session, self._actions = server.gui, session, actions
         self._shown: list[tuple] = []  # handles, and what settings have each show
+        self._numbers: list[tuple] = []  # sliders, their scales, and what settings have each show
         self._terms: dict[str, object] = {}
         self._pricing: Thread | None = None
         self._priced: tuple | None = None  # what the prices on show are of
@@ -99,6 +101,8 @@ class ControlPanel:
         if self._priced is not None and self._priced != _priced_by(settings):
             self._hide_prices()
         self._scale_range(settings)
+        for slider, scale, shown in self._numbers:
+            _scale_slider(slider, scale.holding(shown(settings)))
         for handle, shown in self._shown:
             value = shown(settings)
             if handle.value != value and not self._actions.waits(id(handle)):
@@ -110,10 +114,10 @@ class ControlPanel:
 
     def _scale_range(self, settings: LiveSettings) -> None:
         """Have the slider of the range end where the sonar does."""
-        scale, slider = RangeScale.of(settings), self._range
-        if (slider.min, slider.max, slider.step) != (scale.low_m, scale.high_m, scale.step_m):
-            slider.min, slider.max, slider.step = scale.low_m, scale.high_m, scale.step_m
-            slider.precision = scale.decimals
+        scale = RangeScale.of(settings)
+        _scale_slider(
+            self._range, NumberScale("range, m", scale.low_m, scale.high_m, scale.step_m, scale.decimals)
+        )
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
@@ -150,6 +154,25 @@ class ControlPanel:
         self._shown.append((handle, shown))
         self._actions.connect(handle, change)
 
+    def _add_number(
+        self,
+        scale: NumberScale,
+        shown: Callable[[LiveSettings], float],
+        change: Callable[[float], object],
+        hint: str | None = None,
+    ) -> None:
+        """Add a slider that shows the number in force, also one beyond its ends, and refuses others beyond them."""
+        value = shown(self._session.settings)
+        wide = scale.holding(value)
+        slider = self._gui.add_slider(wide.label, wide.low, wide.high, wide.step, value, hint=hint)
+        slider.precision = wide.decimals
+        self._numbers.append((slider, scale, shown))
+        self._connect(
+            slider,
+            shown,
+            lambda value: change(scale.holding(shown(self._session.settings)).check(value)),
+        )
+
     def _add_motion(self, on_mover) -> None:
         gui = self._gui
         movers = (KEYS, CAMERA) + (() if self._session.track is None else (TRAJECTORY,))
@@ -160,15 +183,19 @@ class ControlPanel:
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
                 hint="The browser's camera is flown by the same keys and the mouse, and carries the sonar.",
             )
-            speed = gui.add_slider("speed, m/s", 0.1, 10.0, 0.1, self.steps.speed_m_s)
+            self._add_number(
+                NumberScale("speed, m/s", 0.1, 10.0, 0.1, 1),
+                lambda _settings: self.steps.speed_m_s,
+                self._set_speed,
+                "Of the sonar while a key is held.",
+            )
         self._actions.connect_from(
             self._mover,
             lambda client, value: on_mover(client, chosen(value, movers, "what moves the sonar")),
         )
-        self._connect(speed, lambda _settings: self.steps.speed_m_s, self._set_speed)
 
-    def _set_speed(self, value) -> None:
-        self.steps = replace(self.steps, speed_m_s=check_number("speed", value, 0.0, 100.0, "give m/s"))
+    def _set_speed(self, speed_m_s: float) -> None:
+        self.steps = replace(self.steps, speed_m_s=speed_m_s)
 
     def _add_sonar(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -181,17 +208,22 @@ class ControlPanel:
                 hint="Up to the greatest that the sonar allows, where that is known.",
             )  # fmt: skip
             self._range.precision = scale.decimals
-            tolerance = gui.add_slider(
-                "tolerance, %", 0.5, 20.0, 0.5, _shown_tolerance(settings),
-                hint="Largest share of the echo that may lie in wrong bins.",
-            )  # fmt: skip
-            rate = gui.add_slider("pings per s", 1.0, 60.0, 1.0, _shown_rate(settings), hint="At most.")
+            self._add_number(
+                NumberScale("tolerance, %", 0.5, 20.0, 0.5, 1),
+                lambda settings: round(100 * settings.tolerance, 6),
+                lambda percent: session.change(tolerance=percent / 100),
+                "Largest share of the echo that may lie in wrong bins.",
+            )
+            self._add_number(
+                NumberScale("pings per s", 1.0, 60.0, 1.0, 0),
+                lambda settings: settings.max_rate_hz,
+                lambda rate_hz: session.change(max_rate_hz=rate_hz),
+                "At most.",
+            )
             engine = gui.add_dropdown("engine", ENGINES, initial_value=settings.engine or "auto")
         self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
         self._actions.connect_from(sonar, self._change_sonar)
         self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
-        self._connect(tolerance, _shown_tolerance, lambda value: session.change(tolerance=float(value) / 100))
-        self._connect(rate, _shown_rate, lambda value: session.change(max_rate_hz=float(value)))
         self._connect(
             engine,
             lambda settings: settings.engine or "auto",
@@ -223,8 +255,15 @@ class ControlPanel:
             own = gui.add_checkbox(
                 "gain of the device", settings.counts is None, hint="The preset's law of counts."
             )
-            gain = gui.add_slider("gain, dB", -40.0, 60.0, 1.0, self._gain(settings))
-            picture = gui.add_checkbox("picture in 3D", True, hint="On the upper face of the fan.")
+            self._add_number(
+                NumberScale("gain, dB", -40.0, 60.0, 1.0, 0),
+                self._gain,
+                lambda gain_db: session.change(gain_db=gain_db),
+                "A change of it ends the gain of the device.",
+            )
+            picture = gui.add_checkbox(
+                "picture in 3D", True, hint="On the upper face of the fan; none while the form is polar."
+            )
         self._actions.connect(picture, on_picture)
         self._connect(
             form,
@@ -236,7 +275,6 @@ class ControlPanel:
             lambda settings: settings.colormap,
             lambda name: session.change(colormap=chosen(name, colormaps, "colours")),
         )
-        self._connect(gain, self._gain, lambda value: session.change(gain_db=float(value)))
         self._connect(own, lambda settings: settings.counts is None, self._switch_gain)
 
     def _switch_gain(self, own: bool) -> None:
@@ -250,7 +288,7 @@ class ControlPanel:
         law, frame = settings.law, self._session.frame
         if law.gain_percentile is not None and frame is not None:
             law = replace(law, gain_db=round(law.settle(frame.ping.intensity).gain_db), gain_percentile=None)
-        return min(max(float(law.gain_db), -40.0), 60.0)
+        return float(law.gain_db)
 
     def _add_acoustics(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -324,20 +362,19 @@ class ControlPanel:
     def _add_water(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Water", expand_by_default=False):
-            for name, label, low, high, step in (
-                ("temperature_c", "temperature, °C", 0.0, 35.0, 0.5),
-                ("salinity_psu", "salinity, psu", 0.0, 42.0, 0.5),
-                ("depth_m", "depth, m", 0.0, 1000.0, 1.0),
+            for name, label, low, high, step, decimals in (
+                ("temperature_c", "temperature, °C", 0.0, 35.0, 0.5, 1),
+                ("salinity_psu", "salinity, psu", 0.0, 42.0, 0.5, 1),
+                ("depth_m", "depth, m", 0.0, 1000.0, 1.0, 0),
             ):
 
-                def shown(settings, name=name, low=low, high=high):
-                    return min(max(float(getattr(settings.water, name)), low), high)
+                def shown(settings, name=name):
+                    return float(getattr(settings.water, name))
 
                 def change(value, name=name):
-                    session.change(water=replace(session.settings.water, **{name: float(value)}))
+                    session.change(water=replace(session.settings.water, **{name: value}))
 
-                handle = gui.add_slider(label, low, high, step, shown(settings))
-                self._connect(handle, shown, change)
+                self._add_number(NumberScale(label, low, high, step, decimals), shown, change)
 
     def _add_bodies(self, on_body) -> None:
         gui, names = self._gui, tuple(body.name for body in self._session.scene.bodies)
@@ -360,17 +397,20 @@ class ControlPanel:
             job = gui.add_button("Add pose to job")
         connect = self._actions.connect_button
         connect(self._record, self._switch_recording)
-        connect(picture, lambda client: tell(client, "Picture saved", str(output.save_picture())))
+        connect(
+            picture,
+            lambda client: tell(client, "Picture saved", _place_text(output.save_picture(), ", .npz")),
+        )
         connect(line, lambda client: self._show_command_line(client))
-        connect(job, lambda client: tell(client, "Pose added", str(output.add_pose_to_job())))
+        connect(job, lambda client: tell(client, "Pose added", f"to {_place_text(output.add_pose_to_job())}"))
 
     def _switch_recording(self, client) -> None:
         output = self._session.output
         if not output.is_recording:
-            tell(client, "Recording", f"into {output.start_recording()}")
+            tell(client, "Recording", f"into {_place_text(output.start_recording())}")
         elif paths := output.stop_recording():
             missed = f"; {output.n_missed} came too quickly to be written" if output.n_missed else ""
-            tell(client, "Recorded", f"{output.n_recorded} pings into {paths[0].parent}{missed}")
+            tell(client, "Recorded", f"{output.n_recorded} pings into {_place_text(paths[0].parent)}{missed}")
         else:
             tell(client, "Recorded", "no ping")
 
@@ -386,20 +426,25 @@ class ControlPanel:
             modal.close()
 
 
+def _place_text(path: Path, also: str = "") -> str:
+    """Return where a file is, its name first: a note cuts off what is too long for a line."""
+    return f"{path.name}{also} in {path.parent}"
+
+
 def _raise(why: Exception) -> None:
     raise why
 
 
+def _scale_slider(slider, scale: NumberScale) -> None:
+    """Have a slider end where a scale does."""
+    if (slider.min, slider.max, slider.step) != (scale.low, scale.high, scale.step):
+        slider.min, slider.max, slider.step = scale.low, scale.high, scale.step
+    if slider.precision != scale.decimals:
+        slider.precision = scale.decimals
+
+
 def _shown_range(settings: LiveSettings) -> float:
     return RangeScale.of(settings).shown_m
-
-
-def _shown_tolerance(settings: LiveSettings) -> float:
-    return min(max(100 * settings.tolerance, 0.5), 20.0)
-
-
-def _shown_rate(settings: LiveSettings) -> float:
-    return min(max(settings.max_rate_hz, 1.0), 60.0)
 
 
 def _shown_noise(settings: LiveSettings) -> str:

@@ -16,7 +16,8 @@ from sonar_gl.live.view.outline import SELECTED_COLOR
 
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL_WIDTH = 430  # pixels of the page
-ROW = "display:flex;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
+ROW = "display:flex;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
+FIRST_EM, SECOND_EM = 8, 5  # widths of the names in a row: "roll pitch yaw" is the longest
 NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (
@@ -101,12 +102,12 @@ class PingPanel:
             seen = surface is not None and len(surface.points_m)
             text = f"{reading.body or 'no body'} at {reading.range_m:.2f} m, "
             text += "pink in 3D" if seen else "no surface in the main lobe"
-            content = _rows_html([[("last click", text, 7)]])
+            content = _rows_html([[("last click", text, FIRST_EM)]])
         self._clicked.content = content
 
     def show_selected(self, name: str) -> None:
         """Show which body is selected, and what can be done with it; "" for none."""
-        content = "" if not name else _rows_html([[("selected", name, 7)]]) + _note_html(SELECTED_NOTE)
+        content = "" if not name else _rows_html([[("selected", name, FIRST_EM)]]) + _note_html(SELECTED_NOTE)
         if self._selected.content != content:
             self._selected.content, self._unselect.visible = content, bool(name)
 
@@ -129,13 +130,35 @@ class PingPanel:
         )
 
 
+def rounded(number: float, decimals: int) -> str:
+    """Return a number with some decimals, 0 without a sign.
+
+    >>> rounded(-0.04, 1), rounded(-5.0, 2)
+    ('0.0', '-5.00')
+    """
+    return f"{round(number, decimals) + 0.0:.{decimals}f}"
+
+
+def level_text(level_db: float) -> str:
+    """Return the level of a bin; nothing has sent an echo into one of minus infinity.
+
+    >>> level_text(-36.14), level_text(-math.inf)
+    ('-36.1 dB', 'no echo')
+    """
+    return f"{level_db:.1f} dB" if math.isfinite(level_db) else "no echo"
+
+
 def _rows_html(rows) -> str:
-    """Return lines of names and values; a row may have several of them side by side."""
+    """Return lines of names and values; a row may have several of them side by side.
+
+    A value by itself goes on in a second line where it is too long for one, such as the name of a body.
+    """
     lines = []
     for row in rows:
+        value_style = "flex:1" if len(row) == 1 else "flex:1;white-space:nowrap"
         cells = "".join(
             f'<span style="opacity:.6;width:{width}em;flex-shrink:0">{escape(name)}</span>'
-            f'<span style="flex:1;white-space:nowrap">{escape(value)}</span>'
+            f'<span style="{value_style};overflow-wrap:anywhere">{escape(value)}</span>'
             for name, value, width in row
         )
         lines.append(f'<div style="{ROW}">{cells}</div>')
@@ -144,19 +167,20 @@ def _rows_html(rows) -> str:
 
 def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     x, y, z, roll, pitch, yaw = pose_numbers(frame.pose)
-    angles = " ".join(f"{math.degrees(angle):.1f}°" for angle in (roll, pitch, yaw))
+    angles = " ".join(f"{rounded(math.degrees(angle), 1)}°" for angle in (roll, pitch, yaw))
+    place = " ".join(rounded(one, 2) for one in (x, y, z))
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
     is_pending = state.settings is not frame.settings
     rows = [
-        [("ping rate", PENDING, 7)]
+        [("ping rate", PENDING, FIRST_EM)]
         if is_pending
         else [
-            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, 7),
-            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), 5),
+            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, FIRST_EM),
+            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), SECOND_EM),
         ],
-        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", 7)],
-        [("x y z", f"{x:.2f} {y:.2f} {z:.2f} m", 7)],
-        [("roll pitch yaw", angles, 7)],
+        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", FIRST_EM)],
+        [("x y z", f"{place} m", FIRST_EM)],
+        [("roll pitch yaw", angles, FIRST_EM)],
     ]
     text = state.problem or " ".join(frame.notes)
     problem = _note_html(text, "#ff8a80") if text else ""
@@ -173,13 +197,13 @@ def _reading_html(reading: Reading | None) -> str:
         body = reading.body or NOTHING
         range_text = f"{reading.range_m:.2f} m"
         azimuth = f"{math.degrees(reading.azimuth_rad):+.1f}°"
-        level = f"{reading.level_db:.1f} dB, {reading.count} counts"
+        level = f"{level_text(reading.level_db)}, {reading.count} counts"
         if reading.elevation_rad is not None:
             elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
     return _rows_html(
         [
-            [("under pointer", body, 7)],
-            [("range", range_text, 7), ("azimuth", azimuth, 5)],
-            [("level", level, 7), ("elevation", elevation, 5)],
+            [("under pointer", body, FIRST_EM)],
+            [("range", range_text, FIRST_EM), ("azimuth", azimuth, SECOND_EM)],
+            [("level", level, FIRST_EM), ("elevation", elevation, SECOND_EM)],
         ]
     )
