@@ -38,8 +38,8 @@ FIRST_SAMPLES = 1 << 14
 # Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
 # on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
-# Of pings by themselves, one of so many times fewer samples gives back the memory of those before. To give it back, and
-# to take it anew, takes up to a tenth of a ping that needs it.
+# A ping by itself that needs so many times fewer samples than those before gives back their memory. Each one could, but
+# a ping that needs as much again would take the time to get it anew.
 MUCH_FEWER = 4
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one
@@ -388,7 +388,7 @@ class AdaptiveSampling:
         n_samples = judged.plan.n_samples
         if MUCH_FEWER * n_samples < self._room:
             self._stages.drop_large()
-            self._room = n_samples
+            self._room = 0
         self._room = max(self._room, n_samples)
         self._warn_if_unmet(judged.plan)
         return ChosenView(tried, judged.plan)

@@ -242,7 +242,7 @@ class ImageSources:
         Parameters
         ----------
         gains : of the bins, of each ping
-        coarser : of the one ping, where these are drawn in place of them
+        coarser : those of a single ping that too few samples were drawn for, and that these replace; None for none
         """
         # bubbles would have to attenuate each leg by itself
         states = [state.without_bubbles() for state in states]
@@ -293,7 +293,8 @@ class ImageSources:
             counted += [(stage, views[number], gains[number]) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
-        for (number, about), image_view, (samples, echo) in zip(found, image_views, counts, strict=False):
+        of_images = counts[: len(found)]
+        for (number, about), image_view, (samples, echo) in zip(found, image_views, of_images, strict=True):
             imaged[number].append(BodyCounts(samples * times_fewer, echo))
             views_of_both = (
                 own_of[number],

@@ -108,7 +108,7 @@ def draw_images(
 ) -> list[ImageSourceSamples | None]:
     """Draw the image sources of pings whose views were just drawn; None for each without multipath.
 
-    coarser : of the one ping, where these are drawn in place of them
+    coarser : as of `ImageSources.draw`
     """
     if sources is None:
         return [None] * len(setups)

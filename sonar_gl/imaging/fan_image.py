@@ -321,9 +321,8 @@ def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
     Raises Error if the name is unknown or the image has another shape or type.
     """
     table, image = colours(name), np.asarray(image)
-    if (
-        image.ndim != 2 or image.dtype.kind != "f" or not image.size
-    ):  # cv2 ends the process if there is no pixel
+    is_float_image = image.ndim == 2 and image.dtype.kind == "f"
+    if not is_float_image or not image.size:  # without a pixel OpenCV ends the process
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
     levels = cv2.convertScaleAbs(image.clip(0, 1).astype(np.float32, copy=False), alpha=255)
     return cv2.applyColorMap(levels, table)
