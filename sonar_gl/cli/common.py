@@ -6,6 +6,7 @@ import contextlib
 import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import click
 import numpy as np
@@ -23,6 +24,7 @@ from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 MAX_NAMED = 3  # sensors that are not taken
+FILES = ".png", ".npz", ".gif", ".mp4"  # ends of the names of files that commands write
 FILES_ARE_COMPLETE = "the files written so far are complete"  # of a KeyboardInterrupt
 
 
@@ -130,6 +132,15 @@ def check_duration(options) -> None:
     """Raise an Error unless --duration is a time, or left out."""
     if options.duration is not None:
         check_number("--duration", options.duration, 0.0, 1e9, "seconds")
+
+
+def check_output(options) -> None:
+    """Raise an Error where --out looks like the name of a file; a folder of that name may be there."""
+    path = Path(options.out)
+    if path.suffix.lower() in FILES and not path.exists():
+        raise Error(
+            f"--out must be a folder (got {options.out!r}; the files in it are named after the scene)"
+        )
 
 
 def check_address(option: str, text: str) -> None:

@@ -19,6 +19,7 @@ from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.cli.common import (
     FILES_ARE_COMPLETE,
     acoustics_from,
+    check_output,
     poses_from,
     progress,
     scene_from,
@@ -57,6 +58,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     given : names of the options on the command line
     """
     _check_combination(options, given)
+    check_output(options)
     load_numba()
     in_demarco = options.style == "demarco2015"
     profile = options.profile or ("demarco2015" if in_demarco else "physical")

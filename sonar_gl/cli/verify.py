@@ -15,7 +15,7 @@ from sonar_gl.analysis.reference import MAX_RAYS, check_known
 from sonar_gl.analysis.terms import needed_acoustics
 from sonar_gl.analysis.verify import MAX_ROUNDS, Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
-from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
+from sonar_gl.cli.common import acoustics_from, check_output, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.output import echo
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
@@ -31,6 +31,7 @@ MAX_LISTED_BODIES = 12  # a report lists the bodies of scenes with no more
 
 def verify(scene_name: str, options) -> dict:
     """Verify a ping, write the picture, and return the findings as plain values."""
+    check_output(options)
     acoustics = acoustics_from(options, options.profile)
     scene = scene_from(scene_name, options)
     _, (pose,) = poses_from(options, scene)

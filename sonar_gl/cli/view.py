@@ -10,6 +10,7 @@ from sonar_gl.cli.common import (
     acoustics_from,
     check_address,
     check_duration,
+    check_output,
     named_sonar,
     poses_from,
     scene_from,
@@ -35,6 +36,7 @@ def view(scene_name: str, options) -> None:
     load_numba()
     check_duration(options)
     check_address("--host", options.host)
+    check_output(options)
     session = session_from(scene_name, options)
     warn_of_host(options.host)
     with LiveView(session, options.host, options.port) as opened:

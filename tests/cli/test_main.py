@@ -56,9 +56,9 @@ def render(
     return out
 
 
-def refused(*arguments, scene="tank.sdf", sonar="small.toml"):
-    """The message of a render that must be refused."""
-    status, out, err = run("render", scene, "--sonar", sonar, *arguments)
+def refused(*arguments, scene="tank.sdf", sonar="small.toml", command="render"):
+    """The message of a render, or of another command, that must be refused."""
+    status, out, err = run(command, scene, "--sonar", sonar, *arguments)
     assert (status, out) == (2, "")
     assert err.startswith("error: ") and err.endswith("\n")
     return err[7:-1]
@@ -795,6 +795,18 @@ def test_output_folders_that_cannot_be():
     assert refused("--out", "/proc/deep") == (
         "cannot write into the folder '/proc/deep': no such file or directory"
     )
+
+
+@pytest.mark.parametrize("command", ["render", "verify", "view"])
+def test_the_name_of_a_file_is_refused_as_output_folder(command, folder):
+    """`--out p.png` made a folder p.png; one that is there may be meant."""
+    for name in "p.png", "deep/P.NPZ":
+        assert refused("--out", name, command=command) == (
+            f"--out must be a folder (got {name!r}; the files in it are named after the scene)"
+        )
+    if command == "render":
+        Path("p.png").mkdir()
+        assert "p.png/tank.npz: " in render("--out", "p.png", "--format", "npz")
 
 
 def test_the_home_folder_is_found_where_the_shell_leaves_its_sign(folder, monkeypatch):
