@@ -2,6 +2,7 @@ import gc
 import os
 import select
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,9 @@ import moderngl
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# a shell has what it runs in the background ignore Ctrl-C, which some tests send to commands, in this process or others
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_finish():

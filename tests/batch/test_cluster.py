@@ -155,15 +155,6 @@ def test_workers_keep_freed_memory(address):
     assert len(found) == 4 and max(found) < 2 * 256
 
 
-@pytest.fixture
-def interruptible():
-    """SIGINT interrupts, even if the tests were started with SIGINT ignored, as shells start background jobs."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_finishes_the_parts_in_progress_and_begins_no_others(inside, tmp_path):
 
     def interrupt(part):

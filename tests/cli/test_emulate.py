@@ -136,14 +136,6 @@ def test_ctrl_c_before_it_listens_ends_it(device, monkeypatch):
     assert status == 130 and "Traceback" not in errors
 
 
-@pytest.fixture
-def ctrl_c():
-    """Have Ctrl-C raise KeyboardInterrupt, also where tests run in the background, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def fire_at(server):
     """Connect a program to an Oculus, and have it ping; return the connection."""
     program = socket.create_connection(("127.0.0.1", server.port), WAIT_S)
@@ -153,7 +145,6 @@ def fire_at(server):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.usefixtures("ctrl_c")
 def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_listen(number, servers, caplog):
     programs = []
 
@@ -168,7 +159,6 @@ def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_list
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.usefixtures("ctrl_c")
 def test_a_signal_while_a_result_is_packed_ends_it_as_any_other(number, servers, caplog, monkeypatch):
     """Raised within a task it would leave the others to themselves."""
     programs, message = [], oculus.OculusResult.message

@@ -53,16 +53,7 @@ def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypa
     assert not unhandled
 
 
-@pytest.fixture
-def ctrl_c():
-    """Have Ctrl-C raise KeyboardInterrupt, also where tests run in the background, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.usefixtures("ctrl_c")
 def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, tmp_path):
     """trimesh takes any exception within its imports for the lack of a module."""
     (tmp_path / "imports_anything.py").write_text(
