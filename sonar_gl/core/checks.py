@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import get_args
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _fits(shape: tuple, wanted: tuple) -> bool:
 def check_kind(name: str, value, kind, cure: str):
     """Raise an `Error` unless `value` is an instance of `kind`, a class or a union of classes and None."""
     if not isinstance(value, kind):
-        wanted = getattr(kind, "__name__", str(kind).split(" ")[0].split(".")[-1])
+        wanted = (get_args(kind) or (kind,))[0].__name__
         article = "an" if wanted[0] in "AEIOU" else "a"
         raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
 
