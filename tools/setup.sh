@@ -23,12 +23,12 @@ identity_of() {
 }
 
 is_supported() {
-    [[ $1 =~ ^3\.1[0-3]\  ]]
+    [[ $1 =~ ^3\.1[0-4]\  ]]
 }
 
 find_python() {
     local candidate identity seen=""
-    local candidates=(python3 python3.13 python3.12 python3.11 python3.10)
+    local candidates=(python3 python3.14 python3.13 python3.12 python3.11 python3.10)
     [ -z "${PYTHON:-}" ] || candidates=("$PYTHON")
     for candidate in "${candidates[@]}"; do
         identity=$(identity_of "$candidate") || continue
@@ -38,7 +38,7 @@ find_python() {
         fi
         seen=${seen:-$candidate is ${identity%% *}}
     done
-    stop "Python must be 3.10 to 3.13 (got: ${seen:-no ${candidates[0]} that runs}); install one, or name one with 'PYTHON=/path/to/python3.12 $again'."
+    stop "Python must be 3.10 to 3.14 (got: ${seen:-no ${candidates[0]} that runs}); install one, or name one with 'PYTHON=/path/to/python3.12 $again'."
 }
 
 # fails without apt, or without the right to use it
@@ -90,6 +90,9 @@ install_project() {
     say "Installing sonar_gl${extra:+ and what its ${extra}s need} into .venv (a minute or two)"
     rm -f .venv/checked
     PIP_USE_PEP517=1 .venv/bin/python -m pip install --disable-pip-version-check -e ".${extra:+[$extra]}" </dev/null
+    # that which pyrender asks for cannot pass arrays there, as pip then says
+    [ "$extra" != test ] || .venv/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 14))' ||
+        .venv/bin/python -m pip install --disable-pip-version-check 'PyOpenGL>=3.1.6' </dev/null
     printf '%s\n' "$checksum" | tee ".venv/installed$extra" >.venv/installed
 }
 

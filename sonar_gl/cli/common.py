@@ -136,8 +136,7 @@ def check_duration(options) -> None:
 
 def check_output(options) -> None:
     """Raise an Error where --out looks like the name of a file; a folder of that name may be there."""
-    path = Path(options.out)
-    if path.suffix.lower() in FILES and not path.exists():
+    if Path(options.out).suffix.lower() in FILES and not os.path.exists(options.out):
         raise Error(
             f"--out must be a folder (got {options.out!r}; the files in it are named after the scene)"
         )

@@ -38,7 +38,8 @@ def check_pyrender():
     try:
         return True, import_pyrender().__version__, ""
     except Error as why:
-        return None, str(why), f"only scenes of pyrender need it: {pip_install('pyrender')}"
+        users = "scenes of pyrender and optical images of batches"
+        return None, str(why), f"only {users} need it: {pip_install('pyrender')}"
 
 
 def check_scenes():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Collection
 from pathlib import Path
 from urllib.parse import unquote
@@ -48,11 +49,10 @@ class MeshBuffers:
                 raise Error(
                     f"{location} must name a file in the mesh's folder (it leads to {real}; put it there)"
                 )
-            if not path.exists():
-                raise Error(f"{location} must name a file (there is none at {path})")
-            if not path.is_file():
+            found = path.stat()
+            if not stat.S_ISREG(found.st_mode):
                 raise Error(f"{location} must name a regular file (got a folder or device at {path})")
-            n_bytes = path.stat().st_size
+            n_bytes = found.st_size
             if n_bytes > MAX_BUFFER_BYTES:
                 most = MAX_BUFFER_BYTES // 1_000_000
                 raise Error(
@@ -62,6 +62,8 @@ class MeshBuffers:
             return path.read_bytes()
         except Error:
             raise
+        except (FileNotFoundError, NotADirectoryError):
+            raise Error(f"{location} must name a file (there is none at {path})") from None
         except OSError as why:  # such as a name that is too long
             raise Error(f"{location} must name a file that can be read ({read_error_text(why)})") from None
         except ValueError as why:  # a null character

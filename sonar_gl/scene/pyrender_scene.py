@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
+import re
+import shlex
 import sys
 from collections.abc import Iterator
 
 import numpy as np
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.extras import pip_install
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
 from sonar_gl.scene.scene import Scene, body_at
 
+NEW_PYOPENGL = 3, 1, 6  # 3.1.0 cannot pass arrays in Python 3.14
 TRIANGLES = 4  # glTF's number of the primitive mode; None means the same
 
 
@@ -67,13 +72,18 @@ class _NumpyWithInfty:
         return getattr(np, name)
 
 
+def _numbers(version: str) -> tuple[int, ...]:
+    """Return the numbers of a version, up to the first that is none."""
+    return tuple(int(part) for part in re.match(r"[\d.]*\d|", version)[0].split(".") if part)
+
+
 def import_pyrender():
     """Return the module pyrender, made to work headless and with NumPy 2; NumPy itself is not changed.
 
     Raises
     ------
     Error
-        if pyrender or the OpenGL libraries that it needs are not installed.
+        if pyrender or the OpenGL libraries that it needs are not installed, or PyOpenGL is too old for this Python.
     """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if not os.environ.get("DISPLAY"):
@@ -82,6 +92,13 @@ def import_pyrender():
         import pyrender
     except Exception as why:  # a missing libGL comes as ImportError, AttributeError or others
         raise Error(f"pyrender cannot be imported ({why}; it needs the packages libegl1 and libgl1)") from why
+    installed = importlib.metadata.version("PyOpenGL")
+    if sys.version_info >= (3, 14) and _numbers(installed) < NEW_PYOPENGL:
+        newer = f"PyOpenGL>={'.'.join(map(str, NEW_PYOPENGL))}"
+        raise Error(
+            f"pyrender must have {newer} to draw in Python 3.14 (got {installed}, which pyrender itself asks for; to "
+            f"add it: {pip_install(shlex.quote(newer))}, and do not mind that pip then says so)"
+        )
     if not hasattr(np, "infty"):
         sys.modules["pyrender.mesh"].np = _NumpyWithInfty()
     return pyrender

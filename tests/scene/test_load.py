@@ -1,5 +1,6 @@
 """Scenes from bundled names, files, and objects of trimesh and pyrender."""
 
+import importlib.metadata
 import os
 import subprocess
 import sys
@@ -240,6 +241,27 @@ def test_import_pyrender_leaves_numpy_alone(pyrender):
     scene.add(mesh)
     np.testing.assert_array_equal(scene.bounds, [[-0.5] * 3, [0.5] * 3])  # numpy 2 broke this
     assert hasattr(np, "infty") is before
+
+
+def test_a_pyopengl_too_old_for_python_3_14_is_told(pyrender, monkeypatch):
+    """The one that pyrender asks for raises an ArgumentError of ctypes at the first texture."""
+    monkeypatch.setattr(sys, "version_info", (3, 14, 0))
+    version = importlib.metadata.version
+    for installed in "3.1.0", "3.1.6", "3.1.10", "3.2.0rc1":
+        monkeypatch.setattr(
+            importlib.metadata,
+            "version",
+            lambda name, installed=installed: installed if name == "PyOpenGL" else version(name),
+        )
+        if installed != "3.1.0":
+            assert import_pyrender() is pyrender
+            continue
+        with pytest.raises(Error) as caught:
+            import_pyrender()
+        assert str(caught.value) == (
+            "pyrender must have PyOpenGL>=3.1.6 to draw in Python 3.14 (got 3.1.0, which pyrender itself asks for; to "
+            f"add it: {sys.executable} -m pip install 'PyOpenGL>=3.1.6', and do not mind that pip then says so)"
+        )
 
 
 def test_pyrender_scene_round_trip(pyrender):
