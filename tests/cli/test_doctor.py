@@ -104,7 +104,7 @@ def test_optional_packages_may_be_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrender", None)
     for what, check in (
         ("reference_ping", doctor.check_embreex),
-        ("scenes of pyrender", system_checks.check_pyrender),
+        ("scenes of pyrender and optical images of batches", system_checks.check_pyrender),
     ):
         ok, _, cure = check()
         assert ok is None and cure.startswith(f"only {what} need")
