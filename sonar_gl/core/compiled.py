@@ -17,6 +17,11 @@ OPTIONS = {
     "fastmath": {"contract", "nsz", "arcp"},
 }
 
+AFTER_INSTALLATION = "once after each installation ('sonar-gl doctor' compiles all of them)"
+IN_EACH_PROCESS = (
+    "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one that can"
+)
+
 
 def compiled(function):
     """Compile a function by Numba, without the GIL, and cache its machine code on disk where that is possible.
@@ -91,9 +96,10 @@ class _Announcement(event.Listener):
         if not module.startswith("sonar_gl."):
             return  # a function of the program that uses this package
         if self.is_wanted:
+            is_kept = event.data["dispatcher"].stats.cache_path is not None
             print(
-                "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), once "
-                "after each installation ('sonar-gl doctor' compiles all of them)",
+                "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), "
+                + (AFTER_INSTALLATION if is_kept else IN_EACH_PROCESS),
                 file=sys.stderr,
             )
         self.is_wanted = False

@@ -279,7 +279,7 @@ class ErrorModel:
 
     def _current_extents(self) -> BodyExtents:
         if self._extents.n_bodies < len(self.bodies):  # some were added
-            self._extents = BodyExtents(self.bodies, self._specular)
+            self._extents.add(self.bodies[self._extents.n_bodies :])
         return self._extents
 
     def _reception(self, stage: Stage) -> Reception:

@@ -195,7 +195,7 @@ class ImageSources:
         if scene is not self._scene:
             self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m, self._wave_height_m)
             self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
-            self._reflectivity = GreatestReflectivity(scene.bodies)
+            self._reflectivity = GreatestReflectivity.of(scene.bodies)
             self._scene = scene
 
     def reset(self) -> None:

@@ -338,6 +338,46 @@ def glint_share(surface, roughness_rad: float) -> float:
     return min(1.0, GLINT_REACH * roughness_rad) ** (1 if is_round_once else 2)
 
 
+class _Extents(NamedTuple):
+    """What `BodyExtents` measures of n bodies.
+
+    centres, radii_m : (n, 3) and (n,), of a sphere about each, in its frame
+    areas_m2 : (n,), the greatest silhouette
+    lobes : (n,), the specular lobe face on
+    glint_shares : (n,), 1 of bodies without a lobe
+    own, per_unit : of `GreatestReflectivity`
+    """
+
+    centres: np.ndarray
+    radii_m: np.ndarray
+    areas_m2: np.ndarray
+    lobes: np.ndarray
+    glint_shares: np.ndarray
+    own: np.ndarray
+    per_unit: np.ndarray
+
+
+def _extents(bodies, specular: bool) -> _Extents:
+    surfaces = [body.surface for body in bodies]
+    spheres = [_sphere_about(_used_vertices(surface)) for surface in surfaces]
+    radii_m = np.array([sphere.radius_m for sphere in spheres])
+    lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
+    shares = [
+        glint_share(surface, body.roughness_rad) if specular and body.specular > 0 else 1.0
+        for surface, body in zip(surfaces, bodies, strict=True)
+    ]
+    # the silhouette of a surface is half of its area at most, and inside that of its sphere
+    silhouettes = [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces]
+    return _Extents(
+        np.array([sphere.centre for sphere in spheres]).reshape(-1, 3),
+        radii_m,
+        np.minimum(np.pi * radii_m**2, silhouettes),
+        np.array(lobes),
+        np.array(shares),
+        *GreatestReflectivity.of(bodies),
+    )
+
+
 class BodyExtents:
     """How much echo each body of a scene could return at most, if nothing stood in front of it.
 
@@ -346,30 +386,25 @@ class BodyExtents:
     bodies : of the scene
     specular : with the specular lobes of smooth bodies
 
-    Attributes
-    ----------
-    glint_shares : (bodies + 1,) by number; of bodies without a lobe 1
     """
 
     def __init__(self, bodies, specular: bool = False):
-        self.n_bodies = len(bodies)
-        surfaces = [body.surface for body in bodies]
-        spheres = [_sphere_about(_used_vertices(surface)) for surface in surfaces]
-        self._centres = np.array([sphere.centre for sphere in spheres]).reshape(-1, 3)
-        self._radii_m = np.array([sphere.radius_m for sphere in spheres])
-        lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
-        self._lobes, self._reflectivity = np.array(lobes), GreatestReflectivity(bodies)
-        has_lobe = [specular and body.specular > 0 for body in bodies]
-        shares = (
-            glint_share(surface, body.roughness_rad) if has else 1.0
-            for surface, body, has in zip(surfaces, bodies, has_lobe, strict=True)
-        )
-        self.glint_shares = np.array([1.0, *shares])
-        # the silhouette of a surface is half of its area at most, and inside that of its sphere
-        self._area_m2 = np.minimum(
-            np.pi * self._radii_m**2,
-            [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces],
-        )
+        self._specular, self._columns = specular, _extents(bodies, specular)
+
+    @property
+    def n_bodies(self) -> int:
+        """How many bodies there are."""
+        return len(self._columns.radii_m)
+
+    @property
+    def glint_shares(self) -> np.ndarray:
+        """(bodies + 1,) by number; of bodies without a lobe 1."""
+        return np.concatenate([[1.0], self._columns.glint_shares])
+
+    def add(self, bodies) -> None:
+        """Append bodies; those that are there are not measured again."""
+        columns = zip(self._columns, _extents(bodies, self._specular), strict=True)
+        self._columns = _Extents(*(np.concatenate(pair) for pair in columns))
 
     def greatest_echo(self, state: SceneState, pose, reception: Reception) -> np.ndarray:
         """Return (bodies + 1,) the most that each body may add to `BodyCounts.echo`; 0 where its sphere is not in view.
@@ -379,11 +414,12 @@ class BodyExtents:
         out = np.zeros(self.n_bodies + 1)
         if not self.n_bodies:
             return out
-        sonar = reception.sonar
-        centres = np.einsum("nij,nj->ni", state.poses[:, :3, :3], self._centres) + state.poses[:, :3, 3]
+        sonar, radii_m = reception.sonar, self._columns.radii_m
+        rotations, places = state.poses[:, :3, :3], state.poses[:, :3, 3]
+        centres = np.einsum("nij,nj->ni", rotations, self._columns.centres) + places
         x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
         distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
-        sine = np.minimum(self._radii_m / distance, 1.0)  # of half the angle that the sphere fills
+        sine = np.minimum(radii_m / distance, 1.0)  # of half the angle that the sphere fills
         half_angle = np.where(sine < 1.0, np.arcsin(sine), np.pi)  # the sonar inside it: all directions
         elevation = np.arcsin(z / distance)
         low, high = elevation - half_angle, elevation + half_angle
@@ -393,8 +429,8 @@ class BodyExtents:
         shown, is_ahead = np.arctan2(y, x), True
         if reception.are_cones:
             shown, beside = np.arcsin(np.clip(y / distance, -1.0, 1.0)), half_angle
-            is_ahead = x > -self._radii_m
-        nearest, farthest = distance - self._radii_m, distance + self._radii_m
+            is_ahead = x > -radii_m
+        nearest, farthest = distance - radii_m, distance + radii_m
         inside = (
             state.present
             & (nearest < sonar.range_max_m)
@@ -403,7 +439,7 @@ class BodyExtents:
             & (np.abs(shown) - beside < half_azimuth)
             & is_ahead
         )
-        angle = np.minimum(self._area_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
+        angle = np.minimum(self._columns.areas_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
         sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))
         weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
         out[1:] = np.where(inside, angle * weight, 0.0) * self.greatest_backscatter(state)
@@ -411,4 +447,5 @@ class BodyExtents:
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:
         """Return (bodies,) the most that each body may return per steradian: reflectivity, and lobe face on."""
-        return self._reflectivity.in_state(state) + self._lobes
+        greatest = GreatestReflectivity(self._columns.own, self._columns.per_unit)
+        return greatest.in_state(state) + self._columns.lobes

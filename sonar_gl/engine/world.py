@@ -211,11 +211,13 @@ class World:
         """Append bodies or plumes; inside `drawing`."""
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
+        n_before = len(self.scene.bodies)
         given_scene, kept = self.given_scene.with_more(bodies), self._kept_meshes.bodies(bodies)
         scene = self.scene.with_more(kept)
         contents = self.engine.with_more([body for body in kept if isinstance(body, Body)])
         plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
-        plume_poses, indices = self._plume_poses | plume_poses, _indices(scene)
+        indices = {body.name: index for index, body in enumerate(scene.bodies[n_before:], n_before)}
+        plume_poses, indices = self._plume_poses | plume_poses, self._indices | indices
         # all in one step: an interrupt before it leaves the scene without these bodies
         self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
             contents, given_scene, scene, plume_poses, indices

@@ -114,8 +114,8 @@ class SceneMeshes:
             poses = np.concatenate([self.state.poses, [body.pose for body in bodies]])
             self.state = SceneState(poses, np.append(self.state.present, np.ones(len(bodies), bool)))
             self.bodies = [*self.bodies, *bodies]
-            most = [self.levels["leaf"][first:end].sum() for first, end in boxes.roots]
-            self.most_patches = int(sum(most))
+            spans = (roots for *_, roots in added)
+            self.most_patches += int(sum(self.levels["leaf"][first:end].sum() for first, end in spans))
         return made
 
     def _append_levels(self, made) -> None:

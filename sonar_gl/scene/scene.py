@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -215,10 +216,7 @@ class Scene:
         models: dict | None = None,
     ):
         things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
-        for thing in things:
-            check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
-        self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
-        self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
+        self.bodies, self.plumes = _bodies_and_plumes(things)
         self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
         check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
@@ -240,19 +238,17 @@ class Scene:
         self.surface_roughness_m = check_number(
             "surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres"
         )
-        names = [thing.name for thing in things]
-        twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
-        if twice:
-            raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
-        if len(self.bodies) > MAX_BODIES:
-            raise Error(
-                f"a scene holds at most {MAX_BODIES} bodies (got {len(self.bodies)}; join some meshes)"
-            )
+        _check_bodies(self.bodies, self.plumes)
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
         check_kind("bodies to add", bodies, Iterable, "give several, as in scene.with_more([body])")
-        return self._with([*self.bodies, *self.plumes, *bodies])
+        added, added_plumes = _bodies_and_plumes(bodies)
+        # the bodies of this scene are not gone through again: a simulator may add thousands, one by one
+        out = self._with(())
+        out.bodies, out.plumes = (*self.bodies, *added), (*self.plumes, *added_plumes)
+        _check_bodies(out.bodies, out.plumes)
+        return out
 
     def without(self, *patterns: str) -> Scene:
         """Return the same scene without the bodies and plumes of these names.
@@ -321,3 +317,23 @@ class Scene:
 
     def __repr__(self):
         return f"Scene({self.name!r}, {len(self.bodies)} bodies, {self.n_triangles} triangles)"
+
+
+def _bodies_and_plumes(things: Iterable) -> tuple[tuple[Body, ...], tuple[Bubbles, ...]]:
+    things = list(things)
+    for thing in things:
+        check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
+    bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
+    return bodies, tuple(thing for thing in things if isinstance(thing, Bubbles))
+
+
+def _check_bodies(bodies, plumes) -> None:
+    names = [thing.name for thing in (*bodies, *plumes)]
+    if len(set(names)) < len(names):
+        twice = min(name for name, count in Counter(names).items() if count > 1)
+        raise Error(f"names of bodies must be unique (got {twice!r} more than once)")
+    if len(bodies) > MAX_BODIES:
+        raise Error(
+            f"a scene holds at most {MAX_BODIES} bodies (got {len(bodies)}; join some meshes, or `place` absent bodies "
+            "again in place of adding others)"
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -63,19 +63,23 @@ class SceneState:
         return replace(self, bubbles=None)
 
 
-class GreatestReflectivity:
+class GreatestReflectivity(NamedTuple):
     """The greatest reflectivity of any face, of each of n bodies.
 
-    Attributes
-    ----------
     own : (n,) float64, that of the bodies themselves
+    per_unit : (n,) float64, that of bodies whose state has 1
     """
 
-    def __init__(self, bodies: Sequence[Body]):
-        self.own = np.array([np.max(body.reflectivity) for body in bodies], np.float64)
+    own: np.ndarray
+    per_unit: np.ndarray
+
+    @staticmethod
+    def of(bodies: Sequence[Body]) -> GreatestReflectivity:
+        """Return that of these bodies."""
+        own = np.array([np.max(body.reflectivity) for body in bodies], np.float64)
         by_face = np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool)
-        self._per_unit = np.where(by_face, self.own, 1.0)
+        return GreatestReflectivity(own, np.where(by_face, own, 1.0))
 
     def in_state(self, state: SceneState) -> np.ndarray:
         """Return (n,) float64, with the reflectivity that the state has in place of the bodies' own."""
-        return self.own if state.reflectivity is None else self._per_unit * state.reflectivity
+        return self.own if state.reflectivity is None else self.per_unit * state.reflectivity

@@ -27,6 +27,29 @@ def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys
     assert capsys.readouterr().err.startswith("sonar_gl: compiling numerical kernels") == is_announced
 
 
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_the_announcement_says_whether_the_machine_code_is_kept(is_kept, tmp_path, monkeypatch, capsys):
+    """Without a folder that can be written to, as in some containers, each process compiles again."""
+
+    def add(x):
+        return x + 1
+
+    add.__module__ = "sonar_gl.beamform.kernels"
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path) if is_kept else "")
+    announce_compilation(True)
+    assert numba.njit(cache=is_kept)(add)(1) == 2
+    announce_compilation(False)
+    assert capsys.readouterr().err == (
+        "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), "
+        + (
+            "once after each installation ('sonar-gl doctor' compiles all of them)\n"
+            if is_kept
+            else "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one "
+            "that can\n"
+        )
+    )
+
+
 def test_a_table_of_known_shape_lies_in_the_memory_of_its_array():
     @numba.njit
     def double(array):

@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +94,27 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process():
         )
         assert [line.split() for line in run.stdout.splitlines()] == here
     assert len(np.unique(np.array(here))) == 6
+
+
+def test_a_planned_simulator_of_pickled_parts_makes_the_same_bytes_whatever_came_before():
+    """As in the workers of a data loader, and in episodes of a training."""
+    scene, noise = sg.load_scene("pylon"), sg.Noise.physical()
+    parts = scene, replace(sg.load_sonar("p900-45"), n_beams=64, n_bins=64), sg.Acoustics.physical()
+    poses = [scene.sonar_pose @ sg.pose(x=x, yaw=x / 10) for x in (0.0, 1.0, 2.0)]
+
+    def episode(simulator, seed):
+        pings = (
+            simulator.ping(pose, noise, seed, labels=True, ping_number=number)
+            for number, pose in enumerate(poses)
+        )
+        return [(ping.intensity.tobytes(), ping.body_id.tobytes(), ping.meta) for ping in pings]
+
+    with sg.Simulator(*parts, tolerance=0.05) as simulator:
+        simulator.plan(poses)
+        expected = episode(simulator, 3)
+    with sg.Simulator(*pickle.loads(pickle.dumps(parts)), tolerance=0.05) as simulator:
+        for seed in range(3):
+            episode(simulator, seed)
+        simulator.plan(poses)
+        episode(simulator, 4)
+        assert episode(simulator, 3) == expected

@@ -1,5 +1,6 @@
 """Bodies that move, appear and disappear: a ping is that of a scene built with the same bodies."""
 
+import sys
 import warnings
 from dataclasses import replace
 
@@ -8,8 +9,11 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine.visibility import BodyExtents, Reception
 from sonar_gl.raster.opengl.buffers import GrowingBuffer
 from sonar_gl.scene import primitives
+from sonar_gl.scene import scene as scene_module
+from sonar_gl.scene.state import SceneState
 from tests.support.errors import error_of
 from tests.support.estimates import record_estimates
 
@@ -223,6 +227,68 @@ def test_several_bodies_are_added_to_an_empty_scene():
             it.ping(POSE)
         it.add(*bodies)
         check_same(it.ping(POSE, labels=True), fresh(bodies))
+
+
+def calls_of(work):
+    """Return how many functions `work` calls, those of NumPy and the like included."""
+    n_calls = 0
+
+    def count(_, event, __):
+        nonlocal n_calls
+        n_calls += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return n_calls
+
+
+def test_adding_a_body_takes_no_more_work_where_many_came_and_went():
+    """Of a long run in which bodies come and go: each add went through all bodies that had ever been there."""
+    with simulator([plain()]) as it:
+
+        def come_and_go(name):
+            it.add(sg.Body(name, BOX, sg.pose(6, 1.5)))
+            it.place({name: None})
+
+        for number in range(20):
+            come_and_go(f"early {number}")
+        early = calls_of(lambda: come_and_go("one"))
+        it.add(*(sg.Body(f"many {number}", BOX, sg.pose(6, 1.5)) for number in range(500)))
+        it.place({f"many {number}": None for number in range(500)})
+        late = calls_of(lambda: come_and_go("another"))
+        assert late == early
+        assert it.world.engine.meshes.most_patches == len(it.scene.bodies)  # one for each box
+
+
+def test_more_bodies_than_a_scene_holds_are_refused(monkeypatch):
+    monkeypatch.setattr(scene_module, "MAX_BODIES", 2)
+    with simulator([plain()]) as it:
+        it.add(smooth())
+        it.place({"smooth": None})
+        assert error_of(lambda: it.add(patchy())) == (
+            "a scene holds at most 2 bodies (got 3; join some meshes, or `place` absent bodies again in place of "
+            "adding others)"
+        )
+        assert [body.name for body in it.scene.bodies] == ["plain", "smooth"]
+
+
+def test_the_extents_of_added_bodies_are_those_of_all_at_once():
+    bodies = [*(make() for make in ALL), sg.Body("shiny", BALL, sg.pose(4), 0.2, specular=0.5)]
+    state = SceneState(np.array([body.pose for body in bodies]), np.ones(len(bodies), bool))
+    expected, extents = BodyExtents(bodies, specular=True), BodyExtents([], specular=True)
+    for body in bodies:
+        extents.add([body])
+    assert extents.n_bodies == len(bodies)
+    np.testing.assert_array_equal(extents.glint_shares, expected.glint_shares)
+    np.testing.assert_array_equal(extents.greatest_backscatter(state), expected.greatest_backscatter(state))
+    reception = Reception(SONAR, 0.0, 0.2, False, np.ones(SONAR.n_bins), np.zeros(0), ())
+    echo = expected.greatest_echo(state, POSE, reception)
+    assert (echo[1:] > 0).all()
+    np.testing.assert_array_equal(extents.greatest_echo(state, POSE, reception), echo)
 
 
 def test_placed_bodies_stay_when_others_are_added():

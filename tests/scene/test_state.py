@@ -14,7 +14,7 @@ def test_the_reflectivity_of_a_ping_replaces_that_of_a_body_and_multiplies_that_
         sg.Body("plain", BOX, reflectivity=0.75),
         sg.Body("patchy", BOX, reflectivity=np.linspace(0.1, 0.5, 12)),
     )
-    greatest = GreatestReflectivity([plain, patchy])
+    greatest = GreatestReflectivity.of([plain, patchy])
     state = SceneState(np.tile(np.eye(4), (2, 1, 1)), np.ones(2, bool))
     assert greatest.in_state(state).tolist() == [0.75, 0.5]
     assert greatest.in_state(state.with_reflectivity([0.25, 0.25])).tolist() == [0.25, 0.125]
