@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+import sonar_gl as sg
 from sonar_gl.scene.load import load_scene
 
 GEOMETRY = """<geometry id="{name}"><mesh><source id="{name}-p">
@@ -100,3 +101,18 @@ def test_what_is_broken_is_told(read):
     found, said = read(libraries + "</library_geometries>", *nodes)
     assert len(found) == 1
     assert said == ["read without what is broken in it (Corrupted float array)"]
+
+
+def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read):
+    """Ten nodes that each hold the next ten times would place a milliard geometries, of a file of 3 kB."""
+
+    def chain(length):
+        inner = [
+            f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 10}</node>' for k in range(length)
+        ]
+        return f'<library_nodes>{"".join(inner)}<node id="n{length}"><instance_geometry url="#a"/></node></library_nodes>'
+
+    (*bounds, _), _ = read(geometries("a") + chain(2), '<node><instance_node url="#n0"/></node>')
+    assert len(bounds) == 99
+    with pytest.raises(sg.Error, match=r"place at most 65535 geometries \(got 1000000000; nodes that hold others"):
+        read(geometries("a") + chain(9), '<node><instance_node url="#n0"/></node>')
