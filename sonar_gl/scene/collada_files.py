@@ -54,8 +54,8 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
             n_skinned += _replace_by_geometry(element, sources)
     if (n_placed := _placed_geometries(root)) > MAX_BODIES:
         raise Error(
-            f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that hold "
-            "others several times multiply them)"
+            f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that "
+            "hold others several times multiply them)"
         )
     return io.BytesIO(etree.tostring(root)), n_skinned
 

@@ -107,12 +107,14 @@ def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read
     """Ten nodes that each hold the next ten times would place a milliard geometries, of a file of 3 kB."""
 
     def chain(length):
-        inner = [
-            f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 10}</node>' for k in range(length)
-        ]
-        return f'<library_nodes>{"".join(inner)}<node id="n{length}"><instance_geometry url="#a"/></node></library_nodes>'
+        ten = ["<instance_node url='#n{}'/>".format(k + 1) * 10 for k in range(length)]
+        inner = [*ten, "<instance_geometry url='#a'/>"]
+        nodes = "".join(f"<node id='n{k}'>{content}</node>" for k, content in enumerate(inner))
+        return f"<library_nodes>{nodes}</library_nodes>"
 
-    (*bounds, _), _ = read(geometries("a") + chain(2), '<node><instance_node url="#n0"/></node>')
-    assert len(bounds) == 99
-    with pytest.raises(sg.Error, match=r"place at most 65535 geometries \(got 1000000000; nodes that hold others"):
+    bounds, _ = read(geometries("a") + chain(2), '<node><instance_node url="#n0"/></node>')
+    assert len(bounds) == 100
+    with pytest.raises(
+        sg.Error, match=r"place at most 65535 geometries \(got 1000000000; nodes that hold others"
+    ):
         read(geometries("a") + chain(9), '<node><instance_node url="#n0"/></node>')
