@@ -107,7 +107,7 @@ def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read
     """Ten nodes that each hold the next ten times would place a milliard geometries, of a file of 3 kB."""
 
     def chain(length):
-        ten = ["<instance_node url='#n{}'/>".format(k + 1) * 10 for k in range(length)]
+        ten = [f"<instance_node url='#n{k + 1}'/>" * 10 for k in range(length)]
         inner = [*ten, "<instance_geometry url='#a'/>"]
         nodes = "".join(f"<node id='n{k}'>{content}</node>" for k, content in enumerate(inner))
         return f"<library_nodes>{nodes}</library_nodes>"

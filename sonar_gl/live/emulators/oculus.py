@@ -240,9 +240,7 @@ class OculusServer:
         """
         if len(self._connected) >= MAX_PROGRAMS:
             if not self._is_full:
-                logger.warning(
-                    "%d programs are connected, and others are disconnected at once", MAX_PROGRAMS
-                )
+                logger.warning("%d programs are connected, and others are disconnected at once", MAX_PROGRAMS)
             self._is_full = True
             writer.transport.abort()
             return
