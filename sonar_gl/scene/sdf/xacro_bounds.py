@@ -17,7 +17,7 @@ from sonar_gl.core.errors import Error
 MAX_STEPS = (
     500_000  # elements, texts, calls and turns of loops; the largest of ROS's own robots takes some thousands
 )
-MAX_CHARACTERS = 50_000_000  # of all texts together; as many as a scene file may have
+MAX_CHARACTERS = 20_000_000  # of all texts together
 MAX_LENGTH = 10_000  # of a text or list that an expression computes
 MAX_BITS = 4096  # of a whole number; the largest float has 1024
 OPERATORS = {ast.Add: operator.add, ast.Mult: operator.mul, ast.Mod: operator.mod}
@@ -57,7 +57,10 @@ class Bounds:
     def text(self, value) -> None:
         """Count a step, and the characters of a text; raise an Error if there were too many."""
         self.step()
-        self._characters += len(value) if isinstance(value, str) else 0
+        for one in _leaves(value):  # of a list, which becomes a text: lists may hold one another many times
+            self._characters += len(one) if isinstance(one, (str, bytes)) else 20
+            if self._characters > MAX_CHARACTERS:
+                break
         if self._characters > MAX_CHARACTERS:
             most = MAX_CHARACTERS // 1_000_000
             raise Error(f"a xacro file must expand to at most {most} million characters (got more)")
@@ -129,6 +132,18 @@ class _Rewriter(ast.NodeTransformer):
         self.generic_visit(node)
         node.iter = self._bounds.loop(node.iter)
         return node
+
+
+def _leaves(value) -> Iterator:
+    """Yield all that a value consists of, itself included, as often as it stands in its text."""
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        yield one
+        if isinstance(one, dict):
+            waiting += [*one.keys(), *one.values()]
+        elif isinstance(one, (list, tuple, set, frozenset)):
+            waiting += one
 
 
 def _call_of(name: str, values: list, named: list | None = None) -> ast.Call:
