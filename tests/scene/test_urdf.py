@@ -480,11 +480,8 @@ def test_expressions_within_the_bounds_have_the_values_of_python(tmp_path):
 
 def test_lists_that_hold_one_another_many_times_are_refused(tmp_path):
     """Such a list takes little memory, but not its text."""
-    names = "abcdefghij"
-    lines = [
-        "a: &a [x]",
-        *(f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]" for a, b in zip(names, names[1:], strict=False)),
-    ]
+    pairs = zip("abcdefghi", "bcdefghij", strict=True)
+    lines = ["a: &a [x]", *(f"{after}: &{after} [{', '.join([f'*{name}'] * 10)}]" for name, after in pairs)]
     write(tmp_path / "lists.yaml", "\n".join(lines))
     load_yaml = """<xacro:property name="p" value="${xacro.load_yaml('lists.yaml')}"/>"""
     message = error_message(write(tmp_path / "r.xacro", XACRO.format(f"{load_yaml}<link name='${{p}}'/>")))

@@ -14,9 +14,8 @@ from collections.abc import Iterable, Iterator
 
 from sonar_gl.core.errors import Error
 
-MAX_STEPS = (
-    500_000  # elements, texts, calls and turns of loops; the largest of ROS's own robots takes some thousands
-)
+# elements, texts, calls and turns of loops, which take half a minute
+MAX_STEPS = 200_000
 MAX_CHARACTERS = 20_000_000  # of all texts together
 MAX_LENGTH = 10_000  # of a text or list that an expression computes
 MAX_BITS = 4096  # of a whole number; the largest float has 1024
