@@ -12,7 +12,7 @@ try:
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
-MAX_NESTING = 32  # of tables and arrays, which the functions that take them apart may visit by recursion
+MAX_TOML_DEPTH = 32  # of tables and arrays, which the functions that take them apart may visit by recursion
 
 
 def read_toml(path: Path, what: str) -> dict:
@@ -26,7 +26,7 @@ def read_toml(path: Path, what: str) -> dict:
     Raises
     ------
     Error
-        if it is no file, cannot be read, is not TOML, or nests tables and arrays more than MAX_NESTING deep.
+        if it is no file, cannot be read, is not TOML, or nests tables and arrays more than MAX_TOML_DEPTH deep.
     """
     check_kind_of_file(path, pipe=True)
     try:
@@ -43,13 +43,13 @@ def read_toml(path: Path, what: str) -> dict:
 
 
 def _is_deep(found: dict) -> bool:
-    """Return whether there are tables or arrays more than MAX_NESTING deep."""
+    """Return whether there are tables or arrays more than MAX_TOML_DEPTH deep."""
     level = [found]
-    for _ in range(MAX_NESTING):
+    for _ in range(MAX_TOML_DEPTH):
         inner = (value for one in level for value in (one.values() if isinstance(one, dict) else one))
         level = [value for value in inner if isinstance(value, (dict, list))]
     return bool(level)
 
 
 def _nesting_error(path: Path, what: str) -> Error:
-    return Error(f"{path}: {what} must nest tables and arrays at most {MAX_NESTING} deep (got more)")
+    return Error(f"{path}: {what} must nest tables and arrays at most {MAX_TOML_DEPTH} deep (got more)")
