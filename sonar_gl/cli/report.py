@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sonar_gl.core.errors import one_line
 from sonar_gl.ping import Ping
 
 
@@ -24,6 +25,7 @@ def facts_text(found: dict, rows: list[tuple[str, str]]) -> str:
 
 def table_text(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     """Return a table with columns as wide as needed; the first is aligned to the left, others to the right."""
+    rows = [tuple(map(one_line, row)) for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     lines = []
     for first, *others in (header, *rows):

@@ -22,6 +22,15 @@ def escape_controls(text: str) -> str:
     return text.translate(ESCAPES)
 
 
+def one_line(text: str) -> str:
+    r"""Return a name from a file as `escape_controls` does, and on one line: others would pass for output of ours.
+
+    >>> one_line("a\nerror: b")
+    'a\\nerror: b'
+    """
+    return escape_controls(text).replace("\t", "\\t").replace("\n", "\\n")
+
+
 class Error(ValueError):
     """A mistake that the caller can correct.
 
@@ -136,4 +145,4 @@ def some_names(names: list[str]) -> str:
     'pile_0, pile_1, pile_2'
     """
     more = len(names) - MAX_NAMES
-    return f"{', '.join(names[:MAX_NAMES])}{f' and {more} more' if more > 0 else ''}"
+    return f"{', '.join(map(one_line, names[:MAX_NAMES]))}{f' and {more} more' if more > 0 else ''}"

@@ -10,6 +10,10 @@ import io
 from pathlib import Path
 from xml.parsers import expat
 
+from sonar_gl.core.checks import shown
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.scene import MAX_BODIES
+
 # A material has no acoustic meaning, and one that is broken must not take its geometry along. What is never a surface
 # goes, too, so that an error in what remains is one of geometry.
 LEFT_OUT = {
@@ -26,6 +30,8 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
 
     Raises
     ------
+    Error
+        if it places more than MAX_BODIES geometries.
     ValueError
         if it declares a document type, or is no XML.
     """
@@ -46,7 +52,35 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
             element.getparent().remove(element)
         elif kind == "instance_controller":
             n_skinned += _replace_by_geometry(element, sources)
+    if (n_placed := _placed_geometries(root)) > MAX_BODIES:
+        raise Error(
+            f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that "
+            "hold others several times multiply them)"
+        )
     return io.BytesIO(etree.tostring(root)), n_skinned
+
+
+def _placed_geometries(root) -> int:
+    """Return how many geometries the visual scenes of a file place: nodes may name others that name others."""
+    named = {"#" + node.get("id"): node for node in root.iterfind(".//{*}node[@id]")}
+    of_named = dict.fromkeys(named)  # the number of each named node, once it is counted
+
+    def count(element) -> int:
+        found = 0
+        for child in element.iterchildren("{*}node", "{*}instance_node", "{*}instance_geometry"):
+            url = child.get("url", "")
+            if child.tag.endswith("}node"):
+                found += count(child)
+            elif child.tag.endswith("}instance_geometry"):
+                found += 1
+            elif url in named:
+                if of_named[url] is None:
+                    of_named[url] = 0  # for those that name themselves, which the parser refuses
+                    of_named[url] = count(named[url])
+                found += of_named[url]
+        return found
+
+    return sum(count(scene) for scene in root.iterfind(".//{*}visual_scene"))
 
 
 def _replace_by_geometry(element, sources: dict) -> bool:

@@ -13,7 +13,7 @@ from sonar_gl.analysis import terms
 from sonar_gl.cli import plan as costs
 from sonar_gl.core.errors import Error
 from tests.support import command_line
-from tests.support.command_line import BOX, SENSOR, SONAR, WALL
+from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
 
 # clears the screen; starts a new line; turns the direction of the text; ends an isolated part of it
 EVIL = "w\u009b2Jx\u0085y\u202ez\u2069"
@@ -88,3 +88,15 @@ def test_no_command_prints_in_another_way():
             assert not re.search(r"click\.s?echo|(?<![\w.])print\(", path.read_text(encoding="utf-8")), (
                 path.name
             )
+
+
+def test_a_line_break_in_a_name_does_not_forge_a_line_of_output(tmp_path):
+    path = tmp_path / "a.sdf"
+    name = "a&#10;error: all is lost"
+    box = "<geometry><box><size>1 1 1</size></box></geometry>"
+    model = f"<model name='{name}'><link name='l'><collision name='c'>{box}</collision></link></model>"
+    path.write_text(f"<sdf version='1.7'><world name='w'>{model}</world></sdf>")
+    status, shown, err = run("doctor", "--scene", path)
+    assert status == 0
+    assert "a\\nerror: all is lost" in shown
+    assert not any(line.startswith("error") for line in (shown + err).splitlines())

@@ -33,3 +33,32 @@ def test_messages_name_the_file_and_what_it_is(tmp_path):
     path.write_bytes(b"name = '\xff'")
     with pytest.raises(Error, match=r"the job file must be TOML \('utf-8' codec can't decode"):
         read_toml(path, "the job file")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 33 + "]" * 33,
+        "a = " + "[" * 100_000,
+        "a = " + "{a = " * 5000 + "1" + "}" * 5000,
+        "[" + ".".join("a" * 33) + "]",
+    ],
+    ids=["arrays", "open arrays", "tables", "dotted"],
+)
+def test_deep_nesting_is_refused(tmp_path, text):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(Error) as caught:
+        read_toml(path, "the job file")
+    assert str(caught.value) == (
+        f"{path}: the job file must nest tables and arrays at most 32 deep (got more)"
+    )
+
+
+def test_nesting_up_to_the_limit_is_read(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("a = " + "[" * 31 + "7" + "]" * 31)
+    found = read_toml(path, "the file")["a"]
+    for _ in range(31):
+        (found,) = found
+    assert found == 7

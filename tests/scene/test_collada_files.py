@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+import sonar_gl as sg
 from sonar_gl.scene.load import load_scene
 
 GEOMETRY = """<geometry id="{name}"><mesh><source id="{name}-p">
@@ -102,3 +103,20 @@ def test_what_is_broken_is_told(read):
     found, said = read(libraries + "</library_geometries>", *nodes)
     assert len(found) == 1
     assert said == ["read without what is broken in it (Corrupted float array)"]
+
+
+def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read):
+    """Ten nodes that each hold the next ten times would place a milliard geometries, of a file of 3 kB."""
+
+    def chain(length):
+        ten = [f"<instance_node url='#n{k + 1}'/>" * 10 for k in range(length)]
+        inner = [*ten, "<instance_geometry url='#a'/>"]
+        nodes = "".join(f"<node id='n{k}'>{content}</node>" for k, content in enumerate(inner))
+        return f"<library_nodes>{nodes}</library_nodes>"
+
+    bounds, _ = read(geometries("a") + chain(2), '<node><instance_node url="#n0"/></node>')
+    assert len(bounds) == 100
+    with pytest.raises(
+        sg.Error, match=r"place at most 65535 geometries \(got 1000000000; nodes that hold others"
+    ):
+        read(geometries("a") + chain(9), '<node><instance_node url="#n0"/></node>')

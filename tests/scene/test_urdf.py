@@ -409,3 +409,80 @@ def test_the_command_line_renders_a_robot(tmp_path):
         "render", f"{tmp_path}/wall.urdf.xacro x:=a", "--pose", "0 0 0 0 0 0", "--out", tmp_path
     )
     assert status == 2 and re.fullmatch(r"error: .*wall\.urdf\.xacro: .*6 finite numbers.*\n", err)
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "9**9**9",
+        "2&lt;&lt;10**10",
+        "'a'*10**10",
+        "[0]*10**9",
+        "list(range(10**9))",
+        "max(range(10**11))",
+        "range(10**30)",
+        "math.factorial(10**7)",
+        "list(map(math.factorial, [10**7]))",
+        "math.comb(10**7, 10**6)",
+        "round(5, -10**10)",
+        "'%1000000000d' % 1",
+        "'%*d' % (10**9, 1)",
+        "'a'.ljust(10**10)",
+        "list(map(str.zfill, ['a'], [10**10]))",
+        "[a for a in range(1000) for b in range(1000) for c in range(1000)]",
+        "('a'*9999).replace('a', 'b'*9999).replace('b', 'c'*9999)",
+        "'a'.join(['b'*9999]*9999)",
+        "2**4000*2**4000",
+    ],
+)
+def test_an_expression_that_asks_for_much_is_refused_at_once(tmp_path, expression):
+    """Each of them would take minutes, or gigabytes."""
+    path = tmp_path / "r.xacro"
+    text = XACRO.format(f'<xacro:property name="p" value="${{{expression}}}"/><link name="${{p}}"/>')
+    message = error_message(write(path, text))
+    assert message.startswith(f"{path}: line 1, <link>: ")
+    assert re.search("expressions must be simple ones|must expand in at most 200000 steps", message)
+
+
+def macros(content, last):
+    """Return twelve macros, each of which calls the next one ten times."""
+    inner = [f"<xacro:m{k + 1} {{}}/>" * 10 for k in range(12)]
+    body = "".join(
+        f'<xacro:macro name="m{k}"><b>{content}</b>{calls}</xacro:macro>'.replace(" {}", "")
+        for k, calls in enumerate([*inner, last])
+    )
+    return XACRO.format(body + "<xacro:m0/>")
+
+
+def test_macros_that_multiply_one_another_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("sonar_gl.scene.sdf.xacro_bounds.MAX_STEPS", 2000)
+    message = error_message(write(tmp_path / "r.xacro", macros("", "<a/>")))
+    assert message.endswith("a xacro file must expand in at most 2000 steps (this one takes more)")
+
+
+def test_properties_that_multiply_one_another_are_refused(tmp_path):
+    tens = "".join(f'<xacro:property name="p{k + 1}" value="{f"${{p{k}}}" * 10}"/>' for k in range(12))
+    text = XACRO.format(f'<xacro:property name="p0" value="aaaaaaaaaa"/>{tens}<link name="${{p12}}"/>')
+    message = error_message(write(tmp_path / "r.xacro", text))
+    assert re.search("must expand (in|to) at most ", message)
+
+
+def test_expressions_within_the_bounds_have_the_values_of_python(tmp_path):
+    expression = (
+        "[2**3, 1<<4, 'ab'*2, '%03d' % 7, 2.5**2, -7 % 3, [1]+[2], list(map(str, [1, 2])), max(1, 2),"
+    )
+    expression += " math.factorial(5), [x*y for x in range(3) for y in [1, 2] if x], round(2.567, 2), 2**-1]"
+    name = "[8, 16, 'abab', '007', 6.25, 2, [1, 2], ['1', '2'], 2, 120, [1, 2, 2, 4], 2.57, 0.5]"
+    text = f'<link name="${{{expression.replace("<", "&lt;")}}}"><visual>{BOX}</visual></link>'
+    scene, _ = load(write(tmp_path / "r.xacro", XACRO.format(text)))
+    assert [body.name for body in scene.bodies] == [name]
+
+
+def test_lists_that_hold_one_another_many_times_are_refused(tmp_path):
+    """Such a list takes little memory, but not its text."""
+    pairs = zip("abcdefghi", "bcdefghij", strict=True)
+    lines = ["a: &a [x]", *(f"{after}: &{after} [{', '.join([f'*{name}'] * 10)}]" for name, after in pairs)]
+    write(tmp_path / "lists.yaml", "\n".join(lines))
+    load_yaml = """<xacro:property name="p" value="${xacro.load_yaml('lists.yaml')}"/>"""
+    message = error_message(write(tmp_path / "r.xacro", XACRO.format(f"{load_yaml}<link name='${{p}}'/>")))
+    assert "a xacro file must expand to at most 20 million characters" in message

@@ -39,6 +39,7 @@ STATUS_S = 1.0  # between announcements
 DEVICE_ID = 1
 MAX_FIRE_BYTES = 4096  # a program that announces more speaks another protocol
 MAX_UNSENT_BYTES = 16 << 20  # a program that reads too slowly misses pings from here on
+MAX_PROGRAMS = 32  # connected at once: each may leave that much unsent
 # Ranges of an image. An M1200d sends 703 of them at 2 m; how many at most is not published.
 MAX_BINS = 1024
 GAIN_DB_PER_PERCENT = 0.6  # of the fixed gain; not published, chosen so that 50 per cent suits a sand floor
@@ -192,6 +193,8 @@ class OculusServer:
         self._firing: _Program | None = None  # whose fire message it is
         self._asked = asyncio.Event()
         self._programs: dict[asyncio.StreamWriter, _Program] = {}
+        self._connected: set[asyncio.StreamWriter] = set()  # also those whose tasks have not begun
+        self._is_full = False  # and the log says so
         self._tasks: set[asyncio.Task] = set()
 
     @property
@@ -231,9 +234,25 @@ class OculusServer:
         return task
 
     def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a program that connects, in a task of this server's own: that of asyncio ends with a traceback."""
+        """Serve a program that connects, in a task of this server's own: that of asyncio ends with a traceback.
+
+        One beyond MAX_PROGRAMS is disconnected at once.
+        """
+        if len(self._connected) >= MAX_PROGRAMS:
+            if not self._is_full:
+                logger.warning("%d programs are connected, and others are disconnected at once", MAX_PROGRAMS)
+            self._is_full = True
+            writer.transport.abort()
+            return
+        self._connected.add(writer)
         task = self._start(self._serve(reader, writer))
-        task.add_done_callback(lambda _: writer.close())  # also if it is cancelled before it begins
+        task.add_done_callback(lambda _: self._leave(writer))  # also if it is cancelled before it begins
+
+    def _leave(self, writer: asyncio.StreamWriter) -> None:
+        """Close the connection of a program, whose place another one may take."""
+        writer.close()
+        self._connected.discard(writer)
+        self._is_full = False
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Read the messages of a program until it goes, or sends what is none."""

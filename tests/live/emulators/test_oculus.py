@@ -573,3 +573,48 @@ def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connec
     start = time.monotonic()
     result_of(connection, fire_bytes(range_m=2.5))
     assert time.monotonic() - start < WAIT_S
+
+
+def test_programs_beyond_the_limit_are_disconnected_and_others_go_on(monkeypatch, caplog):
+    """Each program may leave 16 MB unsent: without a limit a neighbour takes all memory."""
+    monkeypatch.setattr(oculus, "MAX_PROGRAMS", 3)
+
+    def connect():
+        return socket.create_connection(("127.0.0.1", server.port), WAIT_S)
+
+    def is_left_alone(program):
+        program.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            program.recv(1)
+        return True
+
+    def is_refused(program):
+        try:
+            return program.recv(1) == b""
+        except ConnectionResetError:
+            return True
+
+    with running(OculusServer(None, None, port=0, status_to=None)) as server:
+        programs = [connect() for _ in range(3)]
+        for _ in range(20):
+            with connect() as another:
+                assert is_refused(another)
+        assert all(is_left_alone(program) for program in programs)
+        said = [text for text in caplog.messages if "disconnected at once" in text]
+        assert said == ["3 programs are connected, and others are disconnected at once"]
+        programs.pop().close()
+
+        def is_free():
+            program = connect()
+            programs.append(program)
+            program.settimeout(0.05)
+            try:
+                return program.recv(1) != b""
+            except ConnectionResetError:
+                return False
+            except TimeoutError:
+                return True
+
+        wait_until(is_free)
+        for program in programs:
+            program.close()
