@@ -328,6 +328,12 @@ MUTATIONS = (
         LABELS,
         (("2.0 / (bin_edges_s[:-1] + bin_edges_s[1:])", "1.0 / bin_edges_s[1:]"),),
     ),
+    Mutation(
+        "labels/before an upright edge",
+        "too_near * per_metre > BEYOND_BODY * nearest * nearest",
+        "too_near * per_metre > 1e3 * nearest * nearest",
+        LABELS,
+    ),
     Mutation("labels/range of a ramp", "return t * t / 2", "return t * t / 3", LABELS),
     Mutation(
         "labels/full bins",

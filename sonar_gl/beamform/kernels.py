@@ -141,6 +141,9 @@ UNTRIED_STRIPS = 15
 # Of its range: a longer footprint is kept within the range of its body. Half a sample beyond a face that is seen nearly
 # edge-on may lie metres from it.
 LONG_FOOTPRINT = 1 / 64
+# Of a bin: a footprint nearer or further than its body by more than this is kept within it, too, however short it is.
+# By less do planes of faces that the sonar sees face on deviate, whose footprints need no change.
+BEYOND_BODY = 1 / 8
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
@@ -692,6 +695,18 @@ def _is_long(work, m):
     )
 
 
+@inlined
+def _is_beyond(work, m, furthest, nearest, per_metre):
+    """Return whether a footprint lies nearer or further than `furthest` to `nearest` by BEYOND_BODY of a bin."""
+    half = work[A, m] + work[B, m]
+    too_near, too_far = work[S, m] + half - nearest, furthest - work[S, m] + half
+    # a change of s is that of range times s squared
+    return (
+        too_near * per_metre > BEYOND_BODY * nearest * nearest
+        or too_far * per_metre > BEYOND_BODY * furthest * furthest
+    )
+
+
 @uncounted
 def keep_within(work, m, furthest, nearest):
     """Move the ends of a footprint in s to where its body lies, between `furthest` and `nearest`; its echo stays."""
@@ -707,17 +722,21 @@ def keep_within(work, m, furthest, nearest):
 
 
 @uncounted
-def _keep_within_bodies(work, strip, body_id, body_spans, columns):
-    """Keep a strip's long footprints within the ranges of their bodies.
+def _keep_within_bodies(work, strip, body_id, body_spans, columns, per_metre):
+    """Keep a strip's footprints within the ranges of their bodies, if they are long or lie beyond.
 
-    body_id : (R, C) uint16, in `whole_rows`; body_spans : of `ViewSamples`; columns : of Lattice
+    body_id : (R, C) uint16, in `whole_rows`; body_spans : of `ViewSamples`; columns : of Lattice; per_metre : of
+        BinTable
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     for m in range(uint64(strip.first), uint64(strip.last)):
-        if _is_long(work, m):
-            i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
-            number = uint64(body_id[uint64(work[ROW, m]), i])
-            keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+        if not (work[ENERGY, m] > 0.0 and work[S, m] > 0.0):
+            continue
+        i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
+        number = uint64(body_id[uint64(work[ROW, m]), i])
+        furthest, nearest = body_spans[number, 0], body_spans[number, 1]
+        if _is_long(work, m) or _is_beyond(work, m, furthest, nearest, per_metre):
+            keep_within(work, m, furthest, nearest)
 
 
 @uncounted
@@ -946,7 +965,7 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
         if body_spans.shape[0] > 0:
-            _keep_within_bodies(work, strip, body_id, body_spans, lattice.columns)
+            _keep_within_bodies(work, strip, body_id, body_spans, lattice.columns, bins.per_metre)
         if spread:
             short_ramp = SHORT_RAMP_OF_JOINED if strip.are_joined else SHORT_RAMP
             spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins, short_ramp)
@@ -1546,9 +1565,12 @@ def sum_bodies(
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
         if body_spans.shape[0] > 0:
             for m in range(uint64(start), uint64(last)):
-                if _is_long(work, m):
-                    number = uint64(numbers[m])
-                    keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
+                if not (work[ENERGY, m] > 0.0 and work[S, m] > 0.0):
+                    continue
+                number = uint64(numbers[m])
+                furthest, nearest = body_spans[number, 0], body_spans[number, 1]
+                if _is_long(work, m) or _is_beyond(work, m, furthest, nearest, bins.per_metre):
+                    keep_within(work, m, furthest, nearest)
         _find_angles(work, strip)
         if spread:
             _find_intervals(work, start, last, bins)

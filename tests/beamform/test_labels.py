@@ -671,14 +671,33 @@ def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch
         return max(nearest_m - found_m.min(), found_m.max() - furthest_m)
 
     ping = labelled()
-    # a footprint that is not long reaches half of a sixty-fourth of its range beyond the body at most
-    assert off_m(ping) < 3.5 / 128
+    assert off_m(ping) < kernels.BEYOND_BODY * DEVICE.bin_size_m
     np.testing.assert_array_equal(ping.intensity, labelled(labels=False).intensity)
     monkeypatch.setattr(scene_meshes, "body_spans", lambda *_: NO_SPANS)
     other = labelled()
     assert off_m(other) > 0.05
     # what is moved is faint
     assert np.abs(other.intensity - ping.intensity).sum() < 1e-3 * ping.intensity.sum()
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("yaw_deg", [5, 10, 20, 45])
+@pytest.mark.parametrize("tolerance", [0.1, 0.01])
+def test_no_label_lies_nearer_than_the_upright_edge_of_a_box(engine, tolerance, yaw_deg):
+    """A sample that meets a face beside its edge reaches half of its width beyond: at 12 m up to 0.9 m before it."""
+    box = sg.Body("box", trimesh.creation.box((1, 1, 2)), reflectivity=0.5)
+    sonar = sg.load_sonar("p900-45")
+    with sg.Simulator(
+        sg.Scene([box]), sonar, sg.Acoustics.ideal(), tolerance=tolerance, engine=engine
+    ) as simulator:
+        for y in np.linspace(0.94, 1.06, 5):
+            pose = sg.pose(12, y, yaw=math.radians(yaw_deg))
+            ping = simulator.ping(sg.pose(), labels=True, label_level_db=-180.0, bodies={"box": pose})
+            here = -pose[:3, :3].T @ pose[:3, 3]  # the sonar, in the axes of the box
+            nearest_m = np.linalg.norm(np.maximum(np.abs(here) - [0.5, 0.5, 1], 0))
+            first_m = ping.range_m[(ping.body_id > 0).any(axis=0)][0] + sonar.bin_size_m / 2
+            assert first_m > nearest_m - kernels.BEYOND_BODY * sonar.bin_size_m
+            assert ping.intensity[:, ping.range_m < nearest_m - sonar.bin_size_m].max() == 0
 
 
 @pytest.mark.parametrize(
