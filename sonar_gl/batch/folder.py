@@ -15,7 +15,6 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
@@ -194,12 +193,8 @@ class Folder:
         """Write plain values as a record; the same values give the same bytes."""
         self.put(name, record_bytes(values), is_record=True)
 
-    def get_record(
-        self, name: str, cure: str, is_right: Callable[[dict], bool] = lambda _: True
-    ) -> dict | None:
+    def get_record(self, name: str, cure: str) -> dict | None:
         """Return the values of a record, or None if it does not exist.
-
-        is_right : whether values are those of such a record; a program that is none of ours may have written others
 
         Raises
         ------
@@ -208,12 +203,10 @@ class Folder:
         """
         if (data := self.get(name)) is None:
             return None
-        with suppress(
-            ValueError, TypeError, AttributeError, KeyError, RecursionError
-        ):  # no JSON, no object, no key
+        with suppress(ValueError, TypeError, AttributeError, KeyError):  # no JSON, no object, no checksum
             values = json.loads(data)
             values.pop(CHECKSUM_KEY)
-            if record_bytes(values) == data and is_right(values):
+            if record_bytes(values) == data:
                 return values
         raise DamagedRecordError(f"{self.path(name)}: must be as it was written (it is damaged; {cure})")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, shown
+from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, errors_at, nearest_names, some_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.input_files import note_file
@@ -19,7 +18,7 @@ from sonar_gl.scene import primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.primitives import Shape, make_shape
-from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, MAX_BODIES, Scene
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sonar_sensor import SONAR_WORDS
 
@@ -29,9 +28,6 @@ DEFAULT_RGBA = np.float32([0.5, 0.5, 0.5, 1.0])  # of a geom that leaves the col
 FOLDERS = {"texture": ("texturedir", "assetdir")}  # attributes of <compiler>; other files are in these:
 MESH_FOLDERS = "meshdir", "assetdir"
 FILE_KEYS = "file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))  # of a cube
-MAX_PIXELS = (
-    100_000_000  # of the height fields and textures of a file together, which a few words may ask for
-)
 # A camera looks along -z with x to the right and y up; a sonar along x with y to port and z up.
 CAMERA_FROM_SONAR = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 
@@ -193,21 +189,17 @@ def _check_files(main: Path, resources: Resources, checked: set[Path]) -> None:
     All names are relative to the folder of the main file, also those in files that it includes.
     """
     documents, models = {}, []
-    waiting = [(main, 1)]
+    waiting = [main]
     while waiting:
-        path, times = waiting.pop()
+        path = waiting.pop()
         if path.resolve() in checked:
             continue
         checked.add(path.resolve())
         documents[path] = resources.parse(path)
-        _check_pixels(documents[path], path)
-        for element, copies in _copies(documents[path], times, path):
+        for element in documents[path].iter():
             if (file := element.get("file")) and element.tag in ("include", "model"):
                 found = _find(file, main, resources, f"{path}: {element.tag}[{file}]")
-                if found is not None and element.tag == "include":
-                    waiting.append((found, copies))
-                elif found is not None:
-                    models.append(found)
+                (waiting if element.tag == "include" else models).extend([] if found is None else [found])
     compilers = [element for root in documents.values() for element in root.iter("compiler")]
     settings = {key: text for compiler in compilers for key, text in compiler.attrib.items()}
     for path, root in documents.items():
@@ -223,63 +215,6 @@ def _check_files(main: Path, resources: Resources, checked: set[Path]) -> None:
                 _find(Path(folder, file), main, resources, where)
     for model in models:
         _check_files(model, resources, checked)
-
-
-def _copies(root, times: int, path: Path) -> list[tuple]:
-    """Return all elements of a document, each with how often MuJoCo makes it.
-
-    Parameters
-    ----------
-    times : how often the document itself counts, which others may include
-
-    Raises
-    ------
-    Error
-        if elements that multiply others ask for more than MAX_BODIES copies in all.
-    """
-    found, waiting, n_copied = [], [(root, times)], 0
-    while waiting:
-        element, copies = waiting.pop()
-        found.append((element, copies))
-        if element.tag in ("replicate", "flexcomp", "composite"):
-            for count in _whole_numbers(element.get("count", "")):
-                copies *= max(count, 1)
-        n_copied += copies if copies > 1 else 0
-        if n_copied > MAX_BODIES:
-            raise Error(
-                f"{path}: elements that multiply others must ask for at most {MAX_BODIES} copies in all (got "
-                f"{shown(n_copied)} or more, by <{element.tag}>)"
-            )
-        waiting += [(child, copies) for child in element]
-    return found
-
-
-def _check_pixels(root, path: Path) -> None:
-    """Raise an Error if height fields and textures would have more than MAX_PIXELS pixels together."""
-    n_pixels = 0
-    for tag, keys in ("hfield", ("nrow", "ncol")), ("texture", ("width", "height")):
-        for element in root.iter(tag):
-            sides = [side for key in keys for side in _whole_numbers(element.get(key, ""))]
-            n_pixels += max(sides, default=0) ** 2 if len(sides) == 1 else math.prod(map(abs, sides))
-            if n_pixels > MAX_PIXELS:
-                raise Error(
-                    f"{path}: height fields and textures must have at most {MAX_PIXELS} pixels in all (got "
-                    f"{shown(n_pixels)} or more, by {tag}[{element.get('name') or ''}])"
-                )
-
-
-def _whole_numbers(text: str) -> list[int]:
-    """Return the numbers of an attribute, as many as there are before one that MuJoCo will refuse.
-
-    >>> _whole_numbers("3 4 x")
-    [3, 4]
-    """
-    found = []
-    for word in text.split():
-        if not re.fullmatch(r"[+-]?\d{1,18}", word):
-            break
-        found.append(int(word))
-    return found
 
 
 def _find(file, main: Path, resources: Resources, location: str) -> Path | None:

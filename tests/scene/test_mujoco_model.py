@@ -300,48 +300,6 @@ def test_scenes_of_other_kinds_do_not_import_mujoco():
     assert done.stdout == "False\n"
 
 
-@pytest.mark.parametrize(
-    "content, words",
-    [
-        ("<asset><hfield name='a' nrow='100000' ncol='100000' size='1 1 1 1'/></asset>", "hfield[a]"),
-        (
-            "<asset><texture name='t' builtin='flat' type='2d' width='50000' height='50000'/></asset>",
-            "texture[t]",
-        ),
-        ("<asset><texture name='t' builtin='flat' type='cube' width='50000'/></asset>", "texture[t]"),
-        ("<worldbody><replicate count='1000000000'><geom size='1'/></replicate></worldbody>", "<replicate>"),
-        (
-            "<worldbody>"
-            + "<replicate count='100'>" * 3
-            + "<geom size='1'/>"
-            + "</replicate>" * 3
-            + "</worldbody>",
-            "<replicate>",
-        ),
-        ("<worldbody><flexcomp name='f' type='grid' count='1000 1000 1000'/></worldbody>", "<flexcomp>"),
-        ("<worldbody><replicate count='1000'><include file='b.xml'/></replicate></worldbody>", "<replicate>"),
-    ],
-    ids=["height field", "texture", "cube", "replicate", "nested", "flex", "included"],
-)
-def test_a_few_words_that_ask_for_much_memory_are_refused(tmp_path, content, words):
-    """MuJoCo would make all of it: 40 GB for the first."""
-    (tmp_path / "b.xml").write_text("<mujoco><replicate count='1000'><geom size='1'/></replicate></mujoco>")
-    path = tmp_path / "a.xml"
-    path.write_text(f"<mujoco>{content}</mujoco>")
-    message = error_message(path)
-    assert message.count("\n") == 0
-    assert " must " in message
-    assert words in message
-
-
-def test_copies_within_the_limit_are_made(tmp_path):
-    path = tmp_path / "a.xml"
-    path.write_text(
-        "<mujoco><worldbody><replicate count='3' offset='1 0 0'><geom size='.1'/></replicate></worldbody></mujoco>"
-    )
-    assert len(load(path)[0].bodies) == 3
-
-
 @pytest.mark.parametrize("side", ["right", "left", "up", "down", "front", "back"])
 def test_files_of_a_texture_s_sides_stay_in_the_folder(tmp_path, side):
     outside = tmp_path / "outside.png"

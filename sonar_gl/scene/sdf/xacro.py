@@ -3,7 +3,7 @@ read outside the resource paths.
 
 A xacro file holds Python expressions, which the library evaluates by `eval`; it refuses names that begin with two
 underscores, which does not stop an attacker. Here an expression is checked first: it may compute, compare, index
-and call, but neither define functions nor reach the insides of objects. `xacro_bounds` bounds time and memory.
+and call, but neither define functions nor reach the insides of objects. Expansion is not bounded in time or memory.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from xml.parsers.expat import ExpatError
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
-from sonar_gl.scene.sdf.xacro_bounds import REFUSED_METHODS, Bounds
 from sonar_gl.scene.sdf.xml_lines import line_of, parse_with_lines
 
 # What the library must have, so that nothing here is replaced in vain.
-REPLACED = "abs_filename_spec", "eval_all", "eval_extension", "eval_text", "load_yaml", "parse", "safe_eval"
+REPLACED = "abs_filename_spec", "eval_extension", "load_yaml", "parse", "safe_eval"
 # Parts of expressions: neither functions nor generators, whose insides lead out.
 NODES = (
     *(ast.Expression, ast.BoolOp, ast.BinOp, ast.UnaryOp, ast.IfExp, ast.Compare, ast.Call, ast.keyword),
@@ -29,9 +28,7 @@ NODES = (
     *(ast.Set, ast.ListComp, ast.SetComp, ast.DictComp, ast.comprehension, ast.Starred, ast.Load, ast.Store),
     *(ast.operator, ast.unaryop, ast.boolop, ast.cmpop),
 )
-REFUSED_ATTRIBUTES = re.compile(
-    f"_.*|format|format_map|{REFUSED_METHODS}"
-)  # `format` reads attributes that its text names
+REFUSED_ATTRIBUTES = re.compile("_.*|format|format_map")  # `format` reads attributes that its text names
 REFUSED_BUILTINS = "type", "vars"  # of those that xacro offers as `python.type`
 ELEMENTS = "node", "elt", "tag"  # names of the library's variables that hold the element it expands
 MAX_NESTING = 50  # of files that include files
@@ -111,9 +108,6 @@ class _Expansion:
         self.path, self.resources = path, resources
         self._eval, self._load_yaml = self.xacro.safe_eval, self.xacro.load_yaml
         self._absolute = self.xacro.abs_filename_spec
-        self._eval_text, self._eval_all = self.xacro.eval_text, self.xacro.eval_all
-        self._bounds = Bounds()
-        self.xacro.eval_text, self.xacro.eval_all = self._expand_text, self._expand_all
         self.xacro.safe_eval = self._evaluate
         self.xacro.eval_extension = self._substitute
         self.xacro.load_yaml = self._read_yaml
@@ -132,7 +126,6 @@ class _Expansion:
         self.symbols = library.create_global_symbols()
         for name in REFUSED_BUILTINS:
             del self.symbols["python"][name]
-        self.symbols.update(self._bounds.names)
         library.eval_all(document.documentElement, library.Table(), library.Table(self.symbols))
         return document.toxml("utf-8")
 
@@ -175,19 +168,9 @@ class _Expansion:
     def _read_yaml(self, name: str):
         return self._load_yaml(str(self._allowed(self._absolute_path(str(name)))))
 
-    def _expand_text(self, text: str, symbols):
-        found = self._eval_text(text, symbols)
-        self._bounds.text(found)
-        return found
-
-    def _expand_all(self, node, macros, symbols):
-        self._bounds.step()
-        return self._eval_all(node, macros, symbols)
-
     def _evaluate(self, expression: str, names, more=None):
         """Return the value of an expression, after it is checked."""
-        tree = ast.parse(expression.strip(), mode="eval")
-        for node in ast.walk(tree):
+        for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
             refused = None
             if not isinstance(node, NODES):
                 refused = type(node).__name__
@@ -197,7 +180,7 @@ class _Expansion:
                 refused = node.id
             if refused is not None:
                 raise Error(f"expressions must be simple ones (got {expression!r}; refused is {refused})")
-        return self._eval(self._bounds.rewrite(tree), names, more)
+        return self._eval(expression, names, more)
 
     def _substitute(self, text: str):
         """Return the value of `$(command arguments)`."""
