@@ -274,9 +274,11 @@ def field_weights(
         r = np.arange(half_length + 1) * bin_size_m
         half = amplitude_response(r, bandwidth_hz, taper, sound_speed_m_s)
     else:
-        f = (np.arange(4096) + 0.5) / 4096 - 0.5  # in cycles per bin
+        n, k = 4096, np.arange(half_length + 1)
+        f = (np.arange(n) + 0.5) / n - 0.5  # in cycles per bin
         power = _aliased_power(f, ratio, series)
-        half = np.cos(2 * np.pi * np.outer(np.arange(half_length + 1), f)) @ np.sqrt(power)
+        # sums of cos 2πkf times the root
+        half = (np.exp(1j * np.pi * k * (1 - 1 / n)) * np.fft.rfft(np.sqrt(power))[k]).real
     half = np.where(np.abs(half) < 1e-9 * half[0], 0.0, half)  # nulls are exactly 0
     total_power = half[0] ** 2 + 2 * (half[1:] ** 2).sum()
     half_length = _half_length_within(half**2, (1 - NEGLECTED_POWER) * total_power)
