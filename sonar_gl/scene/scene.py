@@ -55,8 +55,8 @@ class Body:
     mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo. A simulator copies it when it takes
         the body: what is changed in it later acts on bodies that are added later
     pose : (4, 4) world_from_body; None is the identity
-    reflectivity : μ, 0..1, 0.5 by default, or (F,), one value a face; or the name of a material, which also sets
-        `specular` and `roughness_rad` unless these are given
+    reflectivity : μ, 0..1, or (F,), one value a face; or the name of a material, which also sets `specular` and
+        `roughness_rad` unless these are given. None: the material's, or 0.5
     normals : None (flat faces) or (V, 3) shading normals, used only for the incidence angle
     specular : strength of the specular lobe, 0..1: the intensity reflection coefficient |R|² of the smooth
         part of the surface at normal incidence. Profiles with `specular` add the lobe to the diffuse echo.
@@ -64,7 +64,7 @@ class Body:
         material's, or 0
     roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width. None: the
         material's, or 0.1
-    material : name of the material, if one was given by name
+    material : name of the material; it sets what is left out of `reflectivity`, `specular` and `roughness_rad`
     speckle_shape : ν of the K distribution, 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν) texture also multiplies
         the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast becomes √(1 + 2/ν); None
         for fully developed speckle
@@ -83,7 +83,7 @@ class Body:
     name: str
     mesh: trimesh.Trimesh = _LazyMesh()
     pose: np.ndarray = None
-    reflectivity: float | np.ndarray = DEFAULT_REFLECTIVITY
+    reflectivity: float | np.ndarray | str | None = None
     normals: np.ndarray | None = None
     specular: float = None
     roughness_rad: float = None
@@ -104,7 +104,13 @@ class Body:
             self._set("speckle_shape", check_number(what, self.speckle_shape, *SPECKLE_SHAPE_BOUNDS, hint))
         one_value = np.ndim(self.reflectivity) == 0
         shape = () if one_value else (n_faces,)
-        mu = frozen_array(self.reflectivity, np.float64, shape, f"{location}: reflectivity")
+        mu = frozen_array(
+            self.reflectivity,
+            np.float64,
+            shape,
+            f"{location}: reflectivity",
+            "give one number, or one for each face",
+        )
         if mu.min() < 0 or mu.max() > 1:
             raise Error(
                 f"{location}: reflectivity must lie in 0..1 (got {mu.min():g} to {mu.max():g}; "
@@ -158,11 +164,15 @@ class Body:
             self._set("specular", None)
             self._set("roughness_rad", None)
         if by_name:
-            self._set("reflectivity", found.reflectivity)
+            self._set("reflectivity", None)
         self._set("material", found and found.name)
-        for key, default in (("specular", 0.0), ("roughness_rad", 0.1)):
+        for key, default in (
+            ("reflectivity", DEFAULT_REFLECTIVITY),
+            ("specular", 0.0),
+            ("roughness_rad", 0.1),
+        ):
             if getattr(self, key) is None:
-                value = getattr(found, key) if by_name else None
+                value = getattr(found, key, None)
                 self._set(key, default if value is None else value)
 
 
