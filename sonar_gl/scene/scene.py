@@ -190,6 +190,8 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
 class Scene:
     """Bodies, bubble plumes, the water's surface, and the pose of the sonar if the scene's file has one.
 
+    A scene does not change: methods return another one, and simulators place and add bodies on their own.
+
     Parameters
     ----------
     bodies : Body and Bubbles objects with unique names; at most 65535 bodies
@@ -211,8 +213,17 @@ class Scene:
     Raises
     ------
     Error
-        if two names are equal, or the surface's numbers are out of bounds.
+        if two names are equal, or the surface's numbers are out of bounds; if an attribute is set later.
     """
+
+    bodies: tuple[Body, ...]
+    plumes: tuple[Bubbles, ...]
+    sonar_pose: np.ndarray | None
+    name: str
+    surface_z_m: float | None
+    surface_roughness_m: float
+    sensors: tuple[SonarSensor, ...]
+    models: dict[str, np.ndarray]
 
     def __init__(
         self,
@@ -227,37 +238,64 @@ class Scene:
         things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
         for thing in things:
             check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
-        self.bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
-        self.plumes = tuple(thing for thing in things if isinstance(thing, Bubbles))
-        self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
+        pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
         check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
         models = {} if models is None else models
         check_kind("models of a scene", models, dict, "those of another scene are `scene.models`")
         for model in models:
             check_kind("the name of a model", model, str, 'such as "boat"')
-        self.name, self.sensors = name, tuple(sensors)
-        self.models = {
-            model: check_pose(where, f"the pose of model {model!r}") for model, where in models.items()
-        }
-        for sensor in self.sensors:
+        models = {model: check_pose(where, f"the pose of model {model!r}") for model, where in models.items()}
+        sensors = tuple(sensors)
+        for sensor in sensors:
             check_kind(
                 "a sensor of a scene", sensor, SonarSensor, "those of another scene are `scene.sensors`"
             )
-        self.surface_z_m = surface_z_m
         if surface_z_m is not None:
-            self.surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
-        self.surface_roughness_m = check_number(
-            "surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres"
-        )
+            surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
+        roughness = check_number("surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres")
         names = [thing.name for thing in things]
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
         if twice:
             raise Error(f"names of bodies must be unique (got {twice[0]!r} more than once)")
-        if len(self.bodies) > MAX_BODIES:
-            raise Error(
-                f"a scene holds at most {MAX_BODIES} bodies (got {len(self.bodies)}; join some meshes)"
-            )
+        bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
+        if len(bodies) > MAX_BODIES:
+            raise Error(f"a scene holds at most {MAX_BODIES} bodies (got {len(bodies)}; join some meshes)")
+        vars(self).update(
+            bodies=bodies,
+            plumes=tuple(thing for thing in things if isinstance(thing, Bubbles)),
+            sonar_pose=pose,
+            name=name,
+            surface_z_m=surface_z_m,
+            surface_roughness_m=roughness,
+            sensors=sensors,
+            models=models,
+        )
+
+    def __setattr__(self, name: str, value):
+        raise Error(
+            f"a Scene must not be changed (got a new value of {name!r}; with_bodies, with_more, without, only "
+            "and with_surface return another scene, and a Simulator places and adds bodies)"
+        )
+
+    def with_bodies(self, bodies: Iterable[Body | Bubbles]) -> Scene:
+        """Return the same scene with these bodies and plumes in the place of its own.
+
+        Examples
+        --------
+        Another material for one body of a file:
+
+        >>> from dataclasses import replace
+        >>> from sonar_gl import load_scene
+        >>> scene = load_scene("pylon")
+        >>> with_wood = scene.with_bodies(
+        ...     replace(body, reflectivity="wood") if body.name == "box" else body for body in scene.bodies
+        ... )
+        >>> [body.name for body in with_wood.bodies if body.material == "wood"]
+        ['box']
+        """
+        check_kind("bodies of a scene", bodies, Iterable, "give several, as in scene.with_bodies([body])")
+        return self._with(list(bodies))
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""

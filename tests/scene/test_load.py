@@ -1,6 +1,8 @@
 """Scenes from bundled names, files, and objects of trimesh and pyrender."""
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
 import warnings
@@ -366,6 +368,10 @@ def test_bodies_are_left_out_by_name():
     assert names(scene.without("wall", "bubbles", "boat_?")) == []
     assert names(scene.without()) == names(scene)
     assert names(scene.only("boat_2", "b*s")) == ["boat_2", "bubbles"]
+    other = scene.with_bodies(iter([far, plume]))
+    assert other.bodies == (far,) and other.plumes == (plume,) and other.surface_z_m == 3.0
+    with pytest.raises(Error, match=r"as in scene.with_bodies\(\[body\]\)"):
+        scene.with_bodies(far)
     assert scene.with_surface(-1.0).surface_z_m == -1.0 and scene.with_surface(None).surface_z_m is None
     for leave in (scene.without, scene.only):
         with pytest.raises(Error) as caught:
@@ -407,3 +413,17 @@ def test_textures_that_are_missing_give_no_log(tmp_path, caplog):
     caplog.clear()
     (body,) = load_scene(tmp_path / "a.dae").bodies
     assert len(body.surface.faces) == 1 and caplog.text == ""
+
+
+@pytest.mark.parametrize("name", ["surface_z_m", "sonar_pose", "bodies", "plumes", "models", "bodys"])
+def test_a_scene_is_not_changed(name):
+    """Values that are set later would pass without the checks of the constructor, and simulators would not notice."""
+    scene = Scene([sg.Body("wall", trimesh.creation.box((1, 1, 1)))], pose(x=1), surface_z_m=0.0)
+    before = dict(vars(scene))
+    with pytest.raises(
+        Error, match=rf"a Scene must not be changed \(got a new value of '{name}'; with_bodies, "
+    ):
+        setattr(scene, name, None)
+    assert vars(scene) == before
+    for again in (copy.copy(scene), copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        assert (again.name, again.surface_z_m, again.bodies[0].name) == ("scene", 0.0, "wall")
