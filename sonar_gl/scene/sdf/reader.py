@@ -135,6 +135,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
                 f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
                 f"their reflectivity is taken as {reflectivity}"
             )
+    if reader.misspelt:
+        names = some_names([text.removeprefix(f"{path}: ") for text in reader.misspelt])
+        warn_caller(f"{path}: tags of shapes that are unknown are left out: {names}")
     if 0 < max(reader.retros, default=0) <= 1:
         got = some_names([f"{value:g}" for value in sorted(reader.retros)])
         warn_caller(
