@@ -172,6 +172,18 @@ def test_only_gltf_is_turned_to_z_up(tmp_path, suffix, extents):
     assert body.mesh.volume == pytest.approx(6, rel=1e-6)
 
 
+def test_a_missing_file_of_another_case_or_with_a_slip_is_suggested(tmp_path):
+    for name in ("Harbour wall.OBJ", "b.sdf", "notes.txt"):
+        (tmp_path / name).touch()
+    for name, hint in (
+        ("harbour wall.obj", "did you mean 'Harbour wall.OBJ'?"),
+        ("notes.sdf", "bundled scenes are named without an ending"),
+    ):
+        with pytest.raises(Error) as caught:
+            load_scene(tmp_path / name)
+        assert str(caught.value) == f"{tmp_path / name}: there is no such file ({hint})"
+
+
 @pytest.mark.parametrize("suffix", ["glb", "obj", "stl"])
 def test_the_reflectivity_that_a_mesh_file_lacks_is_told_of(tmp_path, suffix):
     parts = {"hull": trimesh.creation.box((1, 2, 3)), "mast": trimesh.creation.box((1, 1, 9))}
