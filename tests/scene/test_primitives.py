@@ -352,7 +352,7 @@ NOTCHED = "v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv 0 -1.5 0\nv -2 2 0\n"
 @pytest.mark.parametrize("matrix", TURNS)
 @pytest.mark.parametrize("face", ["1 2 3 4 5", "5 4 3 2 1", "-4/1 -3/1 -2/1 -1/1 -5/1"])
 def test_concave_polygons_of_obj_files_have_their_own_area(tmp_path, matrix, face):
-    """A fan from the first corner would cover the notch, as a door in a wall."""
+    """A fan from the first corner would cover the notch, as an opening in a wall."""
     points = np.array(NOTCHED.replace("v", "").split(), float).reshape(5, 3) @ np.transpose(matrix)
     lines = "".join("v {} {} {}\n".format(*point) for point in points)
     (tmp_path / "a.obj").write_text(f"{lines}vt 0 0\nf {face}\n")
