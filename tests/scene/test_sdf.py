@@ -1595,11 +1595,32 @@ def test_a_size_that_is_misspelt_is_told_of(tmp_path, geometry, tag, hint):
     with pytest.warns(UserWarning) as caught:
         read_sdf(path)
     assert [str(w.message) for w in caught] == [
-        f"{path}: tags of shapes that are unknown are left out: world/model[m]/link[link]/collision[c]/geometry/{tag} "
-        f"(did you mean '{hint}'?)"
+        f"{path}: tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
+        f"geometry/{tag} (did you mean '{hint}'?)"
     ]
 
 
 def test_other_tags_of_shapes_give_no_warning(read):
     geometry = "<geometry><box><size>1 2 3</size><sizes>x</sizes><texture/></box></geometry>"
     assert len(read(model(link(shape=shape(RETRO, geometry=geometry)))).bodies) == 1
+
+
+@pytest.mark.parametrize(
+    ("inside", "told"),
+    [
+        (model(f"<pos>5 0 0 0 0 0</pos>{link()}"), "world/model[m]/pos (did you mean 'pose'?)"),
+        (
+            model(link("<origin>5 0 0 0 0 0</origin>")),
+            "world/model[m]/link[link]/origin (did you mean 'pose'?)",
+        ),
+        (model(SHAPE), "world/model[m]/collision[c] (it must be in a link)"),
+        (SHAPE, "world/collision[c] (it must be in a link)"),
+    ],
+)
+def test_shapes_out_of_links_and_tags_that_mean_a_pose_are_told_of(tmp_path, inside, told):
+    path = write(tmp_path / "a.sdf", inside)
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: tags that SDF does not know there are left out: {told}"
+    ]
