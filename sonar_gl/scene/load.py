@@ -117,6 +117,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.is_dir():
         raise Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
+    if re.search(r"\.xacro\s+\w+=", str(what)) and not path.exists():
+        raise Error(f"{path}: arguments of xacro are given as name:=value, with a colon")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     hint = nearest_names(str(what), bundled)
