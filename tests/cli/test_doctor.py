@@ -595,3 +595,13 @@ def test_a_report_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
         os.symlink(f"/proc/self/fd/{file.fileno()}", "output")
         assert command_line.run("doctor", "--report", path) == (2, "", f"error: {message}\n")
     assert sorted(os.listdir()) == ["folder", "open.txt", "output", "pipe"]
+
+
+def test_places_far_from_the_origin_are_told_to_a_decimetre(tmp_path):
+    """As in UTM, where four digits are kilometres."""
+    box = trimesh.creation.box((2, 2, 2))
+    box.apply_translation((500000, 6000000.25, -20))
+    box.export(tmp_path / "box.obj")
+    _, out, _ = run("--scene", tmp_path / "box.obj")
+    assert "extent    2 x 2 x 2 m, from 499999 5999999.2 -21 to 500001 6000001.2 -19\n" in out
+    assert "box   2 x 2 x 2 m  500000 6000000.2 -20 " in out
