@@ -127,6 +127,7 @@ def sector_camera(sector):
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical(pulse=True)])
+@pytest.mark.usefixtures("no_boxes")
 def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics):
     sonar, sampling, pose = sonar_of(), sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
     scene = room()
