@@ -907,6 +907,7 @@ def test_options_that_do_not_go_together():
 
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
+OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
 
 
 @pytest.mark.parametrize(
@@ -916,17 +917,17 @@ HEADER = "t,x,y,z,roll,pitch,yaw"
         (HEADER, f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
         (
             "t,x,y,z,roll,pitch\n0,0,0,0,0,0\n",
-            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,y,z,roll,pitch')",
         ),
         (
             "t,x,x,y,z,roll,pitch,yaw\n",
-            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,x,y,z,roll,pitch,yaw')",
         ),
         (
             "0,0,0,0,0,0,0\n",
-            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got '0,0,0,0,0,0,0')",
         ),
         (
@@ -940,6 +941,15 @@ HEADER = "t,x,y,z,roll,pitch,yaw"
             f"{HEADER}\n0,0,0,0,0,0,90\n",
             "p.csv: line 2: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
             "to line (got roll pitch yaw = 0 0 90; if these are degrees, multiply by π/180)",
+        ),
+        (
+            "t,x,y,z,qx,qy,qz,roll\n",
+            "p.csv: line 1: column qw is not there; the first line must name the columns t,x,y,z,qx,qy,qz,qw "
+            "(got 't,x,y,z,qx,qy,qz,roll')",
+        ),
+        (
+            "t,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n1,0,0,0,0,0,90,0\n",
+            "p.csv: line 3: qx qy qz qw must be a unit quaternion (got 0 0 90 0, of length 90)",
         ),
     ],
 )
