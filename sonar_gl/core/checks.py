@@ -70,6 +70,15 @@ def check_function(name: str, value, argument: str):
         raise Error(f"{name} must be a function of {argument} (got {shown(value)})")
 
 
+def holds_numbers(array) -> bool:
+    """Return whether `array` is an array of NumPy that holds real numbers; those True and False are some.
+
+    >>> holds_numbers(np.zeros(3)), holds_numbers([0.0]), holds_numbers(np.array([1j])), holds_numbers(np.array("1"))
+    (True, False, False, False)
+    """
+    return isinstance(array, np.ndarray) and array.dtype.kind in "biuf"
+
+
 def is_number(value) -> bool:
     """Return whether `value` is a real number of Python or NumPy; True and False are not, NaN is.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_number, is_whole_number, shown
+from sonar_gl.core.checks import check_choice, check_number, holds_numbers, is_whole_number, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
@@ -222,12 +222,10 @@ class Counts:
 def _numbers(values, what: str = "intensity") -> np.ndarray:
     """Return an array of floats, those that are given where they are some; raise an `Error` if they are no numbers."""
     out = np.asarray(values)
-    if out.dtype.kind in "biu":
-        out = out.astype(np.float64)
-    if out.dtype.kind != "f" or (out.ndim == 0 and what == "intensity"):
+    if not holds_numbers(out) or (out.ndim == 0 and what == "intensity"):
         wanted = "an array of real numbers" if what == "intensity" else "real numbers"
         raise Error(f"{what} must be {wanted} (got {shown(values)})")
-    return out
+    return out if out.dtype.kind == "f" else out.astype(np.float64)
 
 
 DEFAULT_COUNTS = Counts()  # of a sonar that states none
