@@ -158,7 +158,8 @@ class Counts:
     def share(self, intensity: np.ndarray) -> np.ndarray:
         """Return the share of full scale, float32 0..1 and not rounded, of intensities, (N, M) or (N,).
 
-        Automatic gain is that of these intensities. Raises Error if they are no array of numbers.
+        NaN, an unknown intensity, has the share 0, as no echo has. Automatic gain is that of these intensities. Raises
+        Error if they are no array of numbers.
         """
         import cv2  # its functions take a tenth of NumPy's time; what only lists sonars need not wait for it
 
@@ -177,6 +178,7 @@ class Counts:
             cv2.log(flat, dst=flat)
             flat *= 10 / math.log(10) / window_db
             flat -= dark_db / window_db
+        cv2.patchNaNs(flat, 0.0)  # what a cast makes of them depends on the processor
         return np.clip(share, 0, 1, out=share)
 
     def apply(self, intensity: np.ndarray) -> np.ndarray:
