@@ -171,6 +171,21 @@ def check_number(what: str, value, low: float = -math.inf, high: float = math.in
     raise Error(f"{what} {wanted} (got {number_text(value)}{hint and f'; {hint}'})")
 
 
+def check_fields(what: str, settings, bounds: Iterable[tuple[str, float, float, str]]) -> None:
+    """Raise an `Error` unless fields of a dataclass are numbers within bounds; those that are None by default may be.
+
+    Parameters
+    ----------
+    what : the settings, with which the message begins, such as "sonar 'mine'"
+    settings : instance of the dataclass
+    bounds : name of each field; `low`, `high` and `hint` of `check_number`
+    """
+    for name, low, high, hint in bounds:
+        value = getattr(settings, name)
+        if value is not None or settings.__dataclass_fields__[name].default is not None:
+            check_number(f"{what}: {name}", value, low, high, hint)
+
+
 def check_whole_number(what: str, value, low: int = 0, high: int | None = None, hint: str = "") -> int:
     """Return `value` as an int.
 
