@@ -215,9 +215,9 @@ class CpuRenderer:
     ):
         self._engine, self._specular = engine, specular
         self._workspace, self._thread = workspace, thread
-        self._far_m = FAR_FACTOR * fan.sonar.range_max_m
-        self._limits = np.array([NEAR_M, self._far_m])
-        self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
+        range_max_m = fan.sonar.range_max_m
+        self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
+        self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
 
     def render(
         self,
