@@ -216,7 +216,6 @@ class Water:
                 f"water: scatterer_density_m3 needs volume_backscatter_db (got {self.scatterer_density_m3:g} without "
                 "it; give the strength of all scatterers in a cubic metre)"
             )
-
         for text in self._likely_mistakes():
             warn_caller(f"water: {text}")
 

@@ -159,9 +159,7 @@ class _HalfWorkspace:
         return self._chosen[sector]
 
     def drop_large(self) -> None:
-        self._depth.drop(MAX_KEPT_SAMPLES)
-        self._triangle.drop(MAX_KEPT_SAMPLES)
-        for one in (self._planes, self._bodies, self._normals):
+        for one in (self._depth, self._triangle, self._planes, self._bodies, self._normals):
             one.drop(MAX_KEPT_SAMPLES)
 
 
