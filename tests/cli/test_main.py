@@ -539,7 +539,7 @@ def examples():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("line", [line for line in examples() if line != "doctor"])
-def test_examples_of_the_help_show_something(line, monkeypatch):
+def test_examples_of_the_help_show_something(line):
     """Nearly empty pictures would warn."""
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]

@@ -394,7 +394,7 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
 
 
-def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session, tmp_path):
+def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session):
     job = session.output.add_pose_to_job()
     session.output.add_pose_to_job()
     job.unlink()
