@@ -2,7 +2,6 @@
 
 import copy
 import importlib.metadata
-import os
 import pickle
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from sonar_gl.scene import load
 from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Scene
+from tests.support.processes import python
 
 ENDINGS = ".sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
 SDF = (
@@ -344,14 +344,7 @@ def test_importing_the_loader_imports_no_slow_package():
         "import sys; import sonar_gl.scene.load; "
         "print([m for m in ('trimesh', 'cv2', 'pyrender', 'OpenGL', 'scipy') if m in sys.modules])"
     )
-    root = str(Path(sg.__file__).parents[1])
-    out = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": root},
-    )
+    out = python("-c", code, check=True)
     assert out.stdout.strip() == "[]"
 
 
