@@ -71,7 +71,7 @@ def check_function(name: str, value, argument: str):
 
 
 def holds_numbers(array) -> bool:
-    """Return whether `array` is an array of NumPy that holds real numbers; those True and False are some.
+    """Return whether `array` is an array of NumPy that holds real numbers, or True and False.
 
     >>> holds_numbers(np.zeros(3)), holds_numbers([0.0]), holds_numbers(np.array([1j])), holds_numbers(np.array("1"))
     (True, False, False, False)
