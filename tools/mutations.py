@@ -776,7 +776,8 @@ MUTATIONS = (
             ),
         ),
     ),
-    Mutation("planner/angle turned", "max(-1.0, (turned - 1) / 2)", "max(-1.0, (turned + 1) / 4)", ADAPTIVE),
+    Mutation("planner/angle turned", "(float(trace) - 1) / 2", "(float(trace) + 1) / 4", ADAPTIVE),
+    Mutation("planner/angle the sonar turned", "+ h * o + i * s", "+ h * o + i * w", ADAPTIVE),
     Mutation(
         "planner/bodies moved",
         "apart = after[:, :3, 3] - before[:, :3, 3]",
